@@ -16,7 +16,7 @@ from scipy import fft
 
 from wavefield.errors import CubeError
 from wavefield.waves.estimation import wave_kernels
-from wavefield.waves.estimation.wave_record import LONGEST_BRIDGE, Record, fill, is_whole, piece
+from wavefield.waves.estimation.wave_record import LONGEST_BRIDGE, Record, all_finite, fill, piece
 from wavefield.waves.estimation.windows import choose_segment, hann, segment_count
 
 STEPS_AT_ONCE = 4  # transformed in space: they fit the cache
@@ -109,7 +109,7 @@ class Reader:
             if hasattr(part, "dask"):
                 part = part.compute(scheduler="synchronous")
             block = _values(part)
-            if self.alike and not is_whole(block):
+            if self.alike and not all_finite(block):
                 lacking = ~np.isfinite(block)
                 if not blocks:
                     holes = lacking

@@ -1,8 +1,9 @@
-"""The part of a cube that spectra can be taken from: its largest full rectangle, its unbroken runs."""
+"""The part of a cube that spectra are computed from: its largest full rectangle, its unbroken runs."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import dask
@@ -18,11 +19,11 @@ from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
 
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
+STEPS_PER_READ = 256
+MIN_NODE_FRACTION = 0.9  # of the valid steps: a node of the rectangle has values in so many
+MIN_STEP_FRACTION = 0.95  # of the rectangle: a valid step has values at so many nodes
+MIN_NODES = 8  # along either side of the rectangle
 _FIELDS = ("z", "z_t", "u", "v", "w")
-_STEPS_PER_READ = 256  # steps looked at in one piece
-_NODE_FRACTION = 0.9  # of the good steps in which a node must be there to belong to the rectangle
-_STEP_FRACTION = 0.95  # of the rectangle that must be there for a step to count
-_SMALLEST = 8  # nodes along either side of a usable rectangle
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Record:
     steps : int
         Steps of the whole cube.
     holes : int
-        Single nodes missing inside the rectangle at good steps: filled from their neighbours.
+        Single nodes missing inside the rectangle at valid steps: filled from their neighbours.
     dt, dy, dx : float
         Distances, s and m.
     """
@@ -85,20 +86,17 @@ def _spacing(array: Any, name: str) -> float:
     step = float((values[-1] - values[0]) / (values.size - 1))
     worst = float(np.abs(steps - step).max())
     if not worst <= 1e-3 * abs(step):
-        what = (
-            "put the cube on its clock first, for example with cube.reindex(time=...), which marks what is"
-            " missing"
-            if name == "time"
-            else "interpolate the cube onto a regular grid first"
-        )
+        remedy = "interpolate the cube onto a regular grid first"
+        if name == "time":
+            remedy = "reindex the cube first, with cube.reindex(time=...), which marks missing steps"
         raise CubeError(
-            f"the steps of {name!r} are unequal (from {steps.min():g} to {steps.max():g}): {what}"
+            f"the steps of {name!r} are unequal (from {steps.min():g} to {steps.max():g}): {remedy}"
         )
     return step
 
 
 def check_axes(array: Any) -> tuple[float, float, float]:
-    """Check that an array has the axes of a cube, evenly spaced."""
+    """Steps dt, dy, dx of the axes of a cube, which are evenly spaced."""
     for name in CUBE_DIMS:
         if name not in array.dims:
             raise CubeError(
@@ -120,7 +118,7 @@ def check_axes(array: Any) -> tuple[float, float, float]:
 
 
 class _Stored:
-    """A piece of a stored field: read when it is looked at, and not kept (xarray keeps what it has read)."""
+    """A piece of a stored field: read when it is converted, and not held (xarray holds what it has read)."""
 
     def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
         self.variable, self.area = variable, area
@@ -138,31 +136,30 @@ def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns:
     return array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns).data
 
 
-def is_whole(block: np.ndarray) -> bool:
-    """Whether every value is finite: a sum, which is quicker than a look at each."""
+def all_finite(block: np.ndarray) -> bool:
+    """Whether every value is finite, from their sum, which is quicker than a test of each."""
     return bool(np.isfinite(block.sum(dtype=np.float64)))
 
 
 def _finite(pieces: list[Any]) -> np.ndarray | None:
-    # packed mask of what is there in all variables; None where nothing is missing (the usual case, and quick)
+    """Packed mask of the nodes that have values in all variables; None where nothing is missing."""
     mask = None
     for part in pieces:  # one at a time: memory
         block = np.asarray(part)
-        if not is_whole(block):
-            there = np.isfinite(block)
-            mask = there if mask is None else mask & there
+        if not all_finite(block):
+            finite = np.isfinite(block)
+            mask = finite if mask is None else mask & finite
     return None if mask is None else np.packbits(mask.reshape(mask.shape[0], -1), axis=1)
 
 
 def _runs(
     valid_steps: np.ndarray, longest_bridge: int, barred: np.ndarray
 ) -> tuple[list[tuple[int, int]], list[int]]:
-    # runs of good steps; gaps up to `longest_bridge` between good steps are bridged, but none that is barred
+    """Runs of valid steps, and the steps in short gaps between them, unless barred, that are bridged."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
-    pieces = list(zip(edges[::2].tolist(), edges[1::2].tolist()))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
-    for a, b in pieces:
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist()):
         if runs and a - runs[-1][1] <= longest_bridge and not barred[runs[-1][1] : a].any():
             bridged.extend(range(runs[-1][1], a))
             runs[-1] = (runs[-1][0], b)
@@ -171,32 +168,20 @@ def _runs(
     return runs, bridged
 
 
-def _masks(arrays: Sequence[xr.DataArray], pieces: Sequence[tuple[int, int]]) -> Sequence[np.ndarray | None]:
-    tasks = (dask.delayed(_finite)([piece(array, slice(a, b)) for array in arrays]) for a, b in pieces)
-    found: tuple[np.ndarray | None, ...] = dask.compute(*tasks, traverse=True)
-    return found
-
-
-@dataclass(frozen=True)
-class _Mask:
-    """What is there of some steps of fields that are not computed yet, or stored."""
-
-    arrays: Sequence[xr.DataArray]
-
-    def __call__(self, steps: tuple[int, int]) -> np.ndarray | None:
-        return _finite([piece(array, slice(*steps)) for array in self.arrays])
+def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.ndarray | None:
+    return _finite([piece(array, slice(*steps)) for array in arrays])
 
 
 def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | None = None) -> Record:
-    """Find the largest full rectangle of nodes and the runs of good steps of a cube.
+    """Find the largest full rectangle of nodes and the runs of valid steps of a cube.
 
-    The values are read once (a cube that is not computed yet is computed for it); nothing is kept but a mask.
+    The values are read once (a lazy cube is computed for it); only a mask of them is held.
 
     Parameters
     ----------
     cube : xarray.Dataset or xarray.DataArray
-        Variables over (time, y, x), metres and seconds; ``frame_status`` is heeded where there is one, and
-        what ``quality`` calls masked: no node of the rectangle is masked at any step of the runs.
+        Variables over (time, y, x), metres and seconds; ``frame_status`` and ``quality`` are used where
+        present: no node of the rectangle is masked at any step of the runs.
     longest_bridge : int
         Longest gap, in steps, that is bridged by interpolation in time; longer ones split the record.
     each : callable, optional
@@ -210,25 +195,28 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | No
     Raises
     ------
     CubeError
-        If the axes are uneven, no step is good or no full rectangle is left.
+        If the axes are uneven, no step is valid or no full rectangle is left.
     """
     dt, dy, dx = check_axes(cube)
     arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in _FIELDS if name in cube]
     if not arrays:
         raise CubeError(f"the cube has none of {', '.join(_FIELDS)} over time, y and x")
     steps, ny, nx = (arrays[0].sizes[name] for name in CUBE_DIMS)
-    pieces = [(a, min(a + _STEPS_PER_READ, steps)) for a in range(0, steps, _STEPS_PER_READ)]
-    masks = _masks(arrays, pieces) if each is None else list(each(_Mask(arrays), pieces))
-
+    pieces = [(a, min(a + STEPS_PER_READ, steps)) for a in range(0, steps, STEPS_PER_READ)]
+    if each is None:
+        tasks = (dask.delayed(_finite)([piece(array, slice(a, b)) for array in arrays]) for a, b in pieces)
+        masks = dask.compute(*tasks, traverse=True)
+    else:
+        masks = tuple(each(partial(_finite_steps, arrays), pieces))
     valid_nodes = _ValidNodes(pieces, masks, (ny, nx))
-    valid_steps = _good_steps(valid_nodes, _measured(cube, steps))
-    (y, x), barred = _beside_masks(valid_nodes, valid_steps, _masked_pieces(cube, valid_nodes))
+    valid_steps = _valid_steps(valid_nodes, _measured(cube, steps))
+    (y, x), barred = _without_masked(valid_nodes, valid_steps, _masked_pieces(cube, valid_nodes))
     valid_steps &= ~barred
     size, holes = (y[1] - y[0]) * (x[1] - x[0]), 0
     for steps_of, there in valid_nodes:
         if there is not None:
             inside = there[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
-            valid_steps[steps_of] &= inside >= _STEP_FRACTION * size
+            valid_steps[steps_of] &= inside >= MIN_STEP_FRACTION * size
             holes += int((size - inside)[valid_steps[steps_of]].sum())
     runs, bridged = _runs(valid_steps, longest_bridge, barred)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
@@ -236,14 +224,14 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | No
 
 @dataclass(frozen=True)
 class _ValidNodes:
-    """Which nodes hold values: of each piece of the steps a mask in bits, None where all do."""
+    """Nodes that have values: of each piece of the steps a mask in bits, None where all have."""
 
     pieces: Sequence[tuple[int, int]]
     masks: Sequence[np.ndarray | None]
     shape: tuple[int, int]
 
     def __iter__(self) -> Iterator[tuple[slice, np.ndarray | None]]:
-        """Steps of each piece and, unless all nodes hold values, (steps, ny, nx) bool."""
+        """Steps of each piece and, unless all nodes have values, (steps, ny, nx) bool."""
         ny, nx = self.shape
         for mask, (a, b) in zip(self.masks, self.pieces):
             if mask is None:
@@ -254,46 +242,48 @@ class _ValidNodes:
 
 
 def _measured(cube: Any, steps: int) -> np.ndarray:
-    """Steps that the ledger, where there is one, calls measured."""
+    """Steps that were measured according to the ledger; all without one."""
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
         return np.isin(cube["frame_status"].values, done)
     return np.ones(steps, bool)
 
 
-def _good_steps(valid_nodes: _ValidNodes, known: np.ndarray) -> np.ndarray:
-    """Measured steps that hold half as many values as the median one at least."""
+def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
+    """Measured steps with at least half as many values as the median one."""
     ny, nx = valid_nodes.shape
-    count = np.full(known.size, ny * nx)
+    count = np.full(measured.size, ny * nx)
     for steps, there in valid_nodes:
         if there is not None:
             count[steps] = there.sum(axis=(1, 2))
-    alive = known & (count > 0)
-    if not alive.any():
-        raise CubeError("no step of the cube holds a single value: run it first, or look at its frame_status")
-    out: np.ndarray = alive & (count >= np.median(count[alive]) / 2)
+    not_empty = measured & (count > 0)
+    if not not_empty.any():
+        raise CubeError("no step of the cube holds a single value: run it first, or check its frame_status")
+    out: np.ndarray = not_empty & (count >= np.median(count[not_empty]) / 2)
     return out
 
 
 def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray | bool = True
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Largest rectangle of nodes, y and x, that hold values in nearly all good steps."""
-    seen = np.zeros(valid_nodes.shape, int)
+    """Largest rectangle of nodes, y and x, that have values in nearly all valid steps."""
+    times = np.zeros(valid_nodes.shape, int)
     for steps, there in valid_nodes:
-        seen += int(valid_steps[steps].sum()) if there is None else there[valid_steps[steps]].sum(axis=0)
-    y, x = largest_rectangle((seen >= _NODE_FRACTION * valid_steps.sum()) & open_water)
-    if min(y[1] - y[0], x[1] - x[0]) < _SMALLEST:
+        times += int(valid_steps[steps].sum()) if there is None else there[valid_steps[steps]].sum(axis=0)
+    y, x = largest_rectangle((times >= MIN_NODE_FRACTION * valid_steps.sum()) & open_water)
+    if min(y[1] - y[0], x[1] - x[0]) < MIN_NODES:
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
-            f" (y, x), less than {_SMALLEST} x {_SMALLEST}: choose a grid inside the field that all cameras"
-            " see"
+            f" (y, x), less than {MIN_NODES} x {MIN_NODES}: choose a grid inside the common field of all"
+            " cameras"
         )
     return y, x
 
 
-def _masked_pieces(cube: Any, valid_nodes: _ValidNodes) -> list[tuple[slice, np.ndarray]]:
-    """Where something is masked at some steps, (steps, ny, nx) bool; a mask leaves no values."""
+def _masked_pieces(
+    cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes
+) -> list[tuple[slice, np.ndarray]]:
+    """Masked nodes (steps, ny, nx) of the pieces that have some; a masked node has no value."""
     if not (isinstance(cube, xr.Dataset) and "quality" in cube):
         return []
     out = []
@@ -306,31 +296,31 @@ def _masked_pieces(cube: Any, valid_nodes: _ValidNodes) -> list[tuple[slice, np.
     return out
 
 
-def _beside_masks(
+def _without_masked(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, masked: Sequence[tuple[slice, np.ndarray]]
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], np.ndarray]:
     """Rectangle, and steps to be left out, so that nothing masked is left: it is no water, and never filled.
 
-    Nodes that are masked at any step are left out, or all such steps are: what keeps more.
+    Nodes that are masked at any step are left out, or all such steps are, whichever leaves more.
     """
-    ever, none = np.zeros(valid_nodes.shape, bool), np.zeros(valid_steps.size, bool)
-    for _, what in masked:
-        ever |= what.any(axis=0)
-    across, barred = _rectangle(valid_nodes, valid_steps), none.copy()
-    (y0, y1), (x0, x1) = across
-    for steps, what in masked:
-        barred[steps] = what[:, y0:y1, x0:x1].any(axis=(1, 2))
+    ever_masked, barred = np.zeros(valid_nodes.shape, bool), np.zeros(valid_steps.size, bool)
+    for _, nodes in masked:
+        ever_masked |= nodes.any(axis=0)
+    rectangle = _rectangle(valid_nodes, valid_steps)
+    (y0, y1), (x0, x1) = rectangle
+    for steps, nodes in masked:
+        barred[steps] = nodes[:, y0:y1, x0:x1].any(axis=(1, 2))
     if not barred.any():
-        return across, barred
-    with suppress(CubeError):  # where no rectangle is left beside what moves
-        (v0, v1), (u0, u1) = beside = _rectangle(valid_nodes, valid_steps, ~ever)
+        return rectangle, barred
+    with suppress(CubeError):  # where no rectangle is left outside of a mask that moves
+        (v0, v1), (u0, u1) = unmasked = _rectangle(valid_nodes, valid_steps, ~ever_masked)
         if (v1 - v0) * (u1 - u0) * valid_steps.sum() >= (y1 - y0) * (x1 - x0) * (valid_steps & ~barred).sum():
-            return beside, none
-    return across, barred
+            return unmasked, np.zeros_like(barred)
+    return rectangle, barred
 
 
 def whole_record(array: Any) -> Record:
-    """Take every node and step of an array that has nothing missing, without looking at its values.
+    """Take every node and step of an array that has nothing missing, without reading its values.
 
     Parameters
     ----------
@@ -348,11 +338,8 @@ def whole_record(array: Any) -> Record:
 
 
 def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Fill what is missing in a piece of a record.
-
-    With block (steps, ny, nx); missing (steps,).
-    """
-    if not missing.any() and is_whole(block):
+    """Fill the missing steps, and nodes, of a piece of a record (steps, ny, nx)."""
+    if not missing.any() and all_finite(block):
         return block
     block = block.copy()
     valid_steps = np.flatnonzero(~missing)
@@ -363,7 +350,7 @@ def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
             block[t] = block[t][tuple(nearest)]
     for t in np.flatnonzero(missing):
         before, after = valid_steps[valid_steps < t][-2:], valid_steps[valid_steps > t][:2]
-        if before.size != after.size:  # at an edge: lean on the nearest
+        if before.size != after.size:  # at an edge: from the nearest
             before, after = before[-1:], after[:1]
         nodes = np.r_[before, after].astype(float)
         weights = [np.prod([(t - q) / (p - q) for q in nodes if q != p]) for p in nodes]

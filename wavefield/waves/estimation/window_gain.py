@@ -1,14 +1,13 @@
-"""What the matching windows leave of waves: measured on a simulated experiment, or predicted from a recipe.
+"""Gain of the matching windows: measured on a simulated experiment, or predicted from a recipe.
 
 A gain is a Dataset over (direction, k): ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, of amplitude, NaN
-where nothing is known. Keep one with ``gain.to_zarr``.
+where it is not known. Save one with ``gain.to_zarr``.
 """
 
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-import dask
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -24,11 +23,11 @@ from wavefield.waves.estimation.welch import Welch, frames_of, k_coords
 Array = NDArray[Any]
 
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
-_NEAR = 0.12  # of omega: half the width of the band around the ridge
-_LINES = 3  # but so many lines of the spectrum at least
-LEAST = 0.25  # of a wave's power, half its amplitude: less is not undone
-_LEAST_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
-# measured, true, and what turns the true one into the measured one's unit
+HALF_BAND = 0.12  # of omega, around the dispersion relation
+MIN_HALF_BAND_LINES = 3
+MIN_POWER_GAIN = 0.25  # half the amplitude of a wave: less is not corrected
+MIN_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
+# field: measured variable, variable of the truth
 _TRUTH = {"z": ("z_t", "z_t"), "u": ("u", "dx"), "v": ("v", "dy"), "w": ("w", "dz")}
 
 
@@ -36,14 +35,16 @@ def _pair(measured: Array, exact: Array) -> dict[str, Array]:
     return {"measured": segments.transform_space(measured), "true": segments.transform_space(exact)}
 
 
-def _sums(first: dict[str, Any], second: dict[str, Any], near: Array, path: Array) -> dict[str, Array]:
-    # per cell, over the band of the ridge at both signs of the frequency
+def _sums(
+    near: Array, path: Array, first: dict[str, Any], second: dict[str, Any], begin: int
+) -> dict[str, Array]:
+    """Powers and products per cell over the band around the dispersion relation, at both signs of omega."""
     out = {name: np.zeros(near.shape[0]) for name in ("true", "measured", "cross", "quadrature")}
     for slab in segments.slabs(near.shape[0]):
         mine, true = (
             segments.transform_time(first[name][slab], second[name][slab]) for name in ("measured", "true")
         )
-        mine /= path  # what paths change in time is no window's doing
+        mine /= path  # the effect of paths in time is not that of windows
         band = near[slab]
         cross = (true.conj() * mine * band).sum(axis=1)
         out["true"][slab] = (np.abs(true) ** 2 * band).sum(axis=1)
@@ -68,12 +69,12 @@ def window_gain(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Measure the gain of what the cameras see over what is there, for waves on the ridge.
+    """Measure the gain of the measured over the true waves, near the dispersion relation.
 
     Parameters
     ----------
     measured : Dataset
-        Cube measured from simulated images: z_t, w and, where wanted, u, v over (time, y, x), m/s.
+        Cube measured from simulated images: z_t, w and, if present, u, v over (time, y, x), m/s.
     exact : Dataset
         Its truth at the same steps and nodes (``truth/truth.zarr``): z_t, m/s, and dz, dx, dy, m.
     depth : float, optional
@@ -97,8 +98,9 @@ def window_gain(
 
     Notes
     -----
-    H = Re <F_true* F_measured> / <|F_true|^2> over the band of the ridge and the cells of a ring within a
-    sector of directions. It holds for the cameras, the windows and the texture that were simulated.
+    H = Re <F_true* F_measured> / <|F_true|^2> over the band near the dispersion relation and the cells of a
+    ring within a sector of directions. It holds for the cameras, the windows and the texture that were
+    simulated.
     """
     for dataset, needed, what in ((measured, ("z_t", "w"), "cube"), (exact, ("z_t", "dz"), "truth")):
         for name in needed:
@@ -121,14 +123,13 @@ def window_gain(
     k = np.hypot(ky, kx).ravel()
     omega = np.abs(2 * np.pi * np.fft.fftfreq(welch.segment, record.dt))
     ridge = dispersion(k, *water)[:, None]
-    near = np.abs(omega - ridge) < np.maximum(_NEAR * ridge, _LINES * omega[1])
+    near = np.abs(omega - ridge) < np.maximum(HALF_BAND * ridge, MIN_HALF_BAND_LINES * omega[1])
     ring = np.minimum((k / table.dk).astype(int), table.k.size - 1)
     turn = np.arctan2(ky, kx).ravel() * DIRECTIONS / np.pi
     place = (np.rint(turn).astype(int) % DIRECTIONS) * table.k.size + ring
 
     signed = 2 * np.pi * np.fft.fftfreq(welch.segment, record.dt)
     path = path_factor(signed, record.dt, welch.frames) / path_factor(signed, record.dt, frames_of(exact))
-    task = dask.delayed(_sums, pure=False)
     gains, coherences = {}, {}
     for name, (mine, true) in pairs.items():
         scale = 1.0 if name == "z" else record.dt
@@ -136,9 +137,8 @@ def window_gain(
         def make(blocks: list[Array], first: int, scale: float = scale) -> dict[str, Array]:
             return _pair(blocks[0], blocks[1] / blocks[1].dtype.type(scale))
 
-        runs = segments.half_segments([measured[mine], exact[true]], record, welch.half, make)
-        parts = [task(a, b, near, path) for run in runs for a, b in pairwise(run)]
-        (sums,) = dask.compute(segments.in_order(parts))
+        arrays = [measured[mine], exact[true]]
+        sums = segments.sum_segments(arrays, record, welch.half, make, partial(_sums, near, path)).compute()
         shape = (DIRECTIONS, table.k.size)
         power, own, cross, quadrature = (
             np.bincount(place, sums[n], DIRECTIONS * table.k.size).reshape(shape)
@@ -149,7 +149,7 @@ def window_gain(
             gain = np.where(power > 0, cross / power, cross.sum(axis=0) / power.sum(axis=0))
             both = cross.sum(axis=0) ** 2 + quadrature.sum(axis=0) ** 2
             coherence = both / (power.sum(axis=0) * own.sum(axis=0))
-        lost = np.cumsum((coherence < _LEAST_COHERENCE) & (np.arange(table.k.size) > 1)) > 0
+        lost = np.cumsum((coherence < MIN_COHERENCE) & (np.arange(table.k.size) > 1)) > 0
         gains[name], coherences[name] = np.where(lost, np.nan, gain), coherence
     out = label(gains, table.k, "measured on a simulated experiment")
     for name, values in coherences.items():
@@ -157,8 +157,8 @@ def window_gain(
     return annotate(out.assign_attrs(segment=welch.segment, water_depth=water[0]), "gain")
 
 
-def read_gain(source: Any) -> xr.Dataset:
-    """Read a gain that was kept with ``to_zarr``.
+def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
+    """Read a gain that was saved with ``to_zarr``.
 
     Parameters
     ----------
@@ -190,17 +190,21 @@ def read_gain(source: Any) -> xr.Dataset:
     return gain
 
 
-def gain_of(cube: xr.Dataset, asked: Any = None) -> xr.Dataset | None:
-    """The gain by which spectra of a cube are to be mended."""
-    if asked is False:
+def gain_of(
+    cube: xr.Dataset, requested: str | Path | xr.Dataset | Literal[False] | None = None
+) -> xr.Dataset | None:
+    """Gain for which spectra of a cube are corrected: the requested one, else that stored; none if False."""
+    if requested is False:
         return None
-    if asked is not None:
-        return read_gain(asked)
+    if requested is not None:
+        return read_gain(requested)
     names = [f"gain_{name}" for name in "zuvw" if f"gain_{name}" in cube]
     if not {"gain_z", "gain_w"} <= set(names):
         return None
     own = cube[names].compute()
-    if not all(float(own[name].isel(k=0).mean()) > np.sqrt(LEAST) for name in names):  # NaN of a light sheet
+    if not all(
+        float(own[name].isel(k=0).mean()) > np.sqrt(MIN_POWER_GAIN) for name in names
+    ):  # NaN of a light sheet
         return None
     return own.assign_attrs(origin="linear theory, from what the run learned of its record")
 
@@ -210,17 +214,14 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
-    valid = power > LEAST
+    valid = power > MIN_POWER_GAIN
     return np.where(valid, 1.0 / np.where(valid, power, 1.0), 1.0), valid
 
 
-def ring_gain(gain: xr.Dataset, one: str, other: str, k: Any) -> Array:
-    """Gain of a power or cross spectrum over rings, for waves that come from all directions alike.
-
-    With k, rad/m.
-    """
+def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
+    """Gain of a power or cross spectrum over rings (k in rad/m), for an even distribution of directions."""
     product = (gain[f"gain_{one}"] * gain[f"gain_{other}"]).mean("direction", skipna=False)
     known = np.isfinite(product.values)
-    # below the lowest ring as in it: windows do nothing to waves longer than the rectangle
+    # below the lowest ring as in it: windows do not affect waves longer than the rectangle
     values = np.interp(k, product["k"].values[known], product.values[known], right=0.0)
-    return np.where(np.asarray(k) > product["k"].values[known].max(initial=0.0), 0.0, values)
+    return np.where(k > product["k"].values[known].max(initial=0.0), 0.0, values)

@@ -25,7 +25,7 @@ from wavefield.waves.estimation.leakage import leakage
 from wavefield.waves.estimation.transfer_functions import MIN_SIGNAL_TO_NOISE, elevation_from_w, path_factor
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
-from wavefield.waves.estimation.window_gain import LEAST, read_gain, ring_gain
+from wavefield.waves.estimation.window_gain import MIN_POWER_GAIN, read_gain, ring_gain
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
 from wavefield.waves.spectra.field_spectra import density, frequency_spectrum
@@ -100,7 +100,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
-    return _Gains(np.where(z > LEAST, z, 0.0), np.where(w > LEAST, w, 0.0), both)
+    return _Gains(np.where(z > MIN_POWER_GAIN, z, 0.0), np.where(w > MIN_POWER_GAIN, w, 0.0), both)
 
 
 @dataclass(frozen=True)
