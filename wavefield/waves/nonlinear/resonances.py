@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, stats
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
-from wavefield.waves.estimation.multiple_testing import probabilities, significant_tests
 from wavefield.waves.estimation.segments import Reader, spatial_window
+from wavefield.waves.estimation.surrogate_probability import probabilities
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimation.windows import hann
@@ -379,7 +379,8 @@ def resonances(
         p = np.ones(int(resonant.sum()))
         if chance.size > LEAST_NULL:
             p = probabilities(measured.score[resonant], chance)
-        significant = significant_tests(p, settings.false_discovery)
+        # Benjamini and Hochberg (1995)
+        significant = stats.false_discovery_control(p) <= settings.false_discovery
         first = np.argsort(p, kind="stable")[: settings.listed]
         listed = groups[resonant][first]
         out |= _listed(kind, measured[resonant][first], p[first], significant[first])
