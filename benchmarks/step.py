@@ -58,7 +58,7 @@ def main(words: Sequence[str]) -> int:
     first, second = (np.asarray(image) for image in full.frames["cam1"][1:3])
     flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     flow.calc(first, second, None)
-    seconds(short, geometry)  # compiles
+    seconds(short, geometry, model)  # compiles
     steps, pairs = [], []
     for _ in range(options.repeats):
         steps.append((seconds(long, geometry, model), seconds(short, geometry, model)))

@@ -6,8 +6,6 @@ What lets LLVM turn these plain loops into vector code, and must be kept:
 * the one loop that cannot, the sampling of a block, is written in vectors of eight (`_block_reader`);
 * the constants below are literals: numba's cache compiles them in and would not notice a change elsewhere;
   loops of other files take them as the default of an argument, by which the cache distinguishes them.
-
-`benchmarks/vectors.py` counts the vector multiplications in the machine code.
 """
 
 from collections.abc import Callable, Sequence
