@@ -62,6 +62,10 @@ def distributions(cube: xr.Dataset) -> Figure:
         A cube with z (m) and u, v, w (m s-1) and the attribute frame_rate (Hz); a long one may be thinned in
         time before.
 
+    Returns
+    -------
+    Figure
+
     Notes
     -----
     Counterpart of the paper's distributions of z, dx, dy and dz.
@@ -91,6 +95,10 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
         A cube of still water with z (m) and u, v, w (m s-1) and the attribute frame_rate (Hz).
     level : float
         Level of the water, m.
+
+    Returns
+    -------
+    Figure
 
     Notes
     -----
@@ -124,6 +132,10 @@ def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
     pixel : float
         Size of a pixel on the water, m.
 
+    Returns
+    -------
+    Figure
+
     Notes
     -----
     Counterpart of the paper's test on synthetic images and of its test with water at rest.
@@ -148,6 +160,10 @@ def error_maps(errors: xr.Dataset, pixel: float) -> Figure:
         Measured minus exact: z (m) and w (m s-1), with the attribute frame_rate (Hz).
     pixel : float
         Size of a pixel on the water, m.
+
+    Returns
+    -------
+    Figure
     """
     rate = float(errors.attrs["frame_rate"])
     figure, axes = map_panels(errors.z, 2)

@@ -33,6 +33,10 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     cube : Dataset, (time, y, x), optional
         As `wavefield.waves.kinematics_at` takes it.
 
+    Returns
+    -------
+    Figure
+
     Notes
     -----
     Counterpart of the paper's maps of eta, u . grad eta and the error field. The residual has the scale of
@@ -60,6 +64,10 @@ def vorticity_map(terms: xr.Dataset) -> Figure:
     ----------
     terms : Dataset, (y, x)
         One step of the result of `wavefield.kinematics`: vorticity and divergence, s-1.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = map_panels(terms.vorticity, 2)
     half = max(limit(terms.vorticity), limit(terms.divergence))
@@ -76,6 +84,10 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     ----------
     coherence : Dataset
         Group ``/coherence`` of a wave store.
+
+    Returns
+    -------
+    Figure
 
     Notes
     -----
@@ -100,6 +112,10 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
     ----------
     plane : Dataset
         The result of `wavefield.waves.plane_coherence`.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = panels(2, height=4.4)
     left, right = axes[0]
@@ -121,6 +137,10 @@ def balance_history(kinematics: xr.Dataset) -> Figure:
     ----------
     kinematics : Dataset
         Group ``/kinematics`` of a wave store.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = panels(1, width=7.6, height=3.6)
     labels = {

@@ -24,6 +24,10 @@ def bound_spectra(bound: xr.Dataset) -> Figure:
     ----------
     bound : Dataset
         Group ``/bound`` of a wave store, or the result of `wavefield.free_and_bound`.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = panels(1, width=7.2, height=4.4)
     top = float(bound.E_free.max())
@@ -48,6 +52,10 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
     ----------
     resonances : Dataset
         Group ``/resonances`` of a wave store, or the result of `wavefield.resonances`.
+
+    Returns
+    -------
+    Figure
 
     Notes
     -----
@@ -92,6 +100,10 @@ def bicoherence_map(higher_order: xr.Dataset) -> Figure:
     ----------
     higher_order : Dataset
         Group ``/higher_order`` of a wave store.
+
+    Returns
+    -------
+    Figure
     """
     names = [name for name in ("bicoherence", "tricoherence") if name in higher_order]
     figure, axes = panels(len(names))

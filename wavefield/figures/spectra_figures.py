@@ -48,6 +48,10 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     name : str, default "w"
         Which variable.
 
+    Returns
+    -------
+    Figure
+
     Notes
     -----
     Counterpart of the paper's space-time spectrum of w.
@@ -87,6 +91,10 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
         Group ``/dispersion``, for the circle.
     name : str, default "w"
         Which variable.
+
+    Returns
+    -------
+    Figure
 
     Notes
     -----
@@ -132,6 +140,10 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     spectra : Dataset
         Group ``/spectra`` of a wave store.
 
+    Returns
+    -------
+    Figure
+
     Notes
     -----
     Counterpart of the paper's temporal spectrum. Lines are thin and pale where the store marks them as not
@@ -175,6 +187,10 @@ def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
     ----------
     spectra : Dataset
         Group ``/spectra`` of a wave store.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = panels(2)
     labels = {"z_t": "z_t", "u": "u", "v": "v", "w": "w", "nl": "u·∇z"}
@@ -200,6 +216,10 @@ def noise_spectra(spectra: xr.Dataset, fusion: xr.Dataset) -> Figure:
         Group ``/spectra`` of a wave store.
     fusion : Dataset
         Group ``/fusion``.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = panels(2)
     left, right = axes[0]
@@ -226,6 +246,10 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
     ----------
     dispersion : Dataset
         Group ``/dispersion`` of a wave store.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = panels(2)
     left, right = axes[0]
@@ -253,6 +277,10 @@ def directions(direction: xr.Dataset) -> Figure:
     ----------
     direction : Dataset
         Group ``/direction`` of a wave store.
+
+    Returns
+    -------
+    Figure
     """
     figure, axes = panels(2)
     left, right = axes[0]
