@@ -75,14 +75,14 @@ def test_three_components_are_measured_in_the_sheet_that_was_found(beside):
     assert np.isnan(cube["eps_y"]).all()
 
 
-def test_with_the_rig_of_the_target_the_cameras_contradict_each_other_and_that_is_said(beside):
+def test_with_the_rig_of_the_target_the_cameras_are_inconsistent_and_nodes_are_rejected(beside):
     tank, images, _ = beside
     cube, measured, *_ = velocities(tank, images, tank.rig)
     assert measured.mean() < 0.5
     assert ((cube["quality"] & Quality.REJECTED_EPS) != 0)[~measured].mean() > 0.9
 
 
-def test_a_knocked_camera_is_named_and_mended():
+def test_a_camera_that_moved_is_named_and_corrected():
     tank = Tank(
         scene(
             surface=BESIDE,
@@ -104,7 +104,7 @@ def test_a_knocked_camera_is_named_and_mended():
         assert rms(here - there) < 0.3
 
 
-def test_of_two_cameras_a_knock_is_mended_and_how_far_places_may_lie_elsewhere_is_said():
+def test_of_two_cameras_a_motion_is_corrected_and_the_ambiguity_of_positions_is_stated():
     from wavefield.pipeline.still_water import remark_on_rest
 
     tank = Tank(scene(surface=BESIDE, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}}))
@@ -146,7 +146,7 @@ def test_pairs_of_cameras_are_not_compared_in_a_sheet(beside):
     assert diagnose_around(lambda name, k: images[k][name], 2, geometry, None, 1, PIXEL) is None
 
 
-def test_images_that_show_nothing_in_common_are_told():
+def test_images_that_show_nothing_in_common_are_refused():
     tank = Tank(scene())
     images = [tank.render(k) for k in range(4)]
     mixed = {"cam1": lambda k: images[k]["cam1"], "cam2": lambda k: images[k]["cam1"][::-1, ::-1]}
@@ -154,7 +154,7 @@ def test_images_that_show_nothing_in_common_are_told():
         fit_sheet(lambda name, k: mixed[name](k), range(4), tank.rig)
 
 
-def test_command_finds_the_fit_sheet_an_experiment(tmp_path):
+def test_command_finds_the_sheet_of_an_experiment(tmp_path):
     folder = tmp_path / "sheet"
     simulate(scene(surface=BESIDE, frames=3, calibration={"tilted": 0}), folder)
     command = [
@@ -185,7 +185,7 @@ def test_command_finds_the_fit_sheet_an_experiment(tmp_path):
     ("settings", "words"),
     [
         ({"sheet_thickness": 0.0}, "sheet_thickness"),
-        ({"sheet_thickness": 1e-3, "vibration": "correct"}, "take one of the two out"),
+        ({"sheet_thickness": 1e-3, "vibration": "correct"}, "leave one of the two out"),
     ],
 )
 def test_settings_that_do_not_fit_a_sheet_are_refused(settings, words):

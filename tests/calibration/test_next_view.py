@@ -48,7 +48,7 @@ def few():
     return calibrate(views(FEW), MESH, model="paper")
 
 
-def test_the_view_brings_what_was_said(few):
+def test_the_view_reduces_the_uncertainty_as_predicted(few):
     advice = next_view(few)
     assert advice.helps
     assert advice.z_std[0] == few.predicted.z_std
@@ -76,14 +76,14 @@ def test_many_good_views_need_no_more():
     assert not next_view(calibrate(views(poses), MESH, model="paper")).helps
 
 
-def test_nothing_is_advised_where_nothing_was_solved(few):
+def test_no_view_is_proposed_without_a_solution(few):
     assert next_view(calibrate({name: {} for name in EXACT}, MESH)) is None
     one = calibrate({"cam1": views(FEW)["cam1"]}, MESH, model="paper")
     assert "pixels known to" in next_view(one).words
     assert isinstance(few.rig, Rig)
 
 
-def test_following_says_what_the_views_so_far_are_worth():
+def test_following_reports_the_uncertainty_from_the_views_so_far():
     section = CalibrationSection(target={"kind": "strings", "mesh": MESH}, tilted="tilt_*", flat="flat.tif")
     words = so_far(views(FEW), section)
     assert re.search(r"cam1 to 0\.\d+ px, cam2 to 0\.\d+ px, cam3 to 0\.\d+ px, z to 0\.\d+ mm\. ", words)

@@ -70,7 +70,7 @@ def test_the_twin_that_a_nearly_flat_sea_has_is_not_taken_for_the_second_camera(
     assert placed.centre == pytest.approx(right.centre, abs=0.02)
 
 
-def test_the_command_places_and_levels_cameras_whose_lenses_alone_are_known(sea, capsys):
+def test_the_command_places_and_levels_cameras_of_which_only_the_lenses_are_calibrated(sea, capsys):
     cameras, _, folder = sea
     lenses = {n: replace(c, rotation=np.eye(3), translation=np.zeros(3)) for n, c in cameras.items()}
     Rig(lenses).save(folder / "lenses.yaml")

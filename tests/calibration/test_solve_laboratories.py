@@ -65,7 +65,7 @@ def test_nodes_of_two_levels_are_where_they_are():
 
 
 @pytest.mark.parametrize("line", ["0,0,5.0,6.0,high", "0,0,5.0,6.0"])
-def test_a_table_without_its_heights_is_told(tmp_path, line):
+def test_a_table_without_its_heights_is_refused(tmp_path, line):
     (tmp_path / "points.csv").write_text(f"# size 100 80\ni,j,X,Y,z\n{line}\n")
     with pytest.raises(CalibrationError, match="point 1 is not made of numbers"):
         read_points(tmp_path / "points.csv")
@@ -86,7 +86,7 @@ def pair_without_a_flat_view(seed, noise):
     return views
 
 
-def test_a_good_pair_is_judged_where_its_target_was_and_by_what_its_model_predicts():
+def test_a_good_pair_is_assessed_where_its_target_was_by_the_errors_that_its_model_predicts():
     found = calibrate(pair_without_a_flat_view(3, 0.1), 0.03, flat="")
     assert found.usable, found.problems
     best = {row.model: row for row in found.models}
@@ -99,7 +99,7 @@ def test_a_good_pair_is_judged_where_its_target_was_and_by_what_its_model_predic
     assert max(elsewhere.reprojection.values()) > 3 * max(found.predicted.reprojection.values())
 
 
-def test_a_refused_rig_is_written_on_request_and_says_so(tmp_path, capsys, undrawn):
+def test_a_refused_rig_is_written_on_request_and_marked(tmp_path, capsys, undrawn):
     """Points of 3 px: what comes of them is no rig to trust, but one to look at."""
     exact, grid, rng = paper_rig(), nodes()[::8], np.random.default_rng(7)
     for pose, (R, t) in poses(seed=2).items():

@@ -76,7 +76,7 @@ def test_frames_of_different_moments_are_not_taken_for_a_bumped_camera(calibrate
 
 
 @pytest.mark.parametrize(("name", "axis"), [("cam1", (1, 2, 1)), ("cam2", (0, 1, 0)), ("cam3", (0, 1, 0))])
-def test_a_bumped_camera_is_mended_from_the_water_at_rest(calibrated, name, axis):
+def test_a_bumped_camera_is_corrected_from_still_water(calibrated, name, axis):
     """Turns about y hide from sight lines in a rig along x: the water's plane names the camera."""
     true = bumped(name, axis)
     new, verdict, plane = refine_and_level(calibrated, matches(true, rest)[0])
@@ -88,7 +88,7 @@ def test_a_bumped_camera_is_mended_from_the_water_at_rest(calibrated, name, axis
     assert new.provenance["refined"]["moved"]
 
 
-def test_two_cameras_cannot_tell_which_moved(calibrated):
+def test_two_cameras_do_not_determine_which_moved(calibrated):
     pixels, _ = matches(bumped("cam1", (1, 0, 0)), wave)
     found = check_rig(calibrated, {name: pixels[name] for name in ("cam1", "cam2")})
     assert found.moved is None
@@ -103,7 +103,7 @@ def test_a_rig_of_another_program_is_checked_without_a_covariance():
     assert check_rig(paper_rig(), matches(paper_rig(), wave)[0]).moved is None
 
 
-def test_bad_matches_are_told(calibrated):
+def test_bad_matches_are_refused(calibrated):
     pixels, _ = matches(paper_rig(), wave)
     with pytest.raises(CalibrationError, match="two cameras"):
         check_rig(calibrated, {"cam1": pixels["cam1"]})
@@ -113,7 +113,7 @@ def test_bad_matches_are_told(calibrated):
         check_rig(calibrated, {name: p[:20] for name, p in pixels.items()})
 
 
-def test_a_turn_that_matches_do_not_tell_is_refused():
+def test_a_turn_that_matches_do_not_determine_is_refused():
     """Two cameras of another program, a lens lost in conversion: no turn is the remedy, and none is made."""
     rig = paper_rig()
     true = Rig({"cam1": replace(rig["cam1"], p1=0.01), "cam2": replace(rig["cam2"], p1=-0.006)})
@@ -135,7 +135,7 @@ def test_a_turn_that_matches_do_not_tell_is_refused():
     assert miss(new) == miss(imported)
 
 
-def test_a_rig_of_other_images_is_told():
+def test_a_rig_of_other_images_is_reported():
     rig = paper_rig()
     swapped = Rig({"cam1": rig["cam2"], "cam2": rig["cam1"], "cam3": rig["cam3"]})
     found = check_rig(swapped, matches(paper_rig(), rest)[0])

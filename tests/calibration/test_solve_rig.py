@@ -59,7 +59,7 @@ def swapped(views, camera, pose, points):
     return {**views, camera: {**views[camera], pose: points}}
 
 
-def test_node_zero_may_lie_elsewhere_than_at_the_origin(good):
+def test_node_zero_may_be_away_from_the_origin(good):
     here = calibrate(good, MESH, model=FAST).rig
     there = calibrate(good, Target("strings", mesh=MESH, origin=(0.25, -0.1)), model=FAST).rig
     for name in here:
@@ -78,7 +78,7 @@ def test_simulated_rig_is_found(good, rig):
     assert found.fit.scale == pytest.approx(1.0, abs=0.03)
 
 
-def test_rig_file_says_where_it_comes_from(good, tmp_path):
+def test_rig_file_holds_its_provenance(good, tmp_path):
     found = calibrate(good, MESH, model=FAST, provenance={"images": "calib"})
     found.rig.save(tmp_path / "rig.yaml")
     stated = Rig.load(tmp_path / "rig.yaml").provenance
@@ -115,7 +115,7 @@ def test_a_camera_without_a_flat_view_is_tied_by_the_tilted_ones(good, rig):
     assert reprojection(found.rig, rig) < 0.005
 
 
-def test_a_shifted_second_flat_view_lies_on_the_plane(rig):
+def test_a_shifted_second_flat_view_is_on_the_plane(rig):
     c, s = np.cos(0.3), np.sin(0.3)
     where = {**poses(), "flat2": (np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([0.2, 0.1, 0.0]))}
     found = calibrate(views(where=where), MESH, flat=("flat", "flat2"), model=FAST)
@@ -256,7 +256,7 @@ def test_a_view_of_something_else_is_left_out(good):
     assert any("cam2 tilt_1: its points are no plane grid" in note for note in found.notes)
 
 
-def test_views_in_another_order_are_told(good):
+def test_views_in_another_order_are_reported(good):
     other = dict(zip(good["cam2"], list(good["cam2"].values())[::-1]))
     found = calibrate({**good, "cam2": other}, MESH, model=FAST)
     assert "the target moved differently in the views of cam2 and of cam1 and cam3" in the_problem(found)
@@ -323,7 +323,7 @@ def test_report_holds_pictures_and_numbers(good, tmp_path):
     assert abs(fx - paper_rig()["cam1"].fx) < 5 * std
 
 
-def test_report_of_a_failure_says_what_to_do(tmp_path):
+def test_report_of_a_failure_contains_the_remedy(tmp_path):
     page = write_calibration(calibrate({}, MESH), tmp_path)
     assert "no views of the target" in page.read_text()
     assert yaml.safe_load((tmp_path / "numbers.yaml").read_text())["usable"] is False

@@ -50,7 +50,7 @@ def test_a_chessboard_turned_by_half_a_turn_keeps_its_numbers():
     assert np.abs(error).max() < 0.3
 
 
-def test_a_board_that_looks_the_same_when_turned_says_so():
+def test_a_board_that_is_symmetric_when_turned_is_noted():
     image, _ = seen((7, 5), 0.05, chessboard((7, 5), 0.05))
     points = find_target(image, Target("chessboard", 0.05, (7, 5)))
     assert "looks the same" in points.notes[0]
@@ -165,7 +165,7 @@ def test_every_sharp_real_chessboard_is_found(shared):
         ({"kind": "charuco", "mesh": 0.1, "shape": [9, 6], "marker": 0.2}, "larger than its squares"),
     ],
 )
-def test_a_target_that_makes_no_sense_is_refused(block, says):
+def test_an_impossible_target_is_refused(block, says):
     with pytest.raises(CalibrationError, match=says):
         Target.from_dict(block)
 

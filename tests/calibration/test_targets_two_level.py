@@ -78,7 +78,7 @@ def vars_of(camera):
     return {name: getattr(camera, name) for name in camera.__dataclass_fields__}
 
 
-def test_a_target_without_its_marks_is_told_what_was_seen():
+def test_a_target_without_its_marks_is_refused_with_what_was_found():
     camera = camera_at((320, 256), 30.0, 0.0, 0.0, 0.8, 1700.0)
     with pytest.raises(CalibrationError, match=r"not both in view .* dots were found"):
         find_target(picture(camera, marks=((99, 99), (98, 98))), TARGET)

@@ -53,7 +53,7 @@ def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
     assert advise(sea, 1.0) == ""
 
 
-def test_settings_that_measure_more_of_poor_images_are_found_and_said(tmp_path):
+def test_settings_that_measure_more_of_poor_images_are_proposed(tmp_path):
     sea = at_sea(tmp_path / "sea", 25.0)
     plain = fraction_measured(measured(sea)["quality"])
     better = fraction_measured(measured(sea, sea.geometry.settings.adjusted("sheet"))["quality"])
@@ -63,7 +63,7 @@ def test_settings_that_measure_more_of_poor_images_are_found_and_said(tmp_path):
     assert f"{100 * better:.0f} %" in found.advice
 
 
-def test_images_that_no_settings_can_read_are_told_what_they_lack(tmp_path):
+def test_images_that_no_settings_can_measure_are_reported_with_the_cause(tmp_path):
     assert "more light, more seeding" in advise(at_sea(tmp_path / "sea", 90.0), 0.0)
 
 
@@ -74,7 +74,7 @@ def test_presets_are_named_where_another_is_asked_for():
     assert Settings.from_dict({"preset": "texture", "stereo": {"window": 40.0}}).stereo.min_correlation == 0.3
 
 
-def test_small_images_are_told_that_no_range_of_elevations_is_looked_for():
+def test_small_images_are_reported_as_too_small_for_a_search_of_elevations():
     from wavefield.measurement.first_heights import FirstHeights
 
     assert "too small for a look" in FirstHeights((0.0, 0.0), 0, 0, (-0.05, 0.05)).sentence

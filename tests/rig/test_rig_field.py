@@ -43,7 +43,7 @@ def test_a_step_that_suits_the_pixels_is_chosen():
     assert common_field([down(f=2700.0)]).step == 0.01  # of 1.5 mm
 
 
-def test_cameras_without_a_common_field_are_told():
+def test_cameras_without_a_common_field_are_refused():
     with pytest.raises(RigError, match="no common field"):
         common_field([down(), down(x=10.0)])
     with pytest.raises(RigError, match="narrower"):
@@ -58,7 +58,7 @@ def test_a_field_ends_short_of_the_horizon():
     assert np.sqrt(x**2 + y**2 + 4.0).max() < 3.2 * nearest
 
 
-def test_a_camera_that_sees_no_water_is_told():
+def test_a_camera_that_sees_no_water_is_refused():
     upwards = Camera(1000, 1000, 500, 500, ((1, 0, 0), (0, -1, 0), (0, 0, 1)), (0, 0, -2), (1000, 1000))
     with pytest.raises(RigError, match="does not see the water"):
         common_field([upwards])

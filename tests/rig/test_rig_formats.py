@@ -70,7 +70,7 @@ def test_a_spoilt_camera_is_named(tmp_path, change, message):
 @pytest.mark.parametrize(
     "text", ["", "a: [", "hello", "cameras: {}", "cameras: 3", "<a><b></a>", "<html/>", "%YAML:1.0"]
 )
-def test_what_is_no_rig_is_told_in_one_line(tmp_path, text):
+def test_a_file_that_is_no_rig_is_refused_in_one_line(tmp_path, text):
     path = tmp_path / "odd.xml"
     path.write_text(text)
     with pytest.raises(RigError, match=r"odd\.xml") as error:
@@ -78,12 +78,12 @@ def test_what_is_no_rig_is_told_in_one_line(tmp_path, text):
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_rig_says_how_to_make_one(tmp_path):
+def test_a_missing_rig_is_reported_with_the_command_that_makes_one(tmp_path):
     with pytest.raises(RigError, match="wavefield calibrate"):
         Rig.load(tmp_path / "rig.yaml")
 
 
-def test_an_unknown_camera_is_told_with_the_known_ones():
+def test_an_unknown_camera_is_reported_with_those_of_the_rig():
     with pytest.raises(RigError, match="cam1, cam2"):
         two()["cam9"]
 
@@ -105,7 +105,7 @@ def test_uvmat_there_and_back(tmp_path, shared):
     same(first, load_rig(tmp_path / "mm.xml", sizes={"cam1": size}, names=["cam1"])["cam1"])
 
 
-def test_uvmat_points_fall_where_uvmat_says(shared):
+def test_uvmat_points_project_to_their_marks(shared):
     import xml.etree.ElementTree as ET
 
     calibration = ET.parse(uvmat(shared)).getroot().find("GeometryCalib")
@@ -442,7 +442,7 @@ def test_a_calibration_of_davis_is_read_and_held_against_its_own_marks(tmp_path)
         ("<SensorPixelSizeMm", "<Sensor", "<SensorPixelSizeMm Value=...> is missing"),
     ],
 )
-def test_a_calibration_of_davis_that_is_not_read_says_what_to_do(tmp_path, old, new, says):
+def test_a_calibration_of_davis_that_is_not_read_is_refused_with_the_remedy(tmp_path, old, new, says):
     path = write_davis(tmp_path, two("k3", "tau_x", "tau_y", "skew"))
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(RigError, match=says):

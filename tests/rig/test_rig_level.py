@@ -43,7 +43,7 @@ def test_rms_is_that_of_the_surface_and_blunders_do_not_matter():
     assert plane.kept.sum() > 330
 
 
-def test_too_few_points_and_a_line_of_points_are_told(rig):
+def test_too_few_points_and_a_line_of_points_are_refused(rig):
     x, y, z = tilted(9)
     with pytest.raises(RigError, match="ten at least"):
         level(rig, x, y, z)

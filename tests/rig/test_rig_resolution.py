@@ -29,7 +29,7 @@ def test_a_place_behind_the_camera_has_no_pixel():
 
 
 @pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (-3.0, 5.0, 1.0)])
-def test_pairs_follow_from_the_cameras_alone_wherever_the_origin_lies(away):
+def test_pairs_follow_from_the_cameras_alone_wherever_the_origin_is(away):
     rig = paper_rig().moved(np.eye(3), away)
     assert pairs_of(rig, list(rig)) == (("cam3", "cam1"), ("cam3", "cam2"))
 

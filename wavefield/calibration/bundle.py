@@ -24,7 +24,6 @@ class Fit:
     residual: Array  # (n, 2): Observed less predicted, px
     scale: float  # Robust standard deviation of the residuals over their stated uncertainty
     chi2: float  # Robust sum of squares of the independent residuals, in units of the stated uncertainty
-    steps: int  # Evaluations of the Jacobian
 
 
 def fit(
@@ -57,14 +56,12 @@ def fit(
         return (whitener(r), whitener(J)) if whitener else (r, J)
 
     x = np.zeros(len(plan.names))
-    steps = 0
     stated_limit = HUBER_LIMIT * noise_scale if noise_scale else None
     # the limit depends on the residuals, and the whitening on the geometry: a coarse fit first
     for tolerance in (1e-2, 1e-7):
         if target_std > 0.0:
             whitener = Whitener(o.node, linearised(start, plan, x, o)[2] / o.std[:, None, None], target_std)
-        x, limit, count = minimise(residual, with_jacobian, x, stated_limit, tolerance)
-        steps += count
+        x, limit = minimise(residual, with_jacobian, x, stated_limit, tolerance)
     r, J = with_jacobian(x)
     # exact points leave no residuals at all, but a covariance of zero is of no use
     scale = max(robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1)), 1e-6)
@@ -81,4 +78,4 @@ def fit(
         offset[: len(estimate)] = estimate
         geometry = replace(geometry, offset=offset)
         predicted = predict(geometry, o)
-    return Fit(geometry, plan, covariance, o.pixel - predicted, float(scale), huber(r, limit), steps)
+    return Fit(geometry, plan, covariance, o.pixel - predicted, float(scale), huber(r, limit))

@@ -9,6 +9,8 @@ from scipy import sparse
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
+MAX_ITERATIONS = 60
+
 
 class Whitener:
     """Errors of the target's nodes as noise shared by all views of a node.
@@ -69,21 +71,19 @@ def minimise(
     x: Array,
     limit: float | None,
     tolerance: float,
-) -> tuple[Array, float, int]:
+) -> tuple[Array, float]:
     """Least squares with Huber's loss, by Levenberg and Marquardt.
 
     Normal equations of scaled parameters, p x p: thousands of observations and some seventy parameters make
     `scipy.optimize.least_squares`, which decomposes the whole Jacobian at each step, thirty times slower for
     the same minimum (a test compares the two). Steps end where the gradient does, so the squared condition
-    number costs steps at most, not accuracy. Returns the minimum (p,), the limit of the loss, and the steps.
+    number costs steps at most, not accuracy. Returns the minimum (p,) and the limit of the loss.
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)
-    steps = 0
     scale = 0.0
-    while steps < 60:
+    for _ in range(MAX_ITERATIONS):
         r, J = with_jacobian(x)
-        steps += 1
         scale = limit or max(4.0 * robust_std(r), 1e-9)
         cost = huber(r, scale)
         weight = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
@@ -96,7 +96,7 @@ def minimise(
             step = -np.linalg.solve(scaled + damping * np.eye(len(x)), slope)
             decrease = -(2.0 * slope @ step + step @ scaled @ step)
             if decrease <= tolerance * cost or cost < 1e-24 * len(r):
-                return x + step / d if decrease > 0.0 else x, scale, steps
+                return x + step / d if decrease > 0.0 else x, scale
             trial = residual(x + step / d)
             gain = (cost - huber(trial, scale)) / decrease
             if gain > 0.0 and np.isfinite(gain):
@@ -105,5 +105,5 @@ def minimise(
                 break
             damping *= 10.0
             if damping > 1e8:
-                return x, scale, steps
-    return x, scale, steps
+                return x, scale
+    return x, scale

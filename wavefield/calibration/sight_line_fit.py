@@ -127,7 +127,7 @@ class SightLineFit:
             r, J = self._linearised(x)
             return np.concatenate([r.ravel(), prior @ x]), np.concatenate([J.reshape(-1, len(x)), prior])
 
-        x, _, _ = minimise(
+        x, _ = minimise(
             lambda x: with_jacobian(x)[0],
             with_jacobian,
             np.zeros(len(self.layout.names)),

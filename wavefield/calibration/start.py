@@ -11,7 +11,6 @@ from wavefield.calibration.observations import Geometry, Observations
 from wavefield.calibration.poses import Pose
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import LENS, Array
-from wavefield.robust import robust_std
 
 MAX_HOMOGRAPHY_MISFIT = 8.0  # px: of an inlier, before the lens distortion is fitted
 FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length is not plausible
@@ -24,7 +23,6 @@ class SingleCamera:
 
     lens: Array  # (12,): `LENS`
     poses: dict[str, Pose]  # Target to camera for each pose observed
-    rms: dict[str, float]  # Robust scatter of each view, px
     spread: float  # Largest angle between two views of the target, degrees
     deep: bool = False  # Whether nodes of known height determine the focal length, however parallel the views
 
@@ -90,10 +88,9 @@ def calibrate_single(observations: Observations) -> SingleCamera:
     result = fit(used, start, [terms], poses[0], placed=o.placed)
     g = result.geometry
     fitted = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in poses}
-    rms = {o.poses[p]: robust_std(result.residual[used.pose == p]) for p in poses}
     normals = np.stack([R[:, 2] for R, _ in fitted.values()])
     spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
-    return SingleCamera(g.lens[0], fitted, rms, spread, deep=bool(o.placed))
+    return SingleCamera(g.lens[0], fitted, spread, deep=bool(o.placed))
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wavefield.errors import RigError
 from wavefield.rig.formats.common import ImportOptions, Pose, StoredCamera, rig_of_file, rotation_near
@@ -21,7 +22,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
     except NotImplementedError:
         raise RigError("it is of version 7.3: save it in MATLAB with the option '-v7'") from None
 
-    def second(R: Any, T: Any) -> Pose:
+    def second(R: ArrayLike, T: ArrayLike) -> Pose:
         """Pose of the second camera, from what the file stores."""
         return rotation_near(np.asarray(R, float)), options.length * np.ravel(np.asarray(T, float))
 

@@ -2,7 +2,6 @@
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -39,7 +38,7 @@ def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     T = LENGTHS[unit] * np.array(numbers_of(calibration, "Tx_Ty_Tz", 3))
     # pixel centres at half-integers there, the lowest row's at Y = 1/2
     camera = Camera(fx, fy, Cx - 0.5, size[1] - 0.5 - Cy, rotation_near(_FLIP @ R), _FLIP @ T, size, k1=k1)
-    note: dict[str, Any] = {"program": "UVMAT", "file": path.name, "unit": unit}
+    note: dict[str, object] = {"program": "UVMAT", "file": path.name, "unit": unit}
     if calibration.find("ErrorRms") is not None:
         note["rms_px"] = numbers_of(calibration, "ErrorRms")
     index = calibration.findtext("RefractionIndex")
@@ -71,7 +70,7 @@ def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
     calibration = ET.SubElement(root, "GeometryCalib")
     R, T = _FLIP @ camera.R, _FLIP @ camera.T * scale
 
-    def put(tag: str, *values: Any, **attributes: str) -> None:
+    def put(tag: str, *values: object, **attributes: str) -> None:
         ET.SubElement(calibration, tag, attributes).text = "\t".join(str(v) for v in values)
 
     put("CalibrationType", "3D_extrinsic")
