@@ -1,7 +1,8 @@
 """The best elevation from stereo and from the integrated vertical velocity, and the noise of either.
 
 z = eta + n_z at frame times; w dt is the difference of two elevations, so w_hat = w i dt / (2 sin b), b =
-omega dt / 2, is the elevation at mid-time with noise n_w. No rest record is needed to tell signal from noise.
+omega dt / 2, is the elevation at mid-time with noise n_w. Signal and noise are separated without a
+still-water record.
 """
 
 from dataclasses import dataclass
@@ -38,24 +39,24 @@ NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
 PLANES = ("z*w",)
 METHODS = ("stereo", "w", "cross", "fusion")
-_LONGER = 0.5  # of the ridge's k: what is longer is no free wave of that frequency
-_OFF = 0.3  # of the ridge's omega: further off there is no free wave
-_TRUSTED = 0.7  # fraction of the ridge's cells
-_OWN = 0.5  # of a line of w: more from afar is leakage
-_LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
+MIN_FREE_K = 0.5  # of the k of free waves: longer waves of that frequency are not free
+MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: further off there are none
+MIN_TRUSTED_FRACTION = 0.7  # of the cells of free waves
+MIN_OWN_FRACTION = 0.5  # of a line of w: the rest is leakage
+MIN_NOISE_FREQUENCY = 1.2  # Hz: below it the integrated w is mostly drift
 
 
 def _white(noise: Array, use: Array) -> Array:
-    # level of each ring: the median passes over the ridge, where gains err, and over the nonlinear term in w
+    """Level of each ring: its median ignores free waves, where gains err, and the nonlinear term in w."""
     noise = np.where(use, noise, np.nan)
-    known_lines = np.isfinite(noise).any(axis=0)  # a short record has rings without a line off the ridge
+    usable = np.isfinite(noise).any(axis=0)  # in a short record some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
-    out[known_lines] = np.nanmedian(noise[:, known_lines], axis=0).clip(min=0.0)
+    out[usable] = np.nanmedian(noise[:, usable], axis=0).clip(min=0.0)
     return out
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    # up to where, from the peak on, a method is valid; and how far below the peak that is, in decades
+    """Frequency up to which, from the peak on, a method is valid, Hz, and its decades below the peak."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -70,12 +71,12 @@ def _smooth(values: Array, width: int = 7) -> Array:
     return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
-def _on_ridge(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    # whether the waves' own cells are trusted: three rings about the ridge, seven lines
+def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
+    """Lines whose free waves are in trusted cells: three rings about their k, seven lines."""
     k = spectra.k
     place = np.rint(np.interp(_wavenumber(spectra, water), k, np.arange(k.size))).astype(int)
     near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
-    return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > _TRUSTED
+    return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > MIN_TRUSTED_FRACTION
 
 
 @dataclass(frozen=True)
@@ -87,13 +88,13 @@ class _Gains:
     zw: Array
 
     @property
-    def sees_both(self) -> Array:
+    def both_usable(self) -> Array:
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
         """Spectrum of the elevation from the cross spectrum, (omega, k)."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.sees_both, cross / self.zw, 0.0)
+            return np.where(self.both_usable, cross / self.zw, 0.0)
 
 
 def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
@@ -149,7 +150,7 @@ def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None)
 
 
 def _wavenumber(spectra: _Elevations, water: Water) -> Array:
-    # of the waves at each frequency; on a current, that of their energy
+    """Wavenumber of the waves at each frequency; on a current, that of their energy."""
     omega = spectra.omega
     if spectra.speed == 0:
         return np.asarray(wavenumber(omega, *water))
@@ -173,13 +174,16 @@ class _Noise:
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
     omega, k = spectra.omega, spectra.k
-    use = (omega > 2 * np.pi * _LOWEST) & (omega < 0.95 * omega[-1])
+    use = (omega > 2 * np.pi * MIN_NOISE_FREQUENCY) & (omega < 0.95 * omega[-1])
     if use.sum() < 3:
         use = omega > 0
-    # windows that leave too little to correct still leave some: noise is what is off the ridge there
+    # where windows leave too little to correct, they still leave some: noise is the energy off free waves
+    # there
     free = dispersion(k, *water)
-    off = np.abs(omega[:, None] - free) > np.maximum(_OFF * free, 4 * omega[1]) + k * spectra.speed
-    use = use[:, None] & (off | gains.sees_both)
+    off = (
+        np.abs(omega[:, None] - free) > np.maximum(MAX_FREE_DISTANCE * free, 4 * omega[1]) + k * spectra.speed
+    )
+    use = use[:, None] & (off | gains.both_usable)
     with np.errstate(divide="ignore", invalid="ignore"):
         eta = gains.elevation(spectra.zw)
         noise_z, noise_w = spectra.zz - gains.z * eta, spectra.ww - gains.w * eta
@@ -192,16 +196,15 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array]:
-    # z / H_z and w / H_w weighted by what their noise is then, in every cell: its spectrum and its noise
+    """Spectrum and noise of z / H_z and w / H_w, weighted inversely to their noise in every cell."""
     by_z, by_w = np.sqrt(gains.z) / noise.fit_z, np.sqrt(gains.w) / noise.fit_w
     scale = np.maximum(by_z, by_w)
     with np.errstate(divide="ignore", invalid="ignore"):
         by_z, by_w = by_z / scale, by_w / scale
-        whole = by_z**2 * gains.z + by_w**2 * gains.w + 2 * by_z * by_w * gains.zw
-        left = (by_z**2 * noise.fit_z + np.where(by_w > 0, by_w**2 * noise.fit_w, 0.0)) / whole
-        power = (by_z**2 * spectra.zz + by_w**2 * spectra.ww + 2 * by_z * by_w * spectra.zw) / whole
-    known = scale > 0
-    return np.where(known, power - left, 0.0), np.where(known, left, np.inf)
+        norm = by_z**2 * gains.z + by_w**2 * gains.w + 2 * by_z * by_w * gains.zw
+        remaining = (by_z**2 * noise.fit_z + np.where(by_w > 0, by_w**2 * noise.fit_w, 0.0)) / norm
+        power = (by_z**2 * spectra.zz + by_w**2 * spectra.ww + 2 * by_z * by_w * spectra.zw) / norm
+    return np.where(scale > 0, power - remaining, 0.0), np.where(scale > 0, remaining, np.inf)
 
 
 def _tiny(spectra: _Elevations) -> float:
@@ -211,8 +214,8 @@ def _tiny(spectra: _Elevations) -> float:
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...] | None]:
-    # energies (omega, k) in the order of METHODS, and where they are trusted
-    best, left = _best(spectra, noise, gains)
+    """Energies (omega, k) in the order of METHODS, and where they are trusted."""
+    best, remaining = _best(spectra, noise, gains)
     if not undo:
         return (spectra.zz, spectra.ww, spectra.zw, best), None
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -223,11 +226,11 @@ def _by_method(
             best,
         )
         trusted = tuple(
-            there & (energy > MIN_SIGNAL_TO_NOISE * own)
-            for energy, own, there in zip(
+            usable & (energy > MIN_SIGNAL_TO_NOISE * level)
+            for energy, level, usable in zip(
                 energies,
-                (noise.fit_z / gains.z, noise.fit_w / gains.w, left, left),
-                (gains.z > 0, gains.w > 0, gains.sees_both, (gains.z > 0) | (gains.w > 0)),
+                (noise.fit_z / gains.z, noise.fit_w / gains.w, remaining, remaining),
+                (gains.z > 0, gains.w > 0, gains.both_usable, (gains.z > 0) | (gains.w > 0)),
             )
         )
     return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted
@@ -245,23 +248,23 @@ def from_spectra(
     energies_k, trusted_k = _by_method(spectra, noise, gains, gain is not None)
     energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
     fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
-    # of the fields as they are, all k alike: for time series
+    # of the fields as measured, the same for all k: for time series
     weight = (1 / fit_z) / (1 / fit_z + 1 / fit_w)
-    left = 1 / (1 / fit_z + 1 / fit_w)
+    remaining = 1 / (1 / fit_z + 1 / fit_w)
     tiny = _tiny(spectra)
     positive = np.maximum(_smooth(energies["fusion"]), tiny)
 
     dof = _freedom(ring)
     if trusted_k is None:
-        valid = _above_noise(energies, dof["cross"], fit_z, fit_w, left, positive)
+        valid = _above_noise(energies, dof["cross"], fit_z, fit_w, remaining, positive)
     else:
-        on_ridge = (_on_ridge(trusted, spectra, water) for trusted in trusted_k)
-        valid = {method: inner(omega.size) & there for method, there in zip(METHODS, on_ridge)}
+        lines = (_trusted_lines(trusted, spectra, water) for trusted in trusted_k)
+        valid = {method: inner(omega.size) & trusted for method, trusted in zip(METHODS, lines)}
     waves = _at_waves(energies_k[-1], spectra, water)
-    own = {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | (spectra.own > _OWN)}
-    valid = {m: there & waves & own.get(m, spectra.own > _OWN) for m, there in valid.items()}
+    own = {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | (spectra.own > MIN_OWN_FRACTION)}
+    valid = {m: lines & waves & own.get(m, spectra.own > MIN_OWN_FRACTION) for m, lines in valid.items()}
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
-    kept = _kept_freedom(energies, left, tiny)
+    kept = _kept_freedom(energies, remaining, tiny)
 
     out = xr.Dataset(coords=omega_coords(omega) | {"source": list(METHODS)})
     for method in METHODS:
@@ -273,7 +276,7 @@ def from_spectra(
         out = out.assign(parts.data_vars)
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
     out["noise_z_fit"], out["noise_w_fit"] = ("omega", fit_z), ("omega", fit_w)
-    out["weight_z"], out["wiener"] = ("omega", weight), ("omega", positive / (positive + left))
+    out["weight_z"], out["wiener"] = ("omega", weight), ("omega", positive / (positive + remaining))
     if trusted_k is not None:
         out = out.assign_coords(k_coords(spectra.k))
         out["Ez_komega"] = (("omega", "k"), np.where(trusted_k[-1], energies_k[-1], np.nan))
@@ -290,7 +293,7 @@ def from_spectra(
 
 
 def _freedom(ring: xr.Dataset) -> dict[str, Array]:
-    # of E(omega) by each method, before noise takes its part: from the scatter between the segments
+    """Degrees of freedom of E(omega) by each method, from the variance between segments, without noise."""
     dof = {}
     for name in NAMES:
         single = ring.rename({f"E_{name}": "E", f"dof_{name}": "dof", f"dof_omega_{name}": "dof_omega"})
@@ -300,36 +303,33 @@ def _freedom(ring: xr.Dataset) -> dict[str, Array]:
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
-    # whether a line holds energy where waves of its frequency are, not where the peak is: what a window
-    # lets through of a peak decades above keeps the peak's wavenumber
-    shorter = spectra.k > _LONGER * longest_waves(spectra.omega, water, spectra.speed)[:, None]
-    there = np.maximum(energy, 0.0)
-    total = _smooth(there.sum(axis=1))
-    return np.asarray(_smooth((there * shorter).sum(axis=1)) > 0.5 * total)
+    """Lines with energy at free waves of their frequency; leakage keeps the wavenumber of the peak."""
+    shorter = spectra.k > MIN_FREE_K * longest_waves(spectra.omega, water, spectra.speed)[:, None]
+    energy = np.maximum(energy, 0.0)
+    total = _smooth(energy.sum(axis=1))
+    return np.asarray(_smooth((energy * shorter).sum(axis=1)) > 0.5 * total)
 
 
 def _above_noise(
-    energies: dict[str, Array], dof: Array, fit_z: Array, fit_w: Array, left: Array, positive: Array
+    energies: dict[str, Array], dof: Array, fit_z: Array, fit_w: Array, remaining: Array, positive: Array
 ) -> dict[str, Array]:
-    # a method is right within a factor 2 where its own noise stays below the signal; the noise-free ones
-    # where the signal stands out of what is left by chance
+    """Where a method is right within a factor 2: its noise, or for the noise-free ones chance, is less."""
     zz, ww, zw = (_smooth(energies[method]) for method in ("stereo", "w", "cross"))
-    scatter_cross = np.sqrt((zz * ww + zw**2) / dof)
-    both = np.maximum(energies["fusion"] + left, 0)
-    scatter_best = _smooth(both) * np.sqrt(2 / dof)
+    std_cross = np.sqrt((zz * ww + zw**2) / dof)
+    std_best = _smooth(np.maximum(energies["fusion"] + remaining, 0)) * np.sqrt(2 / dof)
     band = inner(dof.size)
     return {
         "stereo": band & (fit_z < positive),
         "w": band & (fit_w < positive),
-        "cross": band & (zw > 2 * scatter_cross / np.sqrt(7)),
-        "fusion": band & (_smooth(energies["fusion"]) > 2 * scatter_best / np.sqrt(7)),
+        "cross": band & (zw > 2 * std_cross / np.sqrt(7)),
+        "fusion": band & (_smooth(energies["fusion"]) > 2 * std_best / np.sqrt(7)),
     }
 
 
-def _kept_freedom(energies: dict[str, Array], left: Array, tiny: float) -> dict[str, Array]:
-    # fraction of the degrees of freedom that a method's estimate keeps
+def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> dict[str, Array]:
+    """Fraction of the degrees of freedom that a method's estimate keeps."""
     zz, ww, zw, best = (energies[method] for method in METHODS)
-    both = np.maximum(best + left, tiny)
+    both = np.maximum(best + remaining, tiny)
     return {
         "stereo": np.ones_like(zz),
         "w": np.ones_like(zz),
@@ -339,8 +339,7 @@ def _kept_freedom(energies: dict[str, Array], left: Array, tiny: float) -> dict[
 
 
 def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> float:
-    # waves, bound ones too, have omega above the free relation's at their k or near it; below it there is but
-    # noise
+    """Correlation of both noises below the dispersion relation, where there are no waves, free or bound."""
     free = dispersion(spectra.k, *water)
     omega = spectra.omega[:, None]
     off = (
@@ -372,13 +371,13 @@ def fused_spectra(
     cube : Dataset
         z, z_t, w over (time, y, x), m and m/s.
     gain : path or Dataset, optional
-        Gain of the matching windows (`window_gain`): it is undone, and all four have their noise taken
-        off, where half of the amplitude is left and the signal is 3 times the noise.
+        Gain of the matching windows (`window_gain`): it is corrected, and noise subtracted from all
+        four, where half of the amplitude is left and the signal is 3 times the noise.
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     current : tuple of float, optional
-        Velocity of the water along x and y, m/s; fitted to the ridge of w if not given, and none where no
-        ridge stands out.
+        Velocity of the water along x and y, m/s; fitted to w if not given, and none where the fit is
+        refused.
     segment : int, optional
         Steps of a Welch segment; chosen from the record if not given.
     record : Record, optional
@@ -402,7 +401,7 @@ def fused_spectra(
     N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
     noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) stands for
     the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them.
-    It rests on independent noises: ``noise_coherence`` measures how far they are. On a current U, w is
+    It assumes independent noises: ``noise_coherence`` measures their correlation. On a current U, w is
     integrated at omega - k . U in every cell.
     """
     water = water_of(cube.attrs, depth)

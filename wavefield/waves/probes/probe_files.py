@@ -20,7 +20,9 @@ from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 LONGEST_GAP = 3  # samples that are bridged
-_LARGEST = 0.5  # m, standard deviation: waves in a tank are lower
+MAX_STD = 0.5  # m: waves in a tank are lower
+MIN_SEGMENTS_FOR_COHERENCE = 4
+COHERENCE_LINES = 9  # over which it is averaged
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ def _place(one: str | int, plain: list[str], raw: list[str]) -> int:
 
 
 def _places(lines: list[str]) -> dict[str, tuple[float, float]]:
-    # comments of three words whose last two are numbers
+    """Positions of probes, from comments of three words whose last two are numbers."""
     out = {}
     for line in lines:
         words = line.lstrip("#").split()
@@ -177,7 +179,6 @@ def _places(lines: list[str]) -> dict[str, tuple[float, float]]:
     return out
 
 
-_TELLING, _NEAR = 4, 9  # segments that tell how alike probes are; lines over which that is averaged
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "s": 1.0, "ms": 0.001}
 _TIMES = ("time", "t", "zeit", "temps", "tiempo")
 
@@ -240,7 +241,7 @@ def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], sepa
         raise ExperimentError(f"{path}, line {body[int(np.argmin(rising)) + 1][0]}: time does not rise")
     for k, column in enumerate(columns[1:], 1):
         values = table[:, k][np.isfinite(table[:, k])]
-        if values.size and not column.stated and float(values.std()) > _LARGEST:
+        if values.size and not column.stated and float(values.std()) > MAX_STD:
             raise ExperimentError(
                 f"{path}: {column.name} varies by {values.std():.3g} m; if these are millimetres write "
                 f"'{column.name} [mm]' into the header or add a line '# unit mm' (m, if they are metres)"
@@ -283,18 +284,18 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     values = np.array([_bridged(row) for row in probes["elevation"].values[:, inside]])
     usable = np.isfinite(values).all(axis=1)
     if not usable.any():
-        raise CubeError("every probe has missing values during the record: mend or leave out the probes")
+        raise CubeError("every probe has missing values during the record: repair or leave out the probes")
     for name, row in zip(probes["probe"].values[~usable], values[~usable]):
         warnings.warn(
             f"probe {name} is left out: {np.isnan(row).sum()} of its {row.size} values during the record are "
             f"missing, more than {LONGEST_GAP} in a row",
             stacklevel=2,
         )
-    own, density, count, peak_correlation = _density(values, rate, duration)
+    own, density, count, coherence = _density(values, rate, duration)
     # the frequencies agree where the rates divide; else straight lines between them
     on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
     on_grid[~usable] = np.nan
-    independent = _independent(peak_correlation[np.ix_(usable, usable)], count)
+    independent = _independent(coherence[np.ix_(usable, usable)], count)
     dof = degrees_of_freedom(count) * np.interp(target, own, independent)
     low, high = interval(dof)
     out = xr.Dataset(
@@ -328,7 +329,7 @@ def _bridged(values: Array) -> Array:
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[Array, float]:
-    # samples during the record, and their rate
+    """Samples during the record, and their rate."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
@@ -343,21 +344,19 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
     return inside, rate
 
 
-def _independent(peak_correlation: Array, count: int) -> Array:
-    # how many independent probes they amount to, (omega,), n^2 / sum of their squared coherences
-    n = peak_correlation.shape[0]
-    if count < _TELLING:
-        return np.ones(peak_correlation.shape[-1])
-    alike = ndimage.uniform_filter1d(
-        peak_correlation, min(_NEAR, peak_correlation.shape[-1]), axis=-1, mode="nearest"
-    )
-    alike = ((alike - 1 / count) / (1 - 1 / count)).clip(0, 1)  # by chance it is 1 / count
-    alike[np.arange(n), np.arange(n)] = 1
-    return np.asarray(n**2 / alike.sum(axis=(0, 1)))
+def _independent(coherence: Array, count: int) -> Array:
+    """Number of independent probes, (omega,): n^2 / sum of their squared coherences (n, n, omega)."""
+    n, lines = coherence.shape[1:]
+    if count < MIN_SEGMENTS_FOR_COHERENCE:
+        return np.ones(lines)
+    coherence = ndimage.uniform_filter1d(coherence, min(COHERENCE_LINES, lines), axis=-1, mode="nearest")
+    coherence = ((coherence - 1 / count) / (1 - 1 / count)).clip(0, 1)  # by chance it is 1 / count
+    coherence[np.arange(n), np.arange(n)] = 1
+    return np.asarray(n**2 / coherence.sum(axis=(0, 1)))
 
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int, Array]:
-    # frequencies, one-sided density (probe, omega), number of segments, squared coherence of each pair
+    """Frequencies, one-sided density (probe, omega), number of segments, squared coherence of each pair."""
     n = min(round(duration * rate), values.shape[1])
     n -= n % 2
     half, window = n // 2, hann(n)
@@ -372,10 +371,10 @@ def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array,
         total += lines[:, None].conj() * lines
     power = np.einsum("iiw->iw", total).real
     with np.errstate(divide="ignore", invalid="ignore"):
-        peak_correlation = np.nan_to_num(np.abs(total) ** 2 / (power[:, None] * power))
+        coherence = np.nan_to_num(np.abs(total) ** 2 / (power[:, None] * power))
     density = power / (count * (window**2).sum() * rate * 2 * np.pi)
     density[:, 1:-1] *= 2
-    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, peak_correlation
+    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, coherence
 
 
 def _group(probes: str | Path | xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Dataset | None:

@@ -8,12 +8,14 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import signal
 
+from wavefield.parabola import parabola_vertex
+
 Array = NDArray[np.float64]
 
-_LEAST_OVERLAP = 0.5  # of the elevation's record, at any lag that is tried
-_SHORTEST = 40  # samples: less says nothing
-_ALIKE = 0.8  # correlation: the same waves
-_BETTER = 0.1  # by so much must another lag or place be better
+MIN_OVERLAP = 0.5  # of the elevation's record, at any lag that is tried
+MIN_SAMPLES = 40
+SAME_WAVES = 0.8  # correlation
+MIN_IMPROVEMENT = 0.1  # of the correlation, by another lag or place
 _UNITS = {1e3: "mm", 1e2: "cm", 1e6: "um", 1e-3: "km"}
 
 
@@ -31,11 +33,8 @@ class ProbeFit:
     place: tuple[float, float] | None = None
 
     def problems(self, dt: float) -> Iterator[tuple[str, str, str]]:
-        """What does not fit: a word, a sentence, a remedy.
-
-        Returns (str, str, str).
-        """
-        if abs(self.best) < _ALIKE:
+        """What does not fit: a word, a sentence, a remedy."""
+        if abs(self.best) < SAME_WAVES:
             if self.place is not None:
                 x, y = self.place
                 yield "position", f"it fits the elevation at x {x:.2f}, y {y:.2f} m", "correct its place"
@@ -48,7 +47,7 @@ class ProbeFit:
             return
         if self.best < 0:
             yield "sign", "it falls where the elevation rises", "turn its sign (`factor: -1` in `probes:`)"
-        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.peak_correlation) + _BETTER:
+        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.peak_correlation) + MIN_IMPROVEMENT:
             yield (
                 "clock",
                 f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
@@ -79,7 +78,7 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
     With z (time, y, x).
     """
     time = z["time"].values.astype(float)
-    if time.size < _SHORTEST:
+    if time.size < MIN_SAMPLES:
         return []
     dt = float(np.median(np.diff(time)))
     out = []
@@ -91,37 +90,33 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
             continue
         clock, values = series
         here = z.interp(x=x, y=y).values.astype(float)
-        if np.isfinite(here).sum() >= _SHORTEST:
+        if np.isfinite(here).sum() >= MIN_SAMPLES:
             fit = _fit(str(name), time, here, clock, values, dt)
-            out.append(_elsewhere(fit, z, clock, values, dt) if fit and abs(fit.best) < _ALIKE else fit)
+            out.append(_elsewhere(fit, z, clock, values, dt) if fit and abs(fit.best) < SAME_WAVES else fit)
     return [fit for fit in out if fit is not None]
 
 
 def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
     """A probe at the steps of the cube; averaged over a step where it is quicker."""
     good = np.isfinite(values) & np.isfinite(clock)
-    if good.sum() < _SHORTEST:
+    if good.sum() < MIN_SAMPLES:
         return None
     clock, values = clock[good], values[good]
     own = float(np.median(np.diff(clock)))
     width = max(1, round(dt / max(own, 1e-9)))
     smooth = np.convolve(values, np.ones(width) / width, "same") if width > 1 else values
     even = np.arange(np.ceil(clock[0] / dt), np.floor(clock[-1] / dt) + 1) * dt
-    return (even, np.interp(even, clock, smooth)) if even.size >= _SHORTEST else None
+    return (even, np.interp(even, clock, smooth)) if even.size >= MIN_SAMPLES else None
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    lags, peak_correlation = correlation(here, values, int(_LEAST_OVERLAP * time.size))
+    lags, peak_correlation = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None
     shift = lags * dt + (clock[0] - time[0])  # by which the probe's time is later, event by event
     k = int(np.argmax(np.abs(peak_correlation)))
-    if 0 < k < lags.size - 1:
-        before, at, after = np.abs(peak_correlation[k - 1 : k + 2])
-        bend = before - 2 * at + after
-        fine = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    else:
-        fine = 0.0
+    inside = 0 < k < lags.size - 1
+    fine = float(parabola_vertex(*np.abs(peak_correlation[k - 1 : k + 2]))) if inside else 0.0
     now = float(np.interp(0.0, shift, peak_correlation, left=0.0, right=0.0))
     return ProbeFit(
         name,
@@ -133,10 +128,7 @@ def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: f
 
 
 def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
-    """Normalised correlation of two series at every lag, over what overlaps.
-
-    With a, b (n,).
-    """
+    """Lags of two series (n,), and their correlation there, normalised over the overlap."""
     known = [np.isfinite(v).astype(float) for v in (a, b)]
     value = [np.where(k > 0, v - np.nanmean(v), 0.0) for k, v in zip(known, (a, b))]
 
@@ -156,10 +148,10 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
 
 
 def _elsewhere(fit: ProbeFit, z: xr.DataArray, clock: Array, values: Array, dt: float) -> ProbeFit:
-    """Look for the place in the cube that a probe fits, by its own clock."""
+    """The fit with the place in the cube that a probe fits better, by its own clock."""
     there = np.interp(z["time"].values.astype(float), clock, values, left=np.nan, right=np.nan)
     good = np.isfinite(there)
-    if good.sum() < _SHORTEST:
+    if good.sum() < MIN_SAMPLES:
         return fit
     field = z.values[good].astype(float)
     field = field - field.mean(axis=0)
@@ -167,7 +159,7 @@ def _elsewhere(fit: ProbeFit, z: xr.DataArray, clock: Array, values: Array, dt: 
     power = np.sqrt((field**2).sum(axis=0) * (requested**2).sum())
     peak_correlation = np.nan_to_num(np.tensordot(requested, field, 1) / np.where(power > 0, power, np.inf))
     row, column = np.unravel_index(int(np.argmax(peak_correlation)), peak_correlation.shape)
-    if peak_correlation[row, column] < max(_ALIKE, abs(fit.peak_correlation) + _BETTER):
+    if peak_correlation[row, column] < max(SAME_WAVES, abs(fit.peak_correlation) + MIN_IMPROVEMENT):
         return fit
     place = float(z["x"][column]), float(z["y"][row])
     return ProbeFit(fit.name, fit.peak_correlation, fit.best, fit.lag, fit.gain, place)
