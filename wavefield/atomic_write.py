@@ -143,6 +143,8 @@ def atomic(path: str | Path, product: Product) -> Iterator[Path]:
         check_replaceable(path, product)  # it may have appeared meanwhile
         if path.is_dir():
             path.rename(old)
+        elif path.exists() and draft.is_file():
+            shutil.copymode(path, draft)
         draft.replace(path)
         make_durable([path.parent])
     except OSError as error:

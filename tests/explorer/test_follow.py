@@ -15,7 +15,7 @@ from wavefield.explorer import learner as learning
 from wavefield.explorer.features import bead_size, frame_features
 from wavefield.explorer.follower import Follower
 from wavefield.explorer.learner import Learner
-from wavefield.explorer.lights import worst_light
+from wavefield.explorer.lights import red_lights
 from wavefield.explorer.watch import FolderWatch
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -98,7 +98,7 @@ def test_good_frames_turn_no_light(followed):
     follower, _ = followed
     assert follower.latest.number == 4
     assert follower.latest.measured == 5
-    assert worst_light(follower.latest.lights) is None
+    assert red_lights(follower.latest.lights) == []
     assert np.isfinite(follower.latest.fields["z"]).mean() > 0.8
     assert 0 <= follower.latest.delay < 60
 
@@ -122,7 +122,7 @@ def test_the_right_light_turns(followed, small_tank, tmp_path, fault):
             images = {camera: spoil(image) for camera, image in frames[6].items()}
         write(tmp_path / "live", number, images)
     assert later.poll()
-    first = worst_light(later.latest.lights)
+    first = next(iter(red_lights(later.latest.lights)), None)
     lights = "\n".join(map(str, later.latest.lights))
     assert first is not None, lights
     assert first.name == name, lights
@@ -147,7 +147,7 @@ def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, s
     for number in (6, 7):
         write(tmp_path / "live", number, {n: i for n, i in small_tank[1][6].items() if n != "cam1"})
     assert later.poll()
-    first = worst_light(later.latest.lights)
+    first = next(iter(red_lights(later.latest.lights)), None)
     assert (first.name, first.camera) == ("synchronisation", "cam1")
     assert later.latest.number == 6
 
@@ -188,7 +188,7 @@ def test_without_a_rig_each_camera_is_judged_and_the_reason_is_said(small_tank, 
     assert "rig" in follower.latest.trouble
     assert follower.latest.fields == {}
     assert {light.name for light in follower.latest.lights} == {
-        "synchronisation", "brightness", "saturation", "seeding", "focus",
+        "arrival", "synchronisation", "brightness", "saturation", "seeding", "focus",
     }  # fmt: skip
 
 
@@ -249,7 +249,7 @@ def test_the_page_shows_map_lights_and_cameras(followed):
     expected = 100 * follower.latest.fields["w"]
     np.testing.assert_allclose(page.sources["image"].data["image"][0], expected, rtol=1e-6)
     assert "frame 4; measured 5, skipped 0" in page.words["state"].text
-    assert page.words["lights"].text.count("<tr>") == 12
+    assert page.words["lights"].text.count("<tr>") == 13
     assert page.cameras["cam1"].sources["image"].data["image"]
     document.to_json()
 

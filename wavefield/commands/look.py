@@ -1,6 +1,8 @@
 """`wavefield look` and `wavefield follow`: interactive pages of a cube, and of cameras at work."""
 
+import atexit
 import os
+import tempfile
 import webbrowser
 from pathlib import Path
 
@@ -10,12 +12,24 @@ LAST = 19  # niceness of a process that takes what the others leave
 
 
 def announce(url: str, port: int, open_page: bool) -> None:
-    """Print where a page is, and how to open it from another machine."""
+    """Print the address of a page, with how to reach it from another machine, or open it in a browser."""
     click.echo(f"Open {url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):
-        click.echo(f"From your own machine first: ssh -L {port}:localhost:{port} and this machine's name")
+        click.echo(
+            f"From your own machine first: ssh -L {port}:localhost:{port} and this machine's name. If {port} "
+            "is taken there, write another number before the colon, and in the address."
+        )
     elif open_page and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.name == "nt"):
-        webbrowser.open(url)
+        webbrowser.open(_link_file(url).as_uri())
+
+
+def _link_file(url: str) -> Path:
+    """A file that leads a browser to an address, readable by this user only: command lines are not."""
+    handle, name = tempfile.mkstemp(prefix="wavefield-", suffix=".html")  # mode 0600
+    with os.fdopen(handle, "w") as stream:
+        stream.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}">')
+    atexit.register(Path(name).unlink, missing_ok=True)
+    return Path(name)
 
 
 def give_way(steps_to_come: int) -> None:
@@ -61,7 +75,7 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     server = session_server(session, port)
     session.load()
     server.start()
-    announce(f"http://localhost:{server.port}/", int(server.port or 0), open_page)
+    announce(server.url, int(server.port or 0), open_page)
     try:
         server.io_loop.start()
     except KeyboardInterrupt:
@@ -94,7 +108,7 @@ def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool
     server = follow_server(follower, port)
     follower.start()
     server.start()
-    announce(f"http://localhost:{server.port}/", int(server.port or 0), open_page)
+    announce(server.url, int(server.port or 0), open_page)
     try:
         server.io_loop.start()
     except KeyboardInterrupt:

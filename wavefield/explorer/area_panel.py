@@ -25,7 +25,9 @@ class AreaPanel:
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self._drawn: tuple[object, ...] = ()
-        self.words = words_of("area_words", "Choose “rectangle” for dragging (key R) and drag over the map.")
+        self.words = words_of(
+            "area_words", "Choose “rectangle” for dragging (key R, html=True) and drag over the map."
+        )
         self.sources = make_sources(
             "area", mean="t mean low high", bins="left right density", spectrum="f e low high"
         )

@@ -18,6 +18,7 @@ from wavefield.explorer.plot_parts import (
     SKY,
     VERMILION,
     YELLOW,
+    chosen,
     clear,
     draw_masks,
     draw_ring,
@@ -141,14 +142,14 @@ class CameraPanel:
         return made
 
     def _images(self) -> list[str]:
-        poses = self._targets.poses(self.camera.value) if self._targets is not None else []
+        poses = self._targets.poses(chosen(self.camera)) if self._targets is not None else []
         return [*FRAMES, *(f"{_TARGET}{pose}" for pose in poses)]
 
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
         """Show the chosen image of the chosen camera at a step."""
-        name = self.camera.value
+        name = chosen(self.camera)
         if not name:
             return
         self.frame.options = self._images()
@@ -201,7 +202,7 @@ class CameraPanel:
         self.sources["target"].data = {"X": found.pixel[:, 0], "Y": found.pixel[:, 1]}
 
     def _show_nodes(self, camera: Camera, place: Place, second: bool) -> None:
-        record, overlay = self._session.record, self.overlay.value
+        record, overlay = self._session.record, chosen(self.overlay)
         fields = {name: record.field(name, place.step) for name in ("z", *_MOTION, "quality")}
         x, y = np.meshgrid(record.x, record.y)
         every = max(1, -(-max(x.shape) // _NODES))
@@ -234,7 +235,7 @@ class CameraPanel:
             self.sources["node"].data = {"X": [float(column_px)], "Y": [float(row_px)]}
 
     def _clicked(self, event: Tap) -> None:
-        name = self.camera.value
+        name = chosen(self.camera)
         if name and self._took_corner(name, (float(event.x), float(event.y))):
             return
         nodes = self._nodes

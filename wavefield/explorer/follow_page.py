@@ -11,20 +11,20 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, LinearColorMapper, Select
 from bokeh.plotting import figure
-from bokeh.server.server import BaseServer
 from jinja2 import Environment
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
 from wavefield.explorer.camera_panel import frame_columns, shrink
 from wavefield.explorer.follower import FollowedSet, Follower
-from wavefield.explorer.lights import StatusLight, worst_light
+from wavefield.explorer.lights import StatusLight, red_lights
 from wavefield.explorer.map_fields import arrows, palette, top_speed
 from wavefield.explorer.plot_parts import (
     GREY,
     IMAGE,
     INK,
     SKY,
+    chosen,
     colour_bar,
     draw_probes,
     grey_mapper,
@@ -33,7 +33,7 @@ from wavefield.explorer.plot_parts import (
     make_sources,
     words_of,
 )
-from wavefield.explorer.server import make_server
+from wavefield.explorer.server import PageServer, make_server
 from wavefield.explorer.target_watch import TargetWatch
 from wavefield.explorer.template import apply_template, asset
 from wavefield.figures.display import display
@@ -97,7 +97,7 @@ class FollowPage:
         self._count = -1  # of the sets that were published, when the page was drawn
         self._lights: tuple[StatusLight, ...] = ()
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights", "target": "target_words"}
-        self.words = {key: words_of(name) for key, name in names.items()}
+        self.words = {key: words_of(name, html=True) for key, name in names.items()}
         self.variable = Select(title="Map of", value="w", options=list(_VARIABLES), name="show", width=110)
         self.variable.on_change("value", lambda attr, old, new: self._redraw())
         self.mapper = LinearColorMapper(
@@ -166,10 +166,16 @@ class FollowPage:
     def _show_lights(self, lights: tuple[StatusLight, ...]) -> None:
         self._lights = lights
         self.words["lights"].text = lights_table(lights)
-        worst = worst_light(lights)
+        red = red_lights(lights)
         doubtful = [f"{light.name} {light.camera}".strip() for light in lights if light.state == "doubtful"]
-        if worst is not None:
-            verdict = _large(f"{worst.name} {worst.camera}".strip(), "#B34700", _plain(worst.words))
+        if red:
+            cameras: dict[str, list[str]] = {}
+            for light in red:
+                cameras.setdefault(light.name, []).append(light.camera)
+            heading = "; ".join(f"{name} {', '.join(of)}".strip() for name, of in cameras.items())
+            verdict = _large(
+                heading, "#B34700", _plain("; ".join(dict.fromkeys(light.words for light in red)))
+            )
         elif doubtful:
             verdict = _large("Sound with remarks", "#B07800", f"check {', '.join(doubtful)}")
         else:
@@ -189,7 +195,7 @@ class FollowPage:
 
     def _show_map(self, latest: FollowedSet) -> None:
         x, y = self._follower.nodes
-        shown = display(self.variable.value)
+        shown = display(chosen(self.variable))
         values = latest.fields[shown.name].astype(np.float32) * np.float32(shown.factor)
         low, high = shown.limits(values)
         if self.map.title.text.startswith(f"{shown.name}:"):  # the scale grows only
@@ -211,7 +217,7 @@ def _plain(words: str) -> str:
     return escape(words, quote=False)
 
 
-def follow_server(follower: Follower, port: int | None = None) -> BaseServer:
+def follow_server(follower: Follower, port: int | None = None) -> PageServer:
     """A server of the page of an experiment that is being recorded."""
     probes = None
     with suppress(WavefieldError):  # they are only marked on the map

@@ -16,6 +16,7 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer.features import FrameFeatures, frame_features
 from wavefield.explorer.learner import Learner
 from wavefield.explorer.lights import (
+    ARRIVALS,
     Baseline,
     PairSummary,
     StatusLight,
@@ -112,10 +113,13 @@ class Follower:
             self._take(frames)
             return True
         if self.latest is not None:  # a camera that has stopped shows without a new set
-            others = tuple(light for light in self.latest.lights if light.name != "synchronisation")
-            arrivals = arrival_lights(self.watch.written, self.watch.newest)
-            self.latest = replace(self.latest, lights=(*arrivals, *others))
+            others = tuple(light for light in self.latest.lights if light.name not in ARRIVALS)
+            self.latest = replace(self.latest, lights=(*self._arrivals(), *others))
         return False
+
+    def _arrivals(self) -> list[StatusLight]:
+        watch = self.watch
+        return arrival_lights(watch.silent(), watch.written, watch.newest, self.experiment.frame_rate)
 
     def _take(self, frames: FrameSet) -> None:
         if self._first is None:
@@ -152,7 +156,7 @@ class Follower:
         self, frames: Mapping[str, FrameFeatures], pairs: Mapping[str, PairSummary], step: StepSummary | None
     ) -> list[StatusLight]:
         first = self._baseline
-        lights = arrival_lights(self.watch.written, self.watch.newest)
+        lights = self._arrivals()
         for name, found in frames.items():
             lights += frame_lights(name, found, first.of(FrameFeatures, name))
         lights += [pair_light(name, found, first.of(PairSummary, name)) for name, found in pairs.items()]

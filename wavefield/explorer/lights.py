@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.explorer.features import FrameFeatures
+from wavefield.text import spell_time
 from wavefield.variables import Quality
 
 State = Literal["good", "doubtful", "bad", "unknown"]
@@ -16,8 +17,8 @@ Array = NDArray[np.floating]
 T = TypeVar("T")
 _RANK: dict[State, int] = {"good": 0, "unknown": 1, "doubtful": 2, "bad": 3}
 # the order in which bad lights are named: causes before their consequences
-_ORDER = ("synchronisation", "brightness", "saturation", "seeding", "focus", "eps_y", "eps'", "range of z",
-          "coverage", "tilt")  # fmt: skip
+_ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "focus", "eps_y", "eps'",
+          "range of z", "coverage", "tilt")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class LightLimits:
     saturated: Limits = (0.01, 0.05)  # fraction of pixels
     cells: Limits = (0.6, 0.3)  # fraction of cells with beads
     bead_size: Limits = (2.5, np.inf)  # standard deviation, px
+    silence: Limits = (2.0, 5.0)  # without a new frame, beyond a few intervals of the frames, s
     delay: Limits = (0.5, 1.0)  # behind the other cameras, s
     eps_y: Limits = (0.5, 1.0)  # mismatch of sight lines, px
     matched: Limits = (0.5, 0.2)  # fraction of the visible blocks
@@ -48,7 +50,9 @@ class RelativeLimits:
     coverage: Limits = (0.9, 0.7)
 
 
+ARRIVALS = ("arrival", "synchronisation")  # lights of what comes, not of what is in it
 LIMITS, RELATIVE = LightLimits(), RelativeLimits()
+INTERVALS = 5  # of the frames, without a new one, that do not count as silence
 MIN_STEPS_FOR_TILT = 20
 MIN_EPS_Y_PX = 0.15  # of the first steps, where the mismatch is compared with it
 
@@ -170,9 +174,19 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
 
 
-def arrival_lights(written: Mapping[str, float], newest: Mapping[str, int]) -> list[StatusLight]:
-    """Whether every camera still sends frames, and all the same ones: time and number of its newest frame."""
+def arrival_lights(
+    silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
+) -> list[StatusLight]:
+    """Whether every camera still sends frames, and all the same ones.
+
+    For every camera the time in which no new frame came, s; for those that have sent any, when their newest
+    frame was written and its number; Hz.
+    """
     out = []
+    for camera, since in silent.items():
+        state = _state(since - INTERVALS / frame_rate, LIMITS.silence)
+        words = "frames arrive" if state == "good" else f"no new frame for {spell_time(since)}"
+        out.append(StatusLight("arrival", camera, state, words if camera in newest else f"{words}, none yet"))
     for camera, when in written.items():
         delay, behind = max(written.values()) - when, max(newest.values()) - newest[camera]
         words = f"frame {newest[camera]}"
@@ -209,10 +223,10 @@ def tilt_light(steps: Sequence[StepSummary]) -> StatusLight:
     return StatusLight("tilt", "", state, words)
 
 
-def worst_light(lights: Sequence[StatusLight]) -> StatusLight | None:
-    """The bad light to care for first; None if none is bad."""
+def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:
+    """The bad lights, causes before consequences."""
     bad = [light for light in lights if light.state == "bad"]
-    return min(bad, key=lambda light: _ORDER.index(light.name), default=None)
+    return sorted(bad, key=lambda light: _ORDER.index(light.name))
 
 
 def _ratio(value: float, reference: float) -> float:

@@ -34,7 +34,9 @@ class LinePanel:
         self._record = record
         self._window = (0, 0)  # steps of the diagram
         self._drawn: tuple[object, ...] = ()
-        self.words = words_of("line_words", "Choose “line” for dragging (key L) and drag across the map.")
+        self.words = words_of(
+            "line_words", "Choose “line” for dragging (key L, html=True) and drag across the map."
+        )
         self.sources = make_sources("line", now="s value", image=IMAGE)
         self.transect = make_figure("line_transect", height=230, tools="pan,wheel_zoom,reset")
         self.transect.line("s", "value", source=self.sources["now"], color=BLUE, line_width=1.8)

@@ -12,7 +12,7 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer.look_controls import LookControls
 from wavefield.explorer.look_panels import LookPanels
 from wavefield.explorer.place import TABS, Place, Value
-from wavefield.explorer.plot_parts import alert, words_of
+from wavefield.explorer.plot_parts import alert, chosen, words_of
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.template import apply_template
 from wavefield.figures.display import display
@@ -33,7 +33,7 @@ class LookPage:
 
     def __init__(self, session: LookSession, place: Place) -> None:
         self.session, self.place = session, place
-        self.state = words_of("state_words")
+        self.state = words_of("state_words", html=True)
         self.controls = LookControls(session.record, place)
         self.panels = LookPanels(
             session, place, self.controls.drag, self.pick, self._take_corner, self._masks_changed
@@ -47,10 +47,12 @@ class LookPage:
 
     def _listen(self) -> None:
         controls, panels = self.controls, self.panels
-        controls.variable.on_change("value", lambda a, o, new: self.change(show=new, limits=None))
-        controls.step.on_change("value", lambda a, o, new: self.change(step=int(new)))
+        controls.variable.on_change(
+            "value", lambda a, o, new: self.change(show=chosen(controls.variable), limits=None)
+        )
+        controls.step.on_change("value", lambda a, o, new: self.change(step=self._within(new)))
         controls.arrows.on_change("active", lambda a, o, new: self.change(arrows=bool(new)))
-        controls.drag.on_change("value", lambda a, o, new: self._drag_mode(new))
+        controls.drag.on_change("value", lambda a, o, new: self._drag_mode(chosen(controls.drag)))
         controls.low.on_change("value", lambda a, o, new: self._limits_entered())
         controls.high.on_change("value", lambda a, o, new: self._limits_entered())
         controls.fit.on_click(self._fit)
@@ -81,6 +83,9 @@ class LookPage:
         if place != self.place:
             self.place = place
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
+
+    def _within(self, step: float) -> int:
+        return int(min(max(step, 0), self.session.record.layout.steps - 1))
 
     def pick(self, kind: str, where: tuple[float, ...]) -> None:
         """Show the "node", "line" or "area" that was picked on the map or in an image."""

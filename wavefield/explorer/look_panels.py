@@ -13,7 +13,7 @@ from wavefield.explorer.map_panel import MapPanel
 from wavefield.explorer.mask_panel import MaskPanel
 from wavefield.explorer.node_panel import NodePanel
 from wavefield.explorer.place import TABS, Place
-from wavefield.explorer.plot_parts import LazyPanel, make_tabs
+from wavefield.explorer.plot_parts import LazyPanel, chosen, make_tabs
 from wavefield.explorer.save_panel import SavePanel
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.surface_panel import SurfacePanel
@@ -108,4 +108,4 @@ class LookPanels:
         self.map.sources["masks"].data = {"xs": xs, "ys": ys}
 
     def _show_corners(self) -> None:
-        self.cameras.sources["mask"].data = self.masks.closed_line(self.cameras.camera.value)
+        self.cameras.sources["mask"].data = self.masks.closed_line(chosen(self.cameras.camera))

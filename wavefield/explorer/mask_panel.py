@@ -1,5 +1,6 @@
 """Masks drawn with the mouse: corners on the map or in a camera's image, saved into the experiment file."""
 
+import shlex
 from collections.abc import Callable
 from html import escape
 
@@ -34,7 +35,7 @@ class MaskPanel:
     def __init__(self, session: LookSession, changed: Callable[[], None]) -> None:
         self._session, self._changed = session, changed
         self._corners: list[tuple[str, Corner]] = []  # camera or WATER, corner; in the order of the clicks
-        self.words = words_of("mask_words", _HOW)
+        self.words = words_of("mask_words", _HOW, html=True)
         self.undo = Button(label="Remove the last corner", name="mask_undo", disabled=True)
         self.clear = Button(label="Clear", name="mask_clear", disabled=True)
         self.save = Button(label="Save", name="mask_save", button_type="primary", disabled=True)
@@ -46,7 +47,8 @@ class MaskPanel:
 
     def add(self, image: str, corner: Corner) -> None:
         """Add a corner: px in the image of a camera, or metres on the water."""
-        self._keep([*self._corners, (image, corner)])
+        if np.isfinite(corner).all():
+            self._keep([*self._corners, (image, corner)])
 
     def polygon(self, image: str) -> list[Corner]:
         """The corners in the image of a camera or on the water."""
@@ -61,6 +63,9 @@ class MaskPanel:
     def _polygons(self) -> dict[str, list[Corner]]:
         return {name: self.polygon(name) for name in dict.fromkeys(name for name, _ in self._corners)}
 
+    def _complete(self) -> bool:
+        return all(len(corners) >= 3 for corners in self._polygons().values())
+
     def _keep(self, corners: list[tuple[str, Corner]]) -> None:
         self._corners = corners
         polygons = self._polygons()
@@ -70,13 +75,16 @@ class MaskPanel:
         )
         self.words.text = f"{counts}. The last corner joins the first." if counts else _HOW
         self.undo.disabled = self.clear.disabled = not corners
-        self.save.disabled = not corners or any(len(c) < 3 for c in polygons.values())
+        self.save.disabled = not corners or not self._complete()
         self._changed()
 
     def _save(self) -> None:
+        if not self._corners or not self._complete():  # a browser can press a button that is disabled
+            return
         experiment = self._session.run.experiment
         if experiment is None:
-            self.words.text = "There is no experiment file next to this cube to save masks in."
+            reason = escape(self._session.run.reason("experiment"), quote=False)
+            self.words.text = f"There is no experiment file to save masks in: {reason}"
             return
         try:
             add_polygons(experiment, self._polygons())
@@ -85,8 +93,9 @@ class MaskPanel:
             return
         self._session.reopen()
         self._keep([])
-        file = escape(experiment.path.name, quote=False)
+        file = escape(str(experiment.path.absolute()), quote=False)
+        command = escape(shlex.quote(str(experiment.path.absolute())), quote=False)
         self.words.text = (
             f"Saved in {file}. This cube was measured without the mask: "
-            f"<code>wavefield run {file} -o masked.zarr</code> measures again."
+            f"<code>wavefield run {command} -o masked.zarr</code> measures again."
         )

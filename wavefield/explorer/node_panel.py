@@ -1,5 +1,7 @@
 """Time series at a node with their uncertainty and quality, and its spectrum."""
 
+from html import escape
+
 import numpy as np
 import xarray as xr
 from bokeh.layouts import column, row
@@ -17,6 +19,7 @@ from wavefield.explorer.plot_parts import (
     INK,
     MOST_POINTS,
     band,
+    chosen,
     draw_band,
     envelope,
     make_figure,
@@ -41,7 +44,7 @@ class NodePanel:
         self._main = tuple(name for name in _MAIN if name in record.stored)
         self._node: tuple[float, float] | None = None  # the picked one, m
         self._refining = False
-        self.words = words_of("node_words", "Click a node of the map.")
+        self.words = words_of("node_words", "Click a node of the map.", html=True)
         others = self._others(record.names)
         self.other = Select(
             title="Below", value=others[0] if others else "", options=others, name="node_other"
@@ -58,7 +61,7 @@ class NodePanel:
         self._reader = DerivedReader(
             record,
             on_progress=lambda words: self.figures["other"].yaxis.update(axis_label=words),
-            on_error=lambda words: self.words.update(text=words),
+            on_error=lambda words: self.words.update(text=escape(words, quote=False)),
             on_end=self._show_other,
         )
         self.other.on_change("value", lambda attr, old, new: self._show_other())
@@ -74,7 +77,7 @@ class NodePanel:
     def _draw_series(self, name: str) -> figure:
         time = self._record.time
         x_range = next(iter(self.figures.values())).x_range if self.figures else (time[0], time[-1])
-        shown = self.other.value if name == "other" else name
+        shown = chosen(self.other) if name == "other" else name
         label = display(shown).label if shown else ""
         made = make_figure(f"node_{name}_figure", height=96, y_axis_label=label, x_range=x_range)
         if not self.figures:
@@ -162,7 +165,7 @@ class NodePanel:
         self._show_other()
 
     def _show_other(self) -> None:
-        name = self.other.value
+        name = chosen(self.other)
         if self._node is None or not name:
             return
         shown, part, record = display(name), self._window(), self._record
@@ -193,7 +196,7 @@ class NodePanel:
 
     def _show_spectrum(self) -> None:
         if self._node is not None:
-            name, preview = self.spectrum.variable.value, self._record.preview
+            name, preview = chosen(self.spectrum.variable), self._record.preview
             j, i = self._index(preview.y, preview.x)
             values = self._series(name, display(name).factor)
             self.spectrum.show(values, self._record.time, preview.x[i], preview.y[j])

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from wavefield.explorer.plot_parts import (
     VERMILION,
+    chosen,
     clear,
     draw_band,
     make_figure,
@@ -40,7 +41,7 @@ class NodeSpectrum:
 
     def show(self, values: NDArray[np.floating], time: NDArray[np.floating], x: float, y: float) -> None:
         """Show the spectrum of a series (time,) of the chosen variable in its displayed unit, at x, y (m)."""
-        name = self.variable.value
+        name = chosen(self.variable)
         shown = display(name)
         found = spectrum(values, 1.0 / self._frame_rate)
         self.figure.yaxis.axis_label = f"E ({shown.unit})²/Hz"

@@ -16,6 +16,7 @@ from bokeh.models import (
     FixedTicker,
     LinearColorMapper,
     NumeralTickFormatter,
+    Select,
     Spacer,
     TabPanel,
     Tabs,
@@ -86,9 +87,17 @@ def clear(*sources: ColumnDataSource) -> None:
         source.data = {name: [] for name in source.data}
 
 
-def words_of(name: str, text: str = "") -> Div:
-    """A line of text as wide as its place."""
-    return Div(text=text, name=name, sizing_mode="stretch_width")
+def words_of(name: str, text: str = "", html: bool = False) -> Div:
+    """A line of text as wide as its place; as HTML what is put into it must be escaped first."""
+    return Div(
+        text=text, name=name, sizing_mode="stretch_width", render_as_text=not html, disable_math=True
+    )  # fmt: skip
+
+
+def chosen(choice: Select) -> str:
+    """The value of a list if it is one of its options, else the first: a browser can send any other."""
+    values = [option if isinstance(option, str) else str(option[0]) for option in choice.options]
+    return str(choice.value) if choice.value in values else next(iter(values), "")
 
 
 def alert(error: Exception) -> str:

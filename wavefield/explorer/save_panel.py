@@ -27,7 +27,7 @@ class SavePanel:
             step=10,
             name="frames",
         )
-        self.words = words_of("save_words")
+        self.words = words_of("save_words", html=True)
         self.layout = column(self.words, self.frames, sizing_mode="stretch_width")
         self._place = Place()
         self.frames.on_change("value", lambda attr, old, new: self.show(self._place))

@@ -1,10 +1,14 @@
-"""The server of the pages: on the loopback only, every file from this machine."""
+"""The server of the pages: on the loopback only, behind a secret address, every file from this machine."""
 
 import asyncio
 import errno
+import hmac
+import re
+import secrets
 import socket
 import threading
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
@@ -12,6 +16,7 @@ from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPMessageDelegate, HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
@@ -37,8 +42,6 @@ class SaveHandler(RequestHandler):
 
     async def get(self, name: str) -> None:
         """Make a file of what is shown; a sentence where that is not possible."""
-        if self.request.host_name not in _HOSTS:
-            raise HTTPError(403)
         if name not in FILES:
             raise HTTPError(404)
         content_type, make = FILES[name]
@@ -62,14 +65,71 @@ def record_place(session: LookSession, query: dict[str, str]) -> Place:
     return Place.read(query, record.names, record.layout.steps, record.first_step())
 
 
+class Refused(RequestHandler):
+    """Answers what the guard does not let through."""
+
+    def prepare(self) -> None:
+        """End the request, whatever it asks for."""
+        self.set_status(403)
+        self.finish(
+            "Open the whole address that the program printed: it holds a token, and works for localhost."
+        )
+
+
+class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has no types
+    """An application whose every address begins with a token, as ``/TOKEN/save/map.png``.
+
+    The token is in the path rather than in a cookie: browsers send the cookies of localhost to the servers at
+    all of its ports, also to those of other users, and none from a frame in a notebook of another site.
+    """
+
+    def __init__(self, make_page: Callable[[Document], None], routes: Sequence[Route]) -> None:
+        self.token = secrets.token_urlsafe(32)
+        super().__init__(
+            {"/": Application(FunctionHandler(make_page))},
+            prefix=self.token,
+            extra_websocket_origins=list(_HOSTS),
+            extra_patterns=list(routes),
+            check_unused_sessions_milliseconds=5000,
+            unused_session_lifetime_milliseconds=60_000,
+        )
+
+    def find_handler(self, request: HTTPServerRequest, **more: Any) -> HTTPMessageDelegate:
+        """Route a request, of any kind, that the guard lets through."""
+        allowed = self._allows(request)
+        found: HTTPMessageDelegate = (
+            super().find_handler(request, **more) if allowed else self.get_handler_delegate(request, Refused)
+        )
+        return found
+
+    def _allows(self, request: HTTPServerRequest) -> bool:
+        """Whether a request has the token, is addressed to this machine, and comes from its own page if any.
+
+        The port is that of the address: the near end of an SSH tunnel has its own.
+        """
+        given = request.path.split("/")[1] if request.path.startswith("/") else ""
+        host = request.headers.get("Host", "")
+        own = re.fullmatch(rf"({'|'.join(map(re.escape, _HOSTS))})(:\d{{1,5}})?", host) is not None
+        origin = request.headers.get("Origin")
+        same = origin is None or origin == f"http://{host}"
+        return hmac.compare_digest(given.encode(), self.token.encode()) and own and same
+
+
+class PageServer(BaseServer):  # type: ignore[misc]
+    """A server of pages."""
+
+    _tornado: GuardedTornado
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with its token."""
+        return f"http://localhost:{self.port}/{self._tornado.token}/"
+
+
 def make_server(
     make_page: Callable[[Document], None], port: int | None, routes: Sequence[Route] = ()
-) -> BaseServer:
-    """A server on the loopback, at the first free port of the default ones if none is given.
-
-    Unlike `bokeh.server.server.Server` it accepts pages from any port of this machine: the near end of an
-    SSH tunnel has its own.
-    """
+) -> PageServer:
+    """A server on the loopback, at the first free port of the default ones if none is given."""
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
         try:
@@ -78,17 +138,11 @@ def make_server(
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise
             continue
-        application = BokehTornado(
-            {"/": Application(FunctionHandler(make_page))},
-            extra_websocket_origins=list(_HOSTS),
-            extra_patterns=list(routes),
-            check_unused_sessions_milliseconds=5000,
-            unused_session_lifetime_milliseconds=60_000,
-        )
         listening.setblocking(False)
+        application = GuardedTornado(make_page, routes)
         http = HTTPServer(application)
         http.add_sockets([listening])
-        return BaseServer(IOLoop.current(), application, http)
+        return PageServer(IOLoop.current(), application, http)
     raise WavefieldError(
         f"port {port} is taken; choose another with --port"
         if port is not None
@@ -96,7 +150,7 @@ def make_server(
     )
 
 
-def session_server(session: LookSession, port: int | None = None) -> BaseServer:
+def session_server(session: LookSession, port: int | None = None) -> PageServer:
     """A server of the page of a cube."""
 
     def make_page(document: Document) -> None:
@@ -110,17 +164,17 @@ def session_server(session: LookSession, port: int | None = None) -> BaseServer:
 class ServedPage:
     """A page and its server in a thread of its own, for notebooks, which show it as a frame."""
 
-    def __init__(self, make: Callable[[], BaseServer]) -> None:
+    def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()
         self._error: BaseException | None = None
-        self._server: BaseServer | None = None
+        self._server: PageServer | None = None
         self._thread = threading.Thread(target=self._run, args=(make,), daemon=True, name="wavefield-look")
         self._thread.start()
         self._ready.wait()
         if self._error is not None:
             raise self._error
 
-    def _run(self, make: Callable[[], BaseServer]) -> None:
+    def _run(self, make: Callable[[], PageServer]) -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
         try:
             self._server = make()
@@ -137,7 +191,7 @@ class ServedPage:
     def url(self) -> str:
         """Address of the page."""
         assert self._server is not None
-        return f"http://localhost:{self._server.port}/"
+        return self._server.url
 
     def stop(self) -> None:
         """Close the page and its server."""

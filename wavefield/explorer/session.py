@@ -26,8 +26,7 @@ class LookSession:
         attrs = dict(record.group.attrs)
         axes = xr.Dataset(coords={name: getattr(record, name) for name in CUBE_DIMS}, attrs=attrs)
         waves_path = Path(waves) if waves is not None else beside(record.path, "waves", ".zarr")
-        experiment = record.path.parent / str(attrs.get("experiment_file", ""))
-        return cls(record, Run(axes, record.path, waves_path, experiment))
+        return cls(record, Run(axes, record.path, waves_path))
 
     def reopen(self) -> None:
         """Forget what belongs to the cube, to read it again when it is next used: it has changed."""

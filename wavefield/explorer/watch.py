@@ -35,10 +35,13 @@ class FolderWatch:
         self.newest: dict[str, int] = {}  # number of the newest frame of each camera
         self.written: dict[str, float] = {}  # when that was written, s since the epoch
         self.trouble: dict[str, str] = {}
+        self._polled = time.monotonic()
+        self._noticed = dict.fromkeys(experiment.cameras, self._polled)  # when the newest frame was
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
         """List the folders."""
+        self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
                 listed = newest_frames(section.images, self.experiment.image_folder, name, _LISTED_FRAMES)
@@ -51,6 +54,11 @@ class FolderWatch:
             if number != self.newest.get(name):
                 self.newest[name] = number
                 self.written[name] = _written(self._frames[name][number])
+                self._noticed[name] = self._polled
+
+    def silent(self) -> dict[str, float]:
+        """For how long no new frame of each camera had come at the last poll, s, by this clock."""
+        return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
         """The newest step after a number of which all cameras that still send have both frames."""

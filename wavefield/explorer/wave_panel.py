@@ -16,6 +16,7 @@ from wavefield.explorer.plot_parts import (
     IMAGE,
     INK,
     VERMILION,
+    chosen,
     colour_bar,
     image_data,
     make_figure,
@@ -157,9 +158,9 @@ class WavePanel:
         self._show_spectrum()
 
     def _show_spectrum(self) -> None:
-        if self._spectra is None or not self.variable.value:
+        if self._spectra is None or not chosen(self.variable):
             return
-        energy = self._spectra[_SPECTRUM + self.variable.value].transpose("omega", "k")
+        energy = self._spectra[_SPECTRUM + chosen(self.variable)].transpose("omega", "k")
         hertz, cycles = energy.omega.values / (2 * np.pi), energy.k.values / (2 * np.pi)
         self.sources["image"].data = image_data(log_density(energy.values), cycles, hertz)
         shortest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
@@ -168,7 +169,7 @@ class WavePanel:
         self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
         self.figures[
             "spectrum"
-        ].title.text = f"log₁₀ of E(k, ω) of {self.variable.value}, relative to its largest"
+        ].title.text = f"log₁₀ of E(k, ω) of {chosen(self.variable)}, relative to its largest"
         self._show_relation()
         self._show_map()
 
@@ -191,7 +192,7 @@ class WavePanel:
     def _show_map(self) -> None:
         spectra = self._spectra
         names = [
-            name for name in (self.variable.value, "w") if spectra is not None and _MAP + name in spectra
+            name for name in (chosen(self.variable), "w") if spectra is not None and _MAP + name in spectra
         ]
         if spectra is None or not names:
             return

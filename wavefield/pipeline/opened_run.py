@@ -11,6 +11,7 @@ import xarray as xr
 
 from wavefield.errors import WavefieldError
 from wavefield.grid import Grid
+from wavefield.pipeline.experiment_of_cube import experiment_path, load_experiment
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.camera_mask import CameraMask
@@ -37,14 +38,19 @@ class Run:
         The cube, lazy.
     store : path
         Its store.
-    waves_path, experiment_path, truth_path : path
-        Where its waves, its experiment file and the exact fields of a simulated experiment are expected.
+    waves_path : path
+        Where its waves are expected.
+    experiment_path : path, optional
+        Its experiment file; by default the file of that name beside the cube, or the one that it was made
+        from, if its images are those of the cube.
+    truth_path : path, optional
+        The exact fields of a simulated experiment; by default beside the experiment file.
     """
 
     cube: xr.Dataset
     store: Path = Path()
     waves_path: Path = Path()
-    experiment_path: Path = Path()
+    experiment_path: Path | None = None
     truth_path: Path | None = None
     _reasons: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
@@ -93,12 +99,17 @@ class Run:
     @cached_property
     def experiment(self) -> Experiment | None:
         """The experiment, if its file is still there and can be read."""
-        folder = self.cube.attrs.get("image_folder")
 
         def load() -> Experiment | None:
-            return Experiment.load(self.experiment_path, folder)
+            return load_experiment(self.store, self.cube.attrs, self.experiment_path)
 
         return self._try("experiment", load, None)
+
+    @property
+    def _experiment_folder(self) -> Path:
+        if self.experiment is not None:
+            return self.experiment.path.parent
+        return (self.experiment_path or experiment_path(self.store, self.cube.attrs)).parent
 
     @cached_property
     def _bare_frames(self) -> dict[str, FrameSeries]:
@@ -188,7 +199,7 @@ class Run:
     @cached_property
     def truth(self) -> xr.Dataset | None:
         """The exact fields of a simulated experiment, lazy."""
-        path = self.truth_path or self.experiment_path.parent / "truth" / "truth.zarr"
+        path = self.truth_path or self._experiment_folder / "truth" / "truth.zarr"
         if not path.is_dir():
             self._reasons["truth"] = "the experiment is not a simulated one, or its truth is not there"
             return None
@@ -230,7 +241,8 @@ def open_run(
     waves : path, optional
         Its waves; by default where `wavefield analyze` writes them, next to the cube.
     experiment : path, optional
-        Its experiment file; by default the one that it was made from.
+        Its experiment file; by default the file of that name beside the cube, or the one that it was made
+        from, if its images are those of the cube.
     truth : path, optional
         Exact fields of a simulated experiment; by default ``truth/truth.zarr`` next to the experiment file.
 
@@ -266,11 +278,10 @@ def open_run(
     """
     store = Path(str(store).removeprefix("file://"))
     cube = open_cube(store)
-    experiment = Path(experiment or str(cube.attrs.get("experiment_file", "")))
     return Run(
         cube,
         store,
         Path(waves) if waves is not None else beside(store, "waves", ".zarr"),
-        store.parent / experiment,
+        store.parent / experiment if experiment is not None else None,
         Path(truth) if truth is not None else None,
     )

@@ -1,7 +1,5 @@
 """Everything that a run needs, read and checked before it starts."""
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,6 +14,7 @@ from wavefield.grid import Grid
 from wavefield.measurement.algorithm import ALGORITHM
 from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
 from wavefield.measurement.first_heights import FirstHeights, first_heights, high_enough
+from wavefield.pipeline.experiment_of_cube import image_names
 from wavefield.pipeline.magnitudes import (
     name_of_rig,
     refuse_far_cameras,
@@ -200,7 +199,7 @@ def make_recipe(
     one = next(iter(series.values()))
     return Recipe(
         experiment=experiment.name,
-        images={name: _images(experiment, name) for name in series},
+        images={name: image_names(experiment, name) for name in series},
         frames=(one.first, one.first + len(one) - 1),
         frame_rate=experiment.frame_rate,
         grid=asdict(grid),
@@ -210,15 +209,6 @@ def make_recipe(
         mask=masks.as_data(experiment.mask, experiment.path.parent),
         algorithm=ALGORITHM,
     )
-
-
-def _images(experiment: Experiment, name: str) -> Any:
-    section = experiment.cameras[name]
-    images: Any = section.images
-    if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
-        digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
-        images = f"list of {len(images)} files, {digest}"
-    return [images, section.offset, section.times]
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:

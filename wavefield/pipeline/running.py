@@ -23,6 +23,7 @@ from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, log
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.chunk import Chunk, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work
+from wavefield.pipeline.experiment_of_cube import labels
 from wavefield.pipeline.fingerprint import check_images, fingerprints
 from wavefield.pipeline.learning import learn_record
 from wavefield.pipeline.magnitudes import refuse_small_fields
@@ -208,7 +209,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         check_images(str(path), json.loads(group.attrs.get("fingerprints", "{}")), prepared.series)
         remove_leftovers(path)
         prepared = prepared.with_prior(json.loads(str(group.attrs["recipe"]))["record"])
-        for change in relabel(path, prepared.recipe, _labels(prepared.experiment)):
+        for change in relabel(path, prepared.recipe, labels(prepared.experiment, path)):
             log.info("labelled anew, nothing is measured again: %s", change)
         return prepared, read_layout(open_group(path))
     log.info("learning beads, spectra and noise from sample frames")
@@ -222,7 +223,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
     attributes = {
         "pixel_size": pixel_size(prepared.rig, grid),
         "fingerprints": json.dumps(fingerprints(prepared.series)),
-        **_labels(prepared.experiment),
+        **labels(prepared.experiment, path),
     }
     remove_leftovers(path)
     from wavefield.measurement.bead_tilt import level_std
@@ -233,16 +234,6 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, once)
     create_preview(path, open_group(path))
     return prepared, layout
-
-
-def _labels(experiment: Experiment) -> dict[str, Any]:
-    """Attributes of a cube that describe its experiment and that no value depends on."""
-    out: dict[str, Any] = {"experiment_file": str(experiment.path)}
-    if experiment.description:
-        out["description"] = experiment.description
-    if experiment.folder:
-        out["image_folder"] = str(experiment.image_folder)
-    return out | experiment.water.attributes()
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
