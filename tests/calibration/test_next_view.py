@@ -1,4 +1,4 @@
-"""What to photograph next is what then tells most."""
+"""The view to photograph next is the one that adds most."""
 
 import re
 

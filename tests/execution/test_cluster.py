@@ -127,7 +127,7 @@ def test_ctrl_c_on_a_terminal_stops_cleanly(tank, reference, tmp_path):
     workers = workers_of(process)
     process.send_signal(signal.SIGINT)
     for worker in workers:
-        with suppress(psutil.NoSuchProcess):  # the run, which was told first, may have ended it
+        with suppress(psutil.NoSuchProcess):  # the run, which was stopped first, may have ended it
             worker.send_signal(signal.SIGINT)
     code, text = finish(process)
     assert code != 0
@@ -390,7 +390,7 @@ def test_workers_keep_freed_memory_for_the_next_step():
 
 
 def configuration_of(item):
-    """What a worker was told."""
+    """The configuration that a worker received."""
     import dask
 
     return dask.config.get(item)
@@ -401,8 +401,8 @@ def test_workers_are_not_watched_every_few_milliseconds():
     names = ["distributed.worker.profile.enabled", "distributed.admin.tick.interval", "array.slicing"]
     workflow = Workflow(cluster="local", workers=1, dashboard=":0", dask={"array": {"slicing": "mine"}})
     with open_cluster(workflow) as map_unordered:
-        told = dict(map_unordered(configuration_of, names))
-    assert told == dict(zip(names, [False, "1s", "mine"]))
+        received = dict(map_unordered(configuration_of, names))
+    assert received == dict(zip(names, [False, "1s", "mine"]))
 
 
 def test_a_performance_report_has_a_profile():

@@ -1,4 +1,4 @@
-"""What Dask is told: who may talk, what it holds, whose versions; and what is said when it goes wrong."""
+"""Dask's configuration: access, memory, versions; and messages when it fails."""
 
 import logging
 import os

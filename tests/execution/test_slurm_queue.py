@@ -1,4 +1,4 @@
-"""What is said of Slurm jobs, with a Slurm that answers as it is told."""
+"""Messages about Slurm jobs, with a Slurm that returns given answers."""
 
 import logging
 import os

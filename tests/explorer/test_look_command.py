@@ -10,7 +10,7 @@ from wavefield.commands.look import LAST, look
 
 @pytest.fixture
 def given_way(monkeypatch):
-    """Runs the command up to its server; tells by how much it has stepped back."""
+    """Runs the command up to its server; returns by how much it has stepped back."""
     taken = []
 
     def nice(by):

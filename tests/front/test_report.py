@@ -152,8 +152,8 @@ def test_every_variable_is_in_the_player_derived_ones_too(cube, page_text):
 
     packed = pack(cube)
     rows = {row["name"]: row for row in json.loads(packed["field-description"])["fields"]}
-    wanted = [n for n in cube.data_vars if cube[n].dims == ("time", "y", "x")]
-    assert {*wanted, "vorticity", "divergence", "residual"} <= set(rows)
+    stored = [n for n in cube.data_vars if cube[n].dims == ("time", "y", "x")]
+    assert {*stored, "vorticity", "divergence", "residual"} <= set(rows)
     options = {a["value"] for a in Page(page_text).all("option")}
     assert options == set(rows)
     vorticity = kinematics(cube).vorticity.values

@@ -282,10 +282,10 @@ def test_a_field_goes_on_into_a_hole_better_where_neighbours_that_err_alike_are_
         shared = sea(shape, lambda k: np.exp(-0.5 * (2.5 * k) ** 2), rng)[0]
         said = modes.seen(modes.waves(field[None].astype(np.float32)))[0] + 0.1 * shared / shared.std()
         for factor, found in error.items():
-            told = (a / noise_factor_near_holes(a, factor))[None]
+            information = (a / noise_factor_near_holes(a, factor))[None]
             start = np.zeros((1, *modes.shape), np.float32)
-            right = told * said[None].astype(np.float32)
-            waves = modes.solve(told, right, start, 1e-4, start, modes.factor(told[0]))
+            right = information * said[None].astype(np.float32)
+            waves = modes.solve(information, right, start, 1e-4, start, modes.factor(information[0]))
             found.append(np.mean((modes.field(waves)[0] - field)[22:38, 32:48] ** 2))
     assert np.mean(error[3.0]) < 0.95 * np.mean(error[1.0])
 

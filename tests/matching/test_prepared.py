@@ -77,8 +77,8 @@ def test_a_pixel_that_is_not_finite_is_left_out_and_spoils_nothing(with_mask, va
     image[row, 100] = value
     found = prepare(image, settings, mask)
     good[row, 100] = False
-    wanted = prepare(np.nan_to_num(image, posinf=0, neginf=0), settings, good)
-    for one, other in zip(found.levels, wanted.levels, strict=True):
+    expected = prepare(np.nan_to_num(image, posinf=0, neginf=0), settings, good)
+    for one, other in zip(found.levels, expected.levels, strict=True):
         np.testing.assert_array_equal(one.padded, other.padded)
         np.testing.assert_array_equal(one.good, other.good)
     if with_mask:

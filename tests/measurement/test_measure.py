@@ -123,7 +123,7 @@ def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, geometry, m
     # a parabola is off by z_ttt dt^3 / 16, which its uncertainty must know
     error = np.abs(out["z"][0] - series.truth[0]["z"])[series.inside & seen]
     assert 0.2 * PIXEL > rms(error) > rms((cube["z"][0] - series.truth[0]["z"])[series.inside])
-    # most of it: waves longer than this field are not told apart from its mean
+    # most of it: waves longer than this field cannot be separated from its mean
     assert (error < 3 * out["z_std"][0][series.inside & seen]).mean() > 0.85
 
 

@@ -138,7 +138,7 @@ def sea(rate, t, waves):
 
 @pytest.mark.parametrize("rate", [10.0, 20.0])
 def test_what_frames_cannot_follow_is_foreseen(rate):
-    """Short waves are small, but they turn most in a step: the rms of all tells nothing of what is lost."""
+    """Short waves are small, but they turn most in a step: the rms of all shows nothing of what is lost."""
     rng = np.random.default_rng(3)
     waves = [(length, 0.02 * length, *rng.uniform(0, 6, 2)) for length in (0.7, 0.4, 0.2, 0.13, 0.1)]
     found = temporal_truncation(

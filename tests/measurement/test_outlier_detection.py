@@ -62,7 +62,7 @@ def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model)
     for name in ("z", "u", "v", "w"):
         error = np.abs(out[name][0] - truth[name])
         assert (error > 5 * out[f"{name}_std"][0])[series.inside & measured].mean() < 0.01
-    # where it tells the truth the result is that of all cameras
+    # where it is right the result is that of all cameras
     same = measure(series.block(1), geometry, RATE, model)
     for name, close in (("z", 1e-4), ("u", 1e-3), ("w", 1e-3)):
         np.testing.assert_allclose(out[name][0][sound], same[name][0][sound], atol=close)

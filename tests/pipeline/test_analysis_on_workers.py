@@ -88,7 +88,7 @@ def test_the_command_analyses_where_its_workflow_says(reference, tmp_path):
     result = CliRunner().invoke(cli, words)
     assert result.exit_code == 0, result.output
     assert "/spectra" in xr.open_datatree(out, engine="zarr").groups
-    assert (tmp_path / "waves.log").exists(), "what was done on workers is told in a log"
+    assert (tmp_path / "waves.log").exists(), "what was done on workers is in a log"
 
 
 def test_a_field_that_lacks_more_than_the_elevation_is_found_on_workers_too(tmp_path):

@@ -1,4 +1,4 @@
-"""What a run wants to read, and what its disk gives."""
+"""How fast a run needs to read, and how fast its disk is."""
 
 import os
 

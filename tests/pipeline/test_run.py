@@ -108,12 +108,12 @@ def test_packing_marks_what_does_not_fit():
 
 
 def test_default_place_progress_and_log(own_tank):
-    told = []
-    state = run(own_tank, workflow=chunks_of(8), progress=lambda *args: told.append(args))
+    reported = []
+    state = run(own_tank, workflow=chunks_of(8), progress=lambda *args: reported.append(args))
     assert state.store == own_tank.parent / "cube.zarr"
     assert state.complete
-    assert [done for done, _, _ in told][-1] == STEPS
-    assert any("left" in sentence for _, _, sentence in told)
+    assert [done for done, _, _ in reported][-1] == STEPS
+    assert any("left" in sentence for _, _, sentence in reported)
     log = (own_tank.parent / "cube.log").read_text()
     assert f"{STEPS} of {STEPS} steps" in log
     assert state.recipe_hash in log
@@ -284,8 +284,8 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
     # the two steps on either side of these have a bad frame beside them
     for steps in (slice(0, 2), slice(14, 16)):
         assert far_apart(cube, good, steps) == []
-    told = {(b.camera, b.fault): b.numbers for b in state.bad_frames}
-    assert told == {("cam2", fault): (number,) for fault, number in zip(faults, numbers)}
+    reported = {(b.camera, b.fault): b.numbers for b in state.bad_frames}
+    assert reported == {("cam2", fault): (number,) for fault, number in zip(faults, numbers)}
     assert "cam2: " in str(state)
     assert "frame 5" in str(state)
     assert "frame 11" in str(state)

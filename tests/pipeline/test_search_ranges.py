@@ -1,4 +1,4 @@
-"""How far the water goes is found before a run, stated, and told where it went further than was searched."""
+"""How far the water goes is found before a run, stated, and reported where it went further than was searched."""
 
 from dataclasses import replace
 

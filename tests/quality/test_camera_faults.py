@@ -35,8 +35,8 @@ GRID = Grid((-0.28, 0.28), (-0.2, 0.2), 0.01)
 
 
 def found(read, rig=None, frames=FRAMES):
-    witness = PatchMatcher(read, rig or SOUND.tank.rig, GRID)
-    return find_camera_faults(witness, COUNT, frames)
+    matcher = PatchMatcher(read, rig or SOUND.tank.rig, GRID)
+    return find_camera_faults(matcher, COUNT, frames)
 
 
 SOUND = Shots(11)
@@ -123,7 +123,13 @@ def test_what_was_not_looked_at_is_not_judged():
 
 def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
     grave = Remark(
-        "cam1", "mirrored", "grave", "it agrees when mirrored", "as calibrated", "mend it", {"agreement": 0.8}
+        "cam1",
+        "mirrored",
+        "grave",
+        "it agrees when mirrored",
+        "as calibrated",
+        "correct it",
+        {"agreement": 0.8},
     )
     light = Remark("record", "gaps", "remark", "3 frames are missing")
     verdict = Verdict.of([light, grave])
@@ -135,7 +141,7 @@ def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
     verdict.save(tmp_path / "cube.zarr")
     assert read_verdict(tmp_path / "cube.zarr") == verdict
     assert read_verdict(tmp_path / "other.zarr") is None
-    assert str(grave) == "cam1: it agrees when mirrored (expected: as calibrated); mend it"
+    assert str(grave) == "cam1: it agrees when mirrored (expected: as calibrated); correct it"
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_cameras_that_tremble_along_their_line_are_said():
 
     assert said(0.006) == []
     (one,) = said(0.15)
-    assert (one.kind, one.weight) == ("trembling", "remark")
+    assert (one.kind, one.weight) == ("jitter", "remark")
     assert "0.150 px" in one.sentence
     assert list(camera_jitter(None)) == []
 
@@ -109,9 +109,9 @@ def test_a_delay_is_seen_in_images_by_check_without_bias():
     tank = Tank(Scene.load("demo").with_(rig={"crop": 0.35}, faults={"cam2": {"delay": 2e-3}}))
     drawn = [tank.render(k) for k in range(8)]
     grid = Grid((-0.2, 0.2), (-0.15, 0.15), 0.01)
-    witness = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
+    matcher = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
     found, _ = delays(
-        GridGeometry(tank.rig, grid, Settings()), None, witness, (2, 3, 4, 5), tank.scene.frame_rate
+        GridGeometry(tank.rig, grid, Settings()), None, matcher, (2, 3, 4, 5), tank.scene.frame_rate
     )
     late = found["cam2"]
     assert late.seconds == pytest.approx(2e-3, abs=3 * late.std)

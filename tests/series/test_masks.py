@@ -36,9 +36,9 @@ def opened(lab, mask, rig=None):
 def test_a_polygon_covers_its_inside_and_nothing_of_other_cameras(lab):
     series = opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25], [10, 25]]}}")
     covered = series["cam1"].covered(2)
-    wanted = np.zeros(SIZE, bool)
-    wanted[5:26, 10:31] = True
-    np.testing.assert_array_equal(covered, wanted)
+    expected = np.zeros(SIZE, bool)
+    expected[5:26, 10:31] = True
+    np.testing.assert_array_equal(covered, expected)
     assert series["cam2"].covered(2) is None
 
 

@@ -319,8 +319,8 @@ def test_a_bad_cell_costs_neither_its_probe_nor_the_others(sea, probes, tmp_path
     span = (float(sea.time[0]), float(sea.time[-1]))
     whole = wv.probe_spectra(read, omega, span)
     read.elevation[0, 400:402] = np.nan
-    mended = wv.probe_spectra(read, omega, span)
-    assert float(abs(mended.Ez_probe - whole.Ez_probe).sum() / whole.Ez_probe.sum()) < 0.01
+    corrected = wv.probe_spectra(read, omega, span)
+    assert float(abs(corrected.Ez_probe - whole.Ez_probe).sum() / whole.Ez_probe.sum()) < 0.01
     read.elevation[0, 400:420] = np.nan
     with pytest.warns(UserWarning, match=r"is left out: 20 of its \d+ values"):
         left = wv.probe_spectra(read, omega, span)

@@ -188,11 +188,11 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
     both = {f"gain_{name}": (("direction", "k"), np.tile(1 / (1 + (k / half) ** 5), (8, 1))) for name in "zw"}
     stored = xr.Dataset(both, {"k": k})
     cube = linear_cube(random_waves(n=60), 200, 24, 28, dx=0.02, noise_z=1e-4, noise_dz=1e-4)
-    plain, mended = wv.analyze(cube, segment=64), wv.analyze(cube.merge(stored), segment=64)
+    plain, corrected = wv.analyze(cube, segment=64), wv.analyze(cube.merge(stored), segment=64)
     left = wv.analyze(cube.merge(stored), gain=False, segment=64)
     assert plain.attrs["windows_undone"] == left.attrs["windows_undone"] == "no"
-    assert "record" in mended.attrs["windows_undone"]
-    one, other = (tree["spectra"].to_dataset() for tree in (plain, mended))
+    assert "record" in corrected.attrs["windows_undone"]
+    one, other = (tree["spectra"].to_dataset() for tree in (plain, corrected))
     xr.testing.assert_equal(one, left["spectra"].to_dataset())
     k = one.k.values
     for name in ("z", "z_t", "w"):

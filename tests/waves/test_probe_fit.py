@@ -18,13 +18,13 @@ def z():
     return linear_cube(random_waves(n=40), 240, 30, 40, dx=0.02).z
 
 
-def probe(z, place=PLACE, *, factor=1.0, clock=0.0, noise=1e-4, told=PLACE):
+def probe(z, place=PLACE, *, factor=1.0, clock=0.0, noise=1e-4, stated=PLACE):
     """A gauge at 100 Hz at a place of the field."""
     here = z.sel(x=place[0], y=place[1], method="nearest")
     time = np.arange(float(z.time[0]), float(z.time[-1]), 0.01)
     shown = factor * np.interp(time, z.time, here)
     shown += noise * (abs(factor) or 1.0) * np.random.default_rng(1).standard_normal(time.size)
-    places = {"probe_x": ("probe", [told[0]]), "probe_y": ("probe", [told[1]])}
+    places = {"probe_x": ("probe", [stated[0]]), "probe_y": ("probe", [stated[1]])}
     return xr.Dataset(
         {"elevation": (("probe", "time"), shown[None])},
         {"time": time + clock, "probe": ["p1"], **places},
@@ -69,7 +69,7 @@ def test_what_does_not_fit_is_named(z, how, kinds):
 def test_noise_is_unlike_and_what_lies_outside_is_not_judged(z):
     kinds, _ = problems(z, probe(z, factor=0.0, noise=0.01))
     assert kinds == ["unlike"]
-    assert fit_probes(z, probe(z, told=(9.0, 9.0))) == []
+    assert fit_probes(z, probe(z, stated=(9.0, 9.0))) == []
     assert fit_probes(z.isel(time=slice(0, 20)), probe(z)) == []
 
 

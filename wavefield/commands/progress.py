@@ -34,10 +34,10 @@ class Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
-        """Tell how far the work is."""
+        """Print how far the work is."""
         now = time.monotonic()
         self.done, self.total = int(done), int(total)
-        if self.first is None:  # what a resumed run found done says nothing about its speed
+        if self.first is None:  # steps that a resumed run found done have no part in its speed
             self.first = (now, self.done)
         quarter = 4 * self.done // self.total if self.total else 0
         due = 0.2 if self.terminal else 60.0

@@ -141,7 +141,9 @@ class WavePanel:
             return
         session = self._session
         try:
-            if session.run.waves is None and session.run.waves_path.is_dir():  # since they were sought
+            if (
+                session.run.waves is None and session.run.waves_path.is_dir()
+            ):  # written since the page was opened
                 session.reopen()
             self._spectra = session.run.wave_group("spectra")
         except StoreError as error:

@@ -161,12 +161,12 @@ def _prepared(
         raise ValueError("give the mask when preparing the image")
     if image.normalization != settings.normalization:
         raise ValueError(
-            f"the image was prepared with normalization {image.normalization} px but the settings ask for "
+            f"the image was prepared with normalization {image.normalization} px but the settings need "
             f"{settings.normalization}: prepare it with the settings of the match"
         )
     if len(image.levels) < level_count(image.shape, settings.levels):
         raise ValueError(
-            f"the image was prepared with {len(image.levels)} levels but the settings ask for "
+            f"the image was prepared with {len(image.levels)} levels but the settings need "
             f"{settings.levels}: prepare it with the settings of the match"
         )
     return image

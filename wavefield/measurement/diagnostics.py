@@ -250,7 +250,7 @@ def diagnose(
 def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
-    """The images of both frames, with what is learned of them where the geometry does not know the record."""
+    """The images of both frames, with a model learned from them where none is given."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:

@@ -51,7 +51,7 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
     """An image with its short waves raised, so that beads do not reach into each other.
 
     Two cameras see a bead differently bright, and where it reaches into its neighbour it pulls at the match.
-    That error has the spectrum of the beads themselves: weighed by it, short waves tell as much as long ones.
+    That error has the spectrum of the beads themselves: weighed by it, short waves count as much as long ones.
 
     With image (row, column); returns (row, column).
 
@@ -109,7 +109,7 @@ def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) ->
 
 
 def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
-    """Brightness at 1, 50 and 99 % of a sample of the image; all alike if there is too little to say."""
+    """Brightness at 1, 50 and 99 % of a sample of the image; all equal if the image is too small."""
     sample = image[3::8, 3::8].ravel()
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]

@@ -1,4 +1,4 @@
-"""Matching pairs of cameras: what each says about the surface at one instant."""
+"""Matching pairs of cameras: the surface that each measures at one instant."""
 
 from __future__ import annotations
 

@@ -232,7 +232,7 @@ def camera_jitter(record: "LearnedRecord | None") -> Iterator[Remark]:
     if along > CAMERA_LIMITS.jitter:
         yield Remark(
             "cameras",
-            "trembling",
+            "jitter",
             "remark" if along > CAMERA_LIMITS.motion else "note",
             f"their pictures move by {along:.3f} px from frame to frame along the line on which they are "
             f"placed; "

@@ -31,7 +31,7 @@ def remark_on_probes(experiment: Experiment, store: Path) -> Iterator[Remark]:
     z = _elevation(store)
     dt = float(z["time"][1] - z["time"][0]) if z.sizes["time"] > 1 else 1.0
     for fit in fit_probes(z, probes):
-        values = {"likeness": fit.peak_correlation, "best": fit.best, "lag": fit.lag, "gain": fit.gain}
+        values = {"correlation": fit.peak_correlation, "best": fit.best, "lag": fit.lag, "gain": fit.gain}
         for kind, sentence, remedy in fit.problems(dt):
             yield Remark(
                 f"probe {fit.name}", kind, "remark", sentence, "as the elevation there", remedy, values

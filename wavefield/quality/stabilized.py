@@ -2,7 +2,7 @@
 
 Of every frame the low-order part of eps_y between the reference camera and each other one (constant, and
 linear along x and y) is measured and taken off by an affine map of the raw image, across the sight lines.
-What moves along them cannot be told from the water. A frame's correction follows from that frame's images
+Motion along them cannot be separated from the water's. A frame's correction follows from that frame's images
 alone, so that neither blocks nor workers matter; it is kept in the cube as ``camera_shift``.
 """
 

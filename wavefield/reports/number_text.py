@@ -30,7 +30,7 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
 
 
 def without_folders(value: Any, folder: str = "") -> Any:
-    """Names of files without the folders of the machine they lie on: a page is for others to read.
+    """Names of files without the folders of the machine that holds them: a page is for others to read.
 
     Examples
     --------

@@ -104,7 +104,7 @@ def _one(array: Any, row: Variable) -> Any:
 
 
 def _lazy(array: Any) -> Any:
-    # what lies on disk stays there until its pieces are wanted
+    # arrays on disk stay there until their chunks are read
     return array if array.chunks is not None or array._in_memory else array.chunk({array.dims[0]: _PIECE})
 
 

@@ -3,7 +3,7 @@
 import re
 
 _TOKEN = re.compile(r"^([A-Za-z_]+|%)(?:\^|\*\*)?(-?\d+)?$")
-# what stands for what: factor and base unit
+# spellings of units: factor and base unit
 _KNOWN = {
     "m": (1.0, "m"),
     "metre": (1.0, "m"),

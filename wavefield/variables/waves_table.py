@@ -25,7 +25,7 @@ def _rows(text: str) -> list[Variable]:
 
 register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encoding="utf-8")))
 
-# groups of the wave store, in order, with what the documentation says of each as a whole
+# groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
     "spectra": "z is at frame times; nl is u . grad z. `E_komega_*` is the integral over the angle of k; the"
     " azimuthal mean is E / (2 pi k coverage). `Ez_*` is the spectrum of the elevation by each method,"
@@ -33,13 +33,13 @@ GROUPS = {
     "coherence": "Of z_t with w, with -u . grad z and with their sum.",
     "kinematics": "The balance z_t = w - u . grad z at sampled steps.",
     "statistics": "Distributions and moments; displacements dx, dy, dz are those over one time step.",
-    "dispersion": "The theory alone where no ridge could be followed.",
+    "dispersion": "The theory alone where the dispersion relation could not be fitted.",
     "fusion": "Noise of stereo and of the integrated w, and their best combination.",
     "direction": "On the ridge. `isotropy` has its own omega.",
     "directional": "E(f, theta) of the elevation as wavespectra takes it:"
     " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Like `shear` it is missing where"
-    " no ridge could be followed.",
-    "bound": "Free waves, and waves bound to others, which lie beside the ridge. Missing without a ridge.",
+    " the dispersion relation could not be fitted.",
+    "bound": "Free waves, and waves bound to others, which are off the dispersion relation. Missing where no energy is on it.",
     "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without a ridge, or"
     " with fewer than 8 segments of 64 steps.",
     "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",

@@ -27,8 +27,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
         )
     if used < record.steps:
         out.append(
-            f"{record.steps - used} of {record.steps} steps are missing or lie in pieces too short for a"
-            " segment."
+            f"{record.steps - used} of {record.steps} steps are missing or in pieces too short for a segment."
         )
     if record.bridged:
         out.append(
@@ -78,7 +77,7 @@ def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:
         count = welch.count
         reason = f"the record holds {count} segment{'s' if count > 1 else ''}; four are needed"
     elif not np.isfinite(std):
-        reason = "the ridge does not tell it"
+        reason = "the dispersion fit does not determine it"
     elif not std < MAX_TENSION_STD * gamma:
         reason = f"its uncertainty is {1e6 * std:.2g}e-6 of {1e6 * gamma:.2g}e-6 m3/s2"
     else:

@@ -23,7 +23,7 @@ class Rings:
     overlap: np.ndarray
     # (ny * nx, rings): Share of the area of each cell of the full plane (numpy's order) in each ring
     shares: sparse.csr_array
-    start: np.ndarray  # The same for the half plane kx >= 0, as `kernels.ring_powers` wants it
+    start: np.ndarray  # The same for the half plane kx >= 0, as `kernels.ring_powers` takes it
     ring: np.ndarray
     weight: np.ndarray
     # As ``weight``, times the ring's part of the cells correlated with it: for the squared power

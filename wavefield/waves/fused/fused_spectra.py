@@ -399,7 +399,7 @@ def fused_spectra(
     Notes
     -----
     N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
-    noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) stands for
+    noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) replaces
     the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them.
     It assumes independent noises: ``noise_coherence`` measures their correlation. On a current U, w is
     integrated at omega - k . U in every cell.

@@ -48,7 +48,7 @@ def read_probes(
     ----------
     path : path-like
         Table with a header, columns parted by commas, semicolons or tabs: a column of time (``time``,
-        ``t``; s or ms) and one per probe. Units stand in brackets in the header, as in ``p1 [mm]``, or in a
+        ``t``; s or ms) and one per probe. Units are in brackets in the header, as in ``p1 [mm]``, or in a
         line ``# unit mm``; without any they are metres. Lines ``# name x y`` give positions, m.
         With `columns` lines above the header and columns that are not named are passed over, and numbers may
         have decimal commas where columns are parted otherwise.
@@ -61,7 +61,7 @@ def read_probes(
     clock : float
         Added to their times, s.
     places : mapping of str to (float, float), optional
-        Where they stand, m; more than what the file says.
+        Their positions, m, in place of those in the file.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def read_probes(
 
     Notes
     -----
-    An empty cell, or one that says nan, is a missing value of that probe at that time alone.
+    An empty cell, or one with nan, is a missing value of that probe at that time alone.
     """
     path = Path(path)
     try:
@@ -112,7 +112,7 @@ def read_probes(
 
 
 def _chosen(path: Path, body: list[tuple[int, str]], columns: Columns) -> list[tuple[int, str]]:
-    """The table of the wanted columns alone, with a header of our own."""
+    """The table of the named columns alone, with a header of our own."""
     requested = [columns.time, *columns.probes.values()]
     separator = max(";\t,", key=lambda mark: sum(line.count(mark) > 0 for _, line in body))
     cells = [(k, [cell.strip().strip('"') for cell in line.split(separator)]) for k, line in body]
@@ -144,7 +144,7 @@ def _chosen(path: Path, body: list[tuple[int, str]], columns: Columns) -> list[t
     rows = [(body[max(first - 1, 0)][0], header)]
     for k, row in cells[first:]:
         if len(row) <= max(at):
-            raise ExperimentError(f"{path}, line {k}: {len(row)} columns, but column {max(at) + 1} is wanted")
+            raise ExperimentError(f"{path}, line {k}: {len(row)} columns, but column {max(at) + 1} is named")
         values = [row[i].replace(",", ".") if separator != "," else row[i] for i in at]
         rows.append((k, ",".join(values)))
     return rows
@@ -186,7 +186,7 @@ _TIMES = ("time", "t", "zeit", "temps", "tiempo")
 class _Column(NamedTuple):
     name: str
     factor: float  # to metres, or seconds
-    stated: bool  # whether the file says its unit
+    stated: bool  # whether the file states its unit
 
 
 def _unit_of(lines: list[str], path: Path) -> str:

@@ -80,7 +80,7 @@ def cross_spectra(
         Of z (at frame times), z_t, u, v, w, nl ((u - U) . grad z) and rise (z_t + U . grad z), with U the
         mean of u, v over the record.
     pairs : sequence of (str, str)
-        Pairs of these whose cross spectrum is wanted.
+        Pairs of these whose cross spectrum is computed.
     segment : int, optional
         Steps of a Welch segment; chosen from the record if not given.
     record : Record, optional
