@@ -1,4 +1,4 @@
-"""How far the water goes is found before a run, stated, and reported where it went further than was searched."""
+"""How far the water goes is found before a run and stated; where it went further, the run reports it."""
 
 from dataclasses import replace
 

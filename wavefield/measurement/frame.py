@@ -51,7 +51,7 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
     """An image with its short waves raised, so that beads do not reach into each other.
 
     Two cameras see a bead differently bright, and where it reaches into its neighbour it pulls at the match.
-    That error has the spectrum of the beads themselves: weighed by it, short waves count as much as long ones.
+    That error has the spectrum of the beads themselves: weighed by it, short waves count as long ones do.
 
     With image (row, column); returns (row, column).
 

@@ -39,8 +39,9 @@ GROUPS = {
     "directional": "E(f, theta) of the elevation as wavespectra takes it:"
     " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Like `shear` it is missing where"
     " the dispersion relation could not be fitted.",
-    "bound": "Free waves, and waves bound to others, which are off the dispersion relation. Missing where no energy is on it.",
-    "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without a ridge, or"
+    "bound": "Free waves, and waves bound to others, which are off the dispersion relation. Missing where no"
+    " energy is on it.",
+    "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without free waves, or"
     " with fewer than 8 segments of 64 steps.",
     "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",
     "higher_order": "Missing where the record holds fewer than four segments.",

@@ -51,7 +51,7 @@ class ProbeFit:
             yield (
                 "clock",
                 f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
-                f"add {-self.lag:.3f} to its times (`clock` in `probes:`), or correct `offset` of the cameras",
+                f"add {-self.lag:.3f} to its times (`clock` in `probes:`), or correct the cameras' `offset`",
             )
         for factor, unit in _UNITS.items():
             if 0.7 < self.gain / factor < 1.4:
