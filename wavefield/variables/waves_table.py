@@ -41,7 +41,7 @@ GROUPS = {
     " the dispersion relation could not be fitted.",
     "bound": "Free waves, and waves bound to others, which are off the dispersion relation. Missing where no"
     " energy is on it.",
-    "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without free waves, or"
+    "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without waves, or"
     " with fewer than 8 segments of 64 steps.",
     "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",
     "higher_order": "Missing where the record holds fewer than four segments.",
