@@ -1,13 +1,14 @@
 """Other records of the same sea: waves added to it or missing, other frame rates, other seeding.
 
-    python -m benchmarks.records [--only waves shortest rate seeding current] [--seeds N ...]
+    python -m benchmarks.records [--only waves shortest rate seeding current jitter] [--seeds N ...]
 
 Waves: of 20, 12 and 8 cm, slope 0.03 each, are added to the random sea: their gain in z and w,
 in good and in poor light. Shortest: four scenes without waves below 8 cm, where they have them down to 5 cm:
 half of the squared error of velocities is that of waves of 5 to 7 cm. Rate: half and twice as many frames per
 second. Seeding: a third and three times the beads. Current: of 0.72 m/s, 20 px a frame,
-which sweeps short waves past a node, and still water: the random sea and one that is lower (JONSWAP). Half
-size (see `benchmarks.scenes`), calibrated cameras.
+which sweeps short waves past a node, and still water: the random sea and one that is lower (JONSWAP).
+Jitter: frames whose times depart from even ones by 1 ms rms, the same in all cameras, with time stamps and
+without; exact cameras. Half size (see `benchmarks.scenes`), calibrated cameras.
 """
 
 import argparse
@@ -139,12 +140,29 @@ def current(options: argparse.Namespace) -> None:
     compare(kinds, options)
 
 
+def jitter(options: argparse.Namespace) -> None:
+    """Uneven frame times. Asked: with stamps as at even times."""
+    scores = {kind: Score() for kind in ("even times", "1 ms of jitter, stamps", "1 ms of jitter, no stamps")}
+    for seed in options.seeds:
+        for kind, score in scores.items():
+            described = scene("random", seed, timing={"jitter": 0.0 if kind == "even times" else 1e-3})
+            case = draw(described, described.build_rig())
+            frames = np.arange(described.frames)
+            late = np.array([described.frame_time(k) - described.time(k) for k in frames]) * case.frame_rate
+            stamps = late if kind == "1 ms of jitter, stamps" else None
+            score.add(case, reconstruct(case, Settings(), stamps))
+    for kind, score in scores.items():
+        print(f"{kind}: beyond 5 std {score.wrong():.2f} %")
+        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+
+
 PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
     "waves": waves,
     "shortest": shortest,
     "rate": rate,
     "seeding": seeding,
     "current": current,
+    "jitter": jitter,
 }
 
 

@@ -122,9 +122,15 @@ def _calibrate(full: bool) -> Rig:
     return result.rig
 
 
-def reconstruct(case: Case, settings: Settings) -> dict[str, NDArray[Any]]:
-    """The cube of a case, every step with two frames, or None, on either side; fields (steps, ny, nx)."""
-    return measure(case.frames, GridGeometry(case.rig, case.grid, settings), case.frame_rate)
+def reconstruct(
+    case: Case, settings: Settings, departures: NDArray[np.floating] | None = None
+) -> dict[str, NDArray[Any]]:
+    """The cube of a case, every step with two frames, or None, on either side; fields (steps, ny, nx).
+
+    With the departures of the frames from even times, intervals, where they are stated.
+    """
+    geometry = GridGeometry(case.rig, case.grid, settings)
+    return measure(case.frames, geometry, case.frame_rate, departures=departures)
 
 
 def inside(case: Case, z: NDArray[Any], margin: float = MARGIN) -> NDArray[np.bool_]:

@@ -14,7 +14,8 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.paths import five, read_path
 from wavefield.measurement.sight import Sight
-from wavefield.measurement.time_weights import noise_weights
+from wavefield.measurement.time_weights import noise_of_displacements, noise_weights
+from wavefield.measurement.uneven_paths import displacement_weights, read_uneven_path
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -84,8 +85,12 @@ def displacements_at_nodes(
     z: Float,
     geometry: GridGeometry,
     record: LearnedRecord,
+    times: Float | None = None,
 ) -> CameraDisplacements:
-    """Displacements of the named cameras at the nodes on the surface z (ny, nx), metres."""
+    """Displacements of the named cameras at the nodes on the surface z (ny, nx), metres.
+
+    With the times of six frames, intervals from mid-time, where they are uneven.
+    """
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
     moved, chord, bend, noise, missing = np.empty((5, 2 * count, *shape), np.float64)
@@ -102,7 +107,7 @@ def displacements_at_nodes(
         path = [None if f is None else f.get(name) for f in steps]
         rows = slice(2 * n, 2 * n + 2)
         jacobian[rows] = at[2:].reshape(2, 3, *shape)
-        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y)
+        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, times)
         moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
         axes[n] = sight.camera.R[2] / (sight.camera.R[2] @ middle + sight.camera.T[2])
         here = path[len(path) // 2]
@@ -117,18 +122,29 @@ def displacements_at_nodes(
 
 
 def _along_path(
-    path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float
+    path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, times: Float | None
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
     """Path of one camera at given pixels (`read_path`), blocks read, variances by noise and by the prior."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
     valid = [None if f is None else f.valid for f in path]
-    d, block = read_path(splines, valid, sight.lattice, X, Y)
+    if times is None:
+        d, block = read_path(splines, valid, sight.lattice, X, Y)
+    else:
+        d, block = read_uneven_path(splines, valid, sight.lattice, X, Y, times)
     each = {
         at: _at_blocks(flow.noise, np.maximum(block[at], 0)) for at, flow in zip(range(5), five(path)) if flow
     }
     places, noise = _places_read(block), each[2]
+    if times is not None:
+        weights = noise_of_displacements(displacement_weights(times, block)[1])
+        return (
+            d,
+            block,
+            sum(weights[at] * one for at, one in each.items()),
+            _at_blocks(here.missing, block[2]),
+        )
     for count in (4, 6):
         if (places == count).any():
             own, *neighbours = noise_weights(count)

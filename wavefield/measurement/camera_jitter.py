@@ -122,12 +122,12 @@ def motion_for_level(level: float, lengths: Float) -> float:
     return level / float(np.sqrt(np.sum(np.square(by_all @ by_pair))))
 
 
-def level_jitter(levels: Sequence[float], phase: float) -> float:
+def level_jitter(levels: Sequence[float], phase: float, times: Float | None = None) -> float:
     """Std of six mean levels of the water that no wave explains, metres.
 
     With levels that have an error of s each, the fifth difference has one of sqrt(252) s; of a wave whose
     phase per frame is p it keeps (2 sin(p/2))^5, a hundredth at p = 0.4: so much of the levels' own amplitude
-    is subtracted.
+    is subtracted. Levels at uneven times, intervals, have divided differences.
 
     Examples
     --------
@@ -137,7 +137,10 @@ def level_jitter(levels: Sequence[float], phase: float) -> float:
     0.63
     """
     waves = 2.0 * float(np.var(levels)) * (2.0 * np.sin(0.5 * min(phase, np.pi))) ** 10
-    return float(np.sqrt(max(float(np.diff(levels, 5)[0]) ** 2 - waves, 0.0) / 252.0))
+    if times is None:
+        return float(np.sqrt(max(float(np.diff(levels, 5)[0]) ** 2 - waves, 0.0) / 252.0))
+    weights = 120.0 / np.prod(np.subtract.outer(times, times) + np.eye(6), axis=1)
+    return float(np.sqrt(max(float(weights @ levels) ** 2 - waves, 0.0) / float(weights @ weights)))
 
 
 def _directions(J: Float, line: Float) -> tuple[Float, Float]:

@@ -33,6 +33,7 @@ def measure(
     frame_rate: float,
     model: Model | None = None,
     masks: Frames | None = None,
+    departures: Float | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Turn a chunk of frames into a chunk of the cube.
 
@@ -50,6 +51,8 @@ def measure(
         record would be weighted slightly differently.
     masks : mapping of str to sequence of n + 5 (ndarray of bool or None), optional
         Per camera, for every frame, True where its pixels do not count.
+    departures : ndarray, (n + 5,), optional
+        By how much later than at even times each frame was taken, intervals; left out, times are even.
 
     Returns
     -------
@@ -98,7 +101,10 @@ def measure(
             step = number - 2 * AROUND - 1
             row = {name: field[step] for name, field in out.items()}
             row["frame_status"] = out["frame_status"][step : step + 1]
-            _fill_step(row, window, moves[: 2 * neighbours + 1], geometry, model, frame_rate)
+            times = None
+            if departures is not None:
+                times = np.arange(6) - 2.5 + departures[step : step + 6]
+            _fill_step(row, window, moves[: 2 * neighbours + 1], geometry, model, frame_rate, times)
             window.pop(0)
             moves.pop(0)
     return out
@@ -124,6 +130,7 @@ def _fill_step(
     geometry: GridGeometry,
     model: Model,
     frame_rate: float,
+    times: Float | None,
 ) -> None:
     """Fill the fields (ny, nx) and the status (1,) of one step; what cannot be measured stays NaN."""
     _, before, first, second, after, _ = window
@@ -133,7 +140,7 @@ def _fill_step(
         return
     if before.surface is None or after.surface is None:
         out["quality"] |= np.uint16(Quality.TWO_FRAME_MEAN)
-    estimate = estimate_step(window, moves, geometry, model, frame_rate)
+    estimate = estimate_step(window, moves, geometry, model, frame_rate, times)
     if estimate is None:
         return
     missing |= estimate.left_out

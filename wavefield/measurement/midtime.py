@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.time_weights import ELEVATION_WEIGHTS
+from wavefield.measurement.time_weights import ELEVATION_WEIGHTS, uneven_weights
 from wavefield.measurement.velocity import Motion
 
 Float = NDArray[Any]
@@ -26,7 +26,9 @@ class MidTime:
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
 
 
-def at_mid_time(surfaces: Surfaces, motion: Motion, x: Float, y: Float) -> MidTime:
+def at_mid_time(
+    surfaces: Surfaces, motion: Motion, x: Float, y: Float, times: Float | None = None
+) -> MidTime:
     """Surface at mid-time at nodes x, y (ny, nx), metres, from six frames.
 
     A current carries short waves past a node faster than frames can follow; in water that moves with it their
@@ -38,7 +40,8 @@ def at_mid_time(surfaces: Surfaces, motion: Motion, x: Float, y: Float) -> MidTi
 
     a polynomial of fifth degree through six frames; without one of the outermost (9 (z_0 + z_1) - z_-1 - z_2)
     / 16, a cubic through four. Where one neighbour is missing it is a parabola, (3 z_0 + 6 z_1 - z_2) / 8;
-    where both are, the mean.
+    where both are, the mean. Where the times t_n of the frames are uneven, given in intervals from mid-time,
+    it is the polynomial of the same degree through the same frames.
 
     The rise follows the water itself. With c its displacement over the step and b the bend of its path, it is
     at x_0 = x - c/2 + b in the first frame and at x_1 = x + c/2 + b in the second, and stays on the surface:
@@ -53,12 +56,18 @@ def at_mid_time(surfaces: Surfaces, motion: Motion, x: Float, y: Float) -> MidTi
     weights = ELEVATION_WEIGHTS[frames_used(surfaces)]
     if surfaces[4] is None:
         weights = weights[::-1]
+    moments = np.arange(6) - 2.5
+    if times is not None:
+        used = np.flatnonzero(weights).tolist()
+        moments, weights = times, uneven_weights(times, used)[0].astype(np.float32)
     measured = np.isfinite(motion.chord).all(axis=0)
     dx, dy = (float(np.median(part[measured])) if measured.any() else 0.0 for part in motion.chord[:2])
+    if times is not None:
+        dx, dy = dx / float(times[3] - times[2]), dy / float(times[3] - times[2])
     z: Float = np.zeros(x.shape, np.float32)
-    for n, (surface, weight) in enumerate(zip(surfaces, weights, strict=True)):
+    for t, surface, weight in zip(moments.tolist(), surfaces, weights, strict=True):
         if surface is not None and weight:
-            z += weight * surface.read(x + (n - 2.5) * dx, y + (n - 2.5) * dy)
+            z += weight * surface.read(x + t * dx, y + t * dy)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
     elsewhere = dx, dy, 0.0, 0.0, 0.0
     cx, cy, bx, by, excess = (np.where(measured, part, mean) for part, mean in zip(parts, elsewhere))

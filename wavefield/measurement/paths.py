@@ -59,7 +59,7 @@ def _dot(a: Weights, b: Weights) -> Real:
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
-def _at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real]:
+def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real]:
     """Both fields at a place, in blocks."""
     i, t = place_of(x, nx)
     j, s = place_of(y, ny)
@@ -149,7 +149,7 @@ def _read_path(
         ax, ay = sx + across * u, sy + across * v
         bx, by = sx - across * u, sy - across * v
         if has_a.size:
-            ua, va = _at(a, nx, ny, ax, ay)
+            ua, va = displacement_at(a, nx, ny, ax, ay)
             na = _nearest(a, nx, ny, ax, ay)[2]
         if has_b.size:
             wb, zb, _ = _nearest(b, nx, ny, bx, by)
@@ -159,7 +159,7 @@ def _read_path(
         ua, va, ub, vb = _extended(after, before, u, v, ua, va, ub, vb)
         # the bend as it is now moves the place of departure a little, and with it all places
         kx, ky = bend * across * (ua - ub) - kx, bend * across * (va - vb) - ky
-        us, vs = _at(c, nx, ny, sx + g[0] * kx + g[1] * ky, sy + g[2] * kx + g[3] * ky)
+        us, vs = displacement_at(c, nx, ny, sx + g[0] * kx + g[1] * ky, sy + g[2] * kx + g[3] * ky)
         out[0, k] = us - (ua - F(2) * u + ub) / F(24)
         out[1, k] = vs - (va - F(2) * v + vb) / F(24)
         out[2, k], out[3, k] = us, vs
@@ -174,7 +174,7 @@ def _read_path(
             bx, by, wb, zb, _ = _solve_near(bb, nx, ny, across, bx, by, wb, zb)
             na, nb = _nearest(aa, nx, ny, ax, ay)[2], _nearest(bb, nx, ny, bx, by)[2]
             if has_aa[na] and has_bb[nb]:
-                wa, za = _at(aa, nx, ny, ax, ay)
+                wa, za = displacement_at(aa, nx, ny, ax, ay)
                 out[0, k] = us + near * (ua - F(2) * u + ub) + far * (wa - F(2) * u + wb)
                 out[1, k] = vs + near * (va - F(2) * v + vb) + far * (za - F(2) * v + zb)
                 block[0, k], block[4, k] = nb, na

@@ -21,6 +21,7 @@ from wavefield.variables import AROUND, Quality
 from wavefield.water import GRAVITY
 
 Surfaces = Sequence[Surface | None]
+Float = NDArray[np.floating]
 
 _MIN_NODES_FOR_MEAN_LEVEL = 50
 _SIX_FRAME_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z at mid-time
@@ -43,19 +44,21 @@ def estimate_step(
     geometry: GridGeometry,
     model: Model,
     frame_rate: float,
+    times: Float | None = None,
 ) -> StepEstimate | None:
     """Surfaces and motion of a step; None if nothing can be measured.
 
     A knock between two frames spoils one displacement, and in part every path that contains it: where cameras
-    contradict each other along paths of six frames, those of four are used.
+    contradict each other along paths of six frames, those of four are used. Times of the six frames,
+    intervals from mid-time, are given where they are uneven.
     """
     surfaces: Surfaces = [instant.surface for instant in window]
-    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate)
+    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate, times)
     if estimate is None:
         return None
     motion = estimate.motion
     if motion.inconsistent and len(moves) > 3:
-        return estimate_step(window, moves[1:-1], geometry, model, frame_rate)
+        return estimate_step(window, moves[1:-1], geometry, model, frame_rate, times)
     if not (motion.left_out or motion.regions):
         return estimate
     left_out: frozenset[str] = frozenset()
@@ -67,7 +70,7 @@ def estimate_step(
         moves = [{name: flow for name, flow in one.items() if name not in left_out} for one in moves]
     else:
         surfaces = [_repaired(instant, motion.regions, geometry, model) for instant in window]
-    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate, motion.regions)
+    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate, times, motion.regions)
     return None if estimate is None else replace(estimate, left_out=left_out)
 
 
@@ -77,28 +80,31 @@ def _estimate(
     geometry: GridGeometry,
     record: LearnedRecord,
     frame_rate: float,
+    times: Float | None,
     regions: Regions | None = None,
 ) -> StepEstimate | None:
     """Motion and surface at mid-time: where water is in an image depends on its height, that on its path."""
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
-    level_std, jitter_px = _level_jitter(surfaces, geometry, frame_rate)
-    motion = motion_of_all_cameras(moves, np.float32(0.5) * (first.z + second.z), geometry, record)
+    level_std, jitter_px = _level_jitter(surfaces, geometry, frame_rate, times)
+    motion = motion_of_all_cameras(moves, np.float32(0.5) * (first.z + second.z), geometry, record, times)
     if motion is None:
         return None
-    height = at_mid_time(surfaces, motion, geometry.x, geometry.y).z
-    motion = velocity(moves, height, geometry, record, regions, jitter_px)
+    height = at_mid_time(surfaces, motion, geometry.x, geometry.y, times).z
+    motion = velocity(moves, height, geometry, record, regions, jitter_px, times)
     if motion is None:
         return None
-    mid_time = at_mid_time(surfaces, motion, geometry.x, geometry.y)
+    mid_time = at_mid_time(surfaces, motion, geometry.x, geometry.y, times)
     mid_time = replace(mid_time, std=np.hypot(mid_time.std, np.float32(_SIX_FRAME_NOISE * level_std)))
     if geometry.settings.sheet_thickness is not None:  # it does not rise
         mid_time = replace(mid_time, rise=np.zeros_like(mid_time.rise))
     return StepEstimate(surfaces, height, motion, mid_time)
 
 
-def _level_jitter(surfaces: Surfaces, geometry: GridGeometry, frame_rate: float) -> tuple[float, float]:
+def _level_jitter(
+    surfaces: Surfaces, geometry: GridGeometry, frame_rate: float, times: Float | None
+) -> tuple[float, float]:
     """Std of the level of z that no wave explains, metres, and of picture motion that explains it, px."""
     present = [one for one in surfaces if one is not None]
     usable = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in present])
@@ -109,7 +115,7 @@ def _level_jitter(surfaces: Surfaces, geometry: GridGeometry, frame_rate: float)
     # waves of half the field's width and more move its mean
     width = min(float(np.ptp(geometry.x)), float(np.ptp(geometry.y)))
     phase = float(np.sqrt(2.0 * np.pi * GRAVITY / (0.5 * max(width, geometry.grid.step)))) / frame_rate
-    level = level_jitter([float(one.z[usable].mean(dtype=np.float64)) for one in present], phase)
+    level = level_jitter([float(one.z[usable].mean(dtype=np.float64)) for one in present], phase, times)
     motion = np.sqrt(2.0) * motion_for_level(level, geometry.parallaxes(geometry.pairs)) / geometry.pixel
     return level, float(motion)
 

@@ -1,5 +1,7 @@
 """Weights by which frames are interpolated to mid-time, and the gain and noise that follow from them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,6 +54,36 @@ def noise_weights(frames: int) -> tuple[float, ...]:
     w = np.array([0.0, *half[:0:-1], *half, 0.0])
     out = w[1:-1] * (w[1:-1] + _NOISE_CORRELATION * (w[:-2] + w[2:]))
     return tuple(float(part) for part in out[len(half) - 1 :])
+
+
+def uneven_weights(times: Float, frames: Sequence[int], smooth: bool = False) -> tuple[Float, Float]:
+    """Weights of six frames in a value at mid-time and in its rate, each (6,), by those of ``frames`` alone.
+
+    Of the polynomial through these frames, with times (6,), intervals from mid-time. With ``smooth`` the rate
+    is exact for the fourth degree only, by the weights next to those of evenly spaced paths, which let less
+    noise pass.
+
+    Examples
+    --------
+    >>> value, rate = uneven_weights(np.array([-2.5, -1.5, -0.5, 0.7, 1.5, 2.5]), (2, 3))
+    >>> value.round(3).tolist(), rate.round(3).tolist()
+    ([0.0, 0.0, 0.583, 0.417, 0.0, 0.0], [0.0, 0.0, -0.833, 0.833, 0.0, 0.0])
+    """
+    used = list(frames)
+    powers = np.vander(times[used], increasing=True).T
+    value, rate = np.zeros((2, 6))
+    wanted = np.eye(len(used))
+    value[used], rate[used] = np.linalg.solve(powers, wanted[0]), np.linalg.solve(powers, wanted[1])
+    if smooth:
+        even = place_weights(6)[1]
+        return value, even + np.linalg.pinv(powers[:5]) @ (wanted[1, :5] - powers[:5] @ even)
+    return value, rate
+
+
+def noise_of_displacements(weights: Float) -> Float:
+    """As `noise_weights`, of any weights (5, ...) of five successive displacements."""
+    padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
+    return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
 
 def place_weights(frames: int) -> tuple[Float, Float]:

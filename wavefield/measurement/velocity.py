@@ -72,6 +72,7 @@ def velocity(
     record: LearnedRecord,
     regions: Regions | None = None,
     jitter_px: float = 0.0,
+    times: Float | None = None,
 ) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
 
@@ -83,12 +84,13 @@ def velocity(
     not shrink when they are averaged: it is shared among the components as a short wave of any direction
     moves the water, half as much along x and along y as up and down (its variance); in a light sheet as the
     fluid's own motion. Motion of the cameras themselves is common to all nodes (`camera_jitter`). Cameras are
-    left out in given regions, or where they are found to contradict the others.
+    left out in given regions, or where they are found to contradict the others. Times of the six frames,
+    intervals from mid-time, are given where they are uneven.
     """
     names = _cameras(steps)
     if len(names) < 2:
         return None
-    displacements = displacements_at_nodes(names, steps, z, geometry, record)
+    displacements = displacements_at_nodes(names, steps, z, geometry, record, times)
     parts = shares(geometry.settings, record)
     motion = solve_motion(displacements, parts, record, jitter_px)
     measured = (displacements.rejected == 0).all(axis=0)
@@ -122,13 +124,17 @@ def velocity(
 
 
 def motion_of_all_cameras(
-    steps: Sequence[Flows | None], z: Float, geometry: GridGeometry, record: LearnedRecord
+    steps: Sequence[Flows | None],
+    z: Float,
+    geometry: GridGeometry,
+    record: LearnedRecord,
+    times: Float | None = None,
 ) -> Motion | None:
     """As `velocity`, by all cameras, whether they contradict each other or not."""
     names = _cameras(steps)
     if len(names) < 2:
         return None
-    displacements = displacements_at_nodes(names, steps, z, geometry, record)
+    displacements = displacements_at_nodes(names, steps, z, geometry, record, times)
     return solve_motion(displacements, shares(geometry.settings, record), record)
 
 

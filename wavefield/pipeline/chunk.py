@@ -49,6 +49,8 @@ class Chunk:
     # Frames start - 3 to stop + 2 of every camera, as far as there are any
     sources: Mapping[str, Source] = field(repr=False)
     first: int  # Index of the frame that is index 0 of the sources
+    # (n + 5,): departures of its frames from even times, intervals; None where there are none
+    departures: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def steps(self) -> int:
@@ -69,12 +71,15 @@ class Measured:
     shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
-def make_chunk(sources: Mapping[str, Source], start: int, stop: int) -> Chunk:
-    """Cut out what a chunk needs."""
+def make_chunk(
+    sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
+) -> Chunk:
+    """Cut out what a chunk needs; departures of all frames from even times."""
+    if departures is not None:
+        departures = np.pad(departures, AROUND)[start : stop + 1 + 2 * AROUND]
     first = max(start - AROUND - 1, 0)
-    return Chunk(
-        start, stop, {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}, first
-    )
+    windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
+    return Chunk(start, stop, windows, first, departures)
 
 
 def read_frame(source: Source, index: int) -> Frame:
@@ -165,7 +170,7 @@ def measure_chunk(
 
         stabilizer = Stabilizer(frames, geometry)
         given = stabilizer.sequences()
-    fields = dict(measure(given, geometry, frame_rate, model, masks))
+    fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, chunk, geometry)
     _find_ranges(frames, fields, status, chunk, geometry)

@@ -98,7 +98,7 @@ class _Clocked:
 
 def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, float]:
     """Measure a chunk; also the seconds that a step takes once its neighbours are there."""
-    chunk = make_chunk(prepared.series, start, stop)
+    chunk = make_chunk(prepared.series, start, stop, prepared.departures)
     clocked = {name: _Clocked(source) for name, source in chunk.sources.items()}
     since = time.perf_counter()
     measured = measure_chunk(

@@ -93,7 +93,8 @@ def reconstruct(
         Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
         ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
         ``mask`` next to an image, (row, column) or (time, row, column), is true where pixels do not count.
-        All have the same times, evenly spaced.
+        All have the same times, evenly spaced; a coordinate ``departure`` (time) of the images, which
+        an experiment with time stamps has, says by how many intervals later each was really taken.
     rig : Rig
         The cameras.
     grid : Grid
@@ -148,6 +149,8 @@ def reconstruct(
 
     masks = _masks(frames)
     sources = {name: ArraySource(name, array.variable, masks.get(name)) for name, array in arrays.items()}
+    first = next(iter(arrays.values()))
+    departures = np.asarray(first["departure"]) if "departure" in first.coords else None
     steps = len(times) - 1
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
@@ -156,7 +159,13 @@ def reconstruct(
     )
     measure = dask.delayed(_measure, pure=False, traverse=True)
     tasks = [
-        measure(make_chunk(sources, *edge), geometry, known, frame_rate, dask_key_name=f"measure-{token}-{k}")
+        measure(
+            make_chunk(sources, *edge, departures),
+            geometry,
+            known,
+            frame_rate,
+            dask_key_name=f"measure-{token}-{k}",
+        )
         for k, edge in enumerate(edges)
     ]
     variables = {

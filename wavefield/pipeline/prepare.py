@@ -1,5 +1,6 @@
 """Everything that a run needs, read and checked before it starts."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Rig
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries, masks
+from wavefield.series.departures import frame_departures
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
@@ -51,6 +53,8 @@ class PreparedRun:
     motion: FirstGuess | None = None
     # Range of elevations and of the rise; None where the settings state ``z_range``
     heights: FirstHeights | None = None
+    # (n,): of the frames from even times, intervals, by the cameras' clocks; None where these are even
+    departures: np.ndarray | None = None
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
         """The same with what sample frames of the record give."""
@@ -133,9 +137,12 @@ def prepare(
     if settings != geometry.settings:
         geometry = GridGeometry(rig, grid, settings, covered)
         series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
+    departures = frame_departures(series, experiment.frame_rate)
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
+    if departures is not None:
+        recipe = replace(recipe, departures=_digest(departures))
     return PreparedRun(
-        experiment, series, rig, grid, geometry, recipe, workflow, motion=motion, heights=heights
+        experiment, series, rig, grid, geometry, recipe, workflow, None, motion, heights, departures
     )
 
 
@@ -209,6 +216,11 @@ def make_recipe(
         mask=masks.as_data(experiment.mask, experiment.path.parent),
         algorithm=ALGORITHM,
     )
+
+
+def _digest(departures: np.ndarray) -> dict[str, str]:
+    """Departures of the frames from even times, as plain data of a recipe."""
+    return {"sha256": hashlib.sha256(departures.astype("<f8").tobytes()).hexdigest()[:16]}
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:

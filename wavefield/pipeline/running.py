@@ -170,7 +170,7 @@ def _go_on(
     prepared, layout = _open_or_create(prepared, path)
     mark_complete(path, None)
     ranges = unfinished(path, layout, prepared.series)
-    todo = [make_chunk(prepared.series, start, stop) for start, stop in ranges]
+    todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
     tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
     tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
     if todo:

@@ -10,6 +10,7 @@ import xarray as xr
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
+from wavefield.series.departures import frame_departures
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
 from wavefield.variables import TABLE
@@ -108,7 +109,9 @@ class ExperimentBackend(BackendEntrypoint):
         drop = _listed(drop_variables)
         coordinates = _coordinates(experiment, next(iter(series.values())))
         groups = {"/": xr.Dataset(coords=coordinates, attrs=_attributes(experiment))}
-        groups |= {f"/{name}": _camera(s) for name, s in series.items()}
+        measuring = {name: series[name] for name in experiment.measuring_cameras}
+        departures = frame_departures(measuring, experiment.frame_rate)
+        groups |= {f"/{name}": _camera(s, departures) for name, s in series.items()}
         return {path: group.drop_vars(drop, errors="ignore") for path, group in groups.items()}
 
     def open_datatree(
@@ -131,7 +134,7 @@ def _named(camera: xr.Dataset, name: str) -> xr.Dataset:
     return camera.rename(image=name, row=f"{name}_row", column=f"{name}_column", present=f"{name}_present")
 
 
-def _camera(series: FrameSeries) -> xr.Dataset:
+def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),
@@ -143,11 +146,13 @@ def _camera(series: FrameSeries) -> xr.Dataset:
     image.encoding["preferred_chunks"] = {"time": frames, "row": series.shape[0], "column": series.shape[1]}
     present = np.ones(len(series), bool)
     present[series.missing - series.first] = False
+    late = TABLE["frames/departure"]
     return xr.Dataset(
         {
             "image": image,
             "present": ("time", present, TABLE["frames/present"].of(series.camera, "1")),
-        }
+        },
+        {} if departures is None else {"departure": (late.dims, departures, late.attrs)},
     )
 
 

@@ -29,6 +29,8 @@ class Recipe:
     packing: str = "float32"  # "float32" or "int16"
     # What does not count as water, as plain data; empty if all does
     mask: Mapping[str, Any] = field(default_factory=dict)
+    # Checksum of the departures of the frames from even times; empty where these are even
+    departures: Mapping[str, str] = field(default_factory=dict)
     algorithm: int = 0  # Version of the measurement, raised when its values change
     # What was learned from sample frames of the whole record: beads, spectra, noise. Not
     # part of the hash: it follows from the rest
@@ -49,8 +51,9 @@ class Recipe:
         """
         data = asdict(self)
         del data["software"], data["record"], data["experiment"]
-        if not data["mask"]:
-            del data["mask"]  # cubes from before there were masks have none
+        for name in ("mask", "departures"):  # cubes from before there were any have none
+            if not data[name]:
+                del data[name]
         first, last = data.pop("frames")
         stamped = any(times for _, _, times in data["images"].values())
         data["images"] = {
@@ -58,7 +61,7 @@ class Recipe:
             for name, (pattern, offset, times) in data["images"].items()
         }
         data["frames"] = last - first + 1
-        if not stamped:
+        if not stamped and not self.departures:
             del data["frame_rate"]
         text = json.dumps(data, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -125,4 +125,12 @@ register(
     Variable("frame", ("time",), "1", "frame number", dtype="int64", group="frames"),
     Variable("image", ("time", "row", "column"), "1", "image", dtype="uint8", group="frames"),
     Variable("present", ("time",), "1", "presence of a file", dtype="bool", group="frames"),
+    Variable(
+        "departure",
+        ("time",),
+        "1",
+        "delay of a frame behind its even time, by the cameras' clocks, over the frame interval",
+        dtype="float64",
+        group="frames",
+    ),
 )

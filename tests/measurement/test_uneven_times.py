@@ -1,0 +1,115 @@
+"""Frames at uneven times: paths, z at mid-time and their noise follow the times of the frames."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_midtime import AT, moving
+from test_paths import LATTICE, MIDDLE, turned
+
+from wavefield.measurement.camera_jitter import level_jitter
+from wavefield.measurement.elevation import Surface
+from wavefield.measurement.midtime import at_mid_time
+from wavefield.measurement.paths import read_path
+from wavefield.measurement.time_weights import (
+    ELEVATION_WEIGHTS,
+    noise_of_displacements,
+    noise_weights,
+    place_weights,
+    uneven_weights,
+)
+from wavefield.measurement.uneven_paths import read_uneven_path
+
+EVEN = np.arange(6) - 2.5
+JITTER = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6).map(lambda e: EVEN + e)
+USED = {2: (2, 3), 3: (1, 2, 3), 4: (1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
+
+
+def test_even_times_have_the_weights_of_even_paths():
+    for frames, used in USED.items():
+        value, rate = uneven_weights(EVEN, used, smooth=frames == 6)
+        even = ELEVATION_WEIGHTS[frames][::-1] if frames == 3 else ELEVATION_WEIGHTS[frames]
+        np.testing.assert_allclose(value, even, atol=1e-7)
+        if frames != 3:
+            np.testing.assert_allclose(rate[list(used)], place_weights(frames)[1], atol=1e-12)
+            later = np.cumsum(rate[::-1])[::-1][1:]
+            own, *beside = noise_weights(frames)
+            found = noise_of_displacements(later)
+            assert found[2] == pytest.approx(own)
+            assert found.sum() == pytest.approx(own + 2 * sum(beside))
+
+
+@given(JITTER, st.sampled_from([2, 3, 4, 6]), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_a_polynomial_in_time_is_exact_at_any_times(times, frames, smooth):
+    smooth = smooth and frames == 6
+    value, rate = uneven_weights(times, USED[frames], smooth)
+    for degree in range(frames):
+        assert value @ times**degree == pytest.approx(float(degree == 0), abs=1e-9)
+        if degree < frames - smooth:
+            assert rate @ times**degree == pytest.approx(float(degree == 1), abs=1e-9)
+    if smooth:  # and noise is that of even paths, nearly
+        assert np.linalg.norm(rate) < 1.5 * np.linalg.norm(place_weights(6)[1])
+
+
+def error(angle, times, there, read):
+    """Of a body that turns by an angle per interval, seen at these times."""
+    splines = [turned(angle * span) if q else None for span, q in zip(np.diff(times), there)]
+    everywhere = [np.ones(LATTICE.shape, bool) if q else None for q in there]
+    X, Y = np.meshgrid(np.linspace(110.0, 190.0, 5), np.linspace(110.0, 190.0, 5))
+    d, _ = read(splines, everywhere, LATTICE, X, Y)
+    exact = angle * np.stack([-(Y - MIDDLE), X - MIDDLE])
+    size = np.abs(exact).max()
+    p = np.stack([X - MIDDLE, Y - MIDDLE])
+    c, s = np.cos(angle * times), np.sin(angle * times)
+    places = [np.stack([c[n] * p[0] - s[n] * p[1], s[n] * p[0] + c[n] * p[1]]) - p for n in (2, 3)]
+    return (
+        float(np.abs(d[:2] - exact).max() / size),
+        float(np.abs(d[4:] - 0.5 * (places[0] + places[1])).max() / size),
+        float(np.abs(d[2:4] - (places[1] - places[0])).max() / size),
+    )
+
+
+@given(JITTER, st.sampled_from([2, 3, 4, 6, -3]))
+@settings(max_examples=25, deadline=None)
+def test_paths_through_frames_at_uneven_times_are_as_exact_as_through_even_ones(times, places):
+    there = {2: "00100", 3: "01100", -3: "00110", 4: "01110", 6: "11111"}[places]
+    there = [q == "1" for q in there]
+    limit = {2: 0.03, 3: 3e-3, 4: 5e-4, 6: 5e-4}[abs(places)]
+    uneven = error(0.1, times, there, lambda *a: read_uneven_path(*a, times))
+    assert max(uneven) < limit
+    # and through the same places as where times are taken for even
+    if np.abs(times - EVEN).max() > 0.1 and places in (4, 6):
+        assert max(error(0.1, times, there, read_path)) > 3 * max(uneven)
+
+
+def test_even_times_give_the_paths_of_even_times():
+    splines, everywhere = [turned(0.2)] * 5, [np.ones(LATTICE.shape, bool)] * 5
+    X, Y = np.meshgrid(np.linspace(110.0, 190.0, 7), [100.0, np.nan, 170.0])
+    for there in (slice(0, 5), slice(1, 4)):
+        one = read_path(splines[there], everywhere[there], LATTICE, X, Y)
+        other = read_uneven_path(splines[there], everywhere[there], LATTICE, X, Y, EVEN)
+        np.testing.assert_allclose(other[0], one[0], rtol=1e-5, atol=1e-3)
+        np.testing.assert_array_equal(other[1], one[1])
+
+
+@given(JITTER, st.sampled_from([(), (0,), (5,), (1,), (4,), (1, 4)]), st.floats(-2, 2))
+@settings(max_examples=40, deadline=None)
+def test_z_at_mid_time_is_that_of_the_polynomial_through_the_frames(times, lost, speed):
+    degree = {(): 5, (0,): 3, (5,): 3, (1,): 2, (4,): 2, (1, 4): 1}[lost]
+    surfaces = []
+    for n, t in enumerate(times):
+        z, nowhere = np.zeros((1, 1), np.float32), np.zeros((1, 1), bool)
+        read = lambda x, y, t=t: np.asarray((t + 1.0 - (x - speed * t)) ** degree, np.float32)  # noqa: E731
+        surfaces.append(None if n in lost else Surface(z, z, z, nowhere.astype(np.uint16), nowhere, read))
+    chord = speed * (times[3] - times[2])
+    found = at_mid_time(surfaces, moving((chord, 0, 0)), AT, AT, times).z
+    assert float(found[0, 0]) == pytest.approx(1.0, abs=2e-3)
+
+
+@given(JITTER)
+@settings(max_examples=20, deadline=None)
+def test_a_level_that_changes_smoothly_is_no_jitter_at_uneven_times(times):
+    smooth = 0.3 + 0.2 * times - 0.1 * times**2 + 0.05 * times**4
+    assert level_jitter(smooth, 0.0, times) == pytest.approx(0.0, abs=1e-6)
+    assert level_jitter(smooth + np.eye(6)[2], 0.0, times) > 0.4

@@ -1,0 +1,62 @@
+"""Departures of frames from even times: what the cameras' clocks share, without their noise and drift."""
+
+import numpy as np
+import pytest
+
+from wavefield.series.departures import frame_departures
+from wavefield.series.frames import FrameSeries
+
+RATE = 20.0
+
+
+def series(*clocks):
+    return {
+        f"cam{n}": FrameSeries(f"cam{n}", 0, [None] * len(t), (2, 2), "uint8", times=t)
+        for n, t in enumerate(clocks)
+    }
+
+
+def departures(*clocks, rate=RATE):
+    return frame_departures(series(*clocks), rate)
+
+
+@pytest.mark.parametrize("frames", [9, 60, 2000])
+def test_jitter_that_all_cameras_share_is_found_whatever_the_offset_of_their_clocks(frames):
+    jitter = np.random.default_rng(frames).normal(0, 1e-3, frames)
+    shared = np.arange(frames) / RATE + jitter
+    found = departures(shared, shared + 7.0, 1000.0 + shared * (1 + 2e-4))
+    off = found / RATE - (jitter - jitter.mean())
+    assert np.sqrt(np.mean(off**2)) < 2e-4
+
+
+@pytest.mark.parametrize("frames", [9, 2000])
+def test_noise_of_stamps_drift_and_rounding_are_no_departures(frames):
+    rng = np.random.default_rng(frames)
+    even = np.arange(frames) / RATE
+    assert departures(even) is None
+    assert departures(even + 12.3, even * 1.0004) is None
+    noisy = departures(*(even + rng.normal(0, 1e-3, frames) for _ in range(3)))
+    assert noisy is None or np.sqrt(np.mean(noisy**2)) / RATE < 0.4e-3
+    # as by video files: whole milliseconds
+    thirty = np.round(np.arange(frames) / 29.97, 3)
+    assert departures(thirty, thirty + 0.123, rate=29.97) is None
+    slow = even + 0.004 * np.sin(2 * np.pi * even / 60.0)
+    assert frames < 1000 or np.sqrt(np.mean(departures(slow) ** 2)) / RATE < 2e-4
+
+
+def test_frames_that_are_missing_have_no_departure_and_shift_nobody():
+    jitter = np.random.default_rng(3).normal(0, 1e-3, 40)
+    times = np.arange(40) / RATE + jitter
+    times[[7, 8]] = np.nan
+    found = departures(times, times)
+    assert found[7] == found[8] == 0.0
+    there = np.isfinite(times)
+    assert np.std(found[there] / RATE - jitter[there]) < 1e-4
+
+
+def test_times_of_another_rate_or_with_a_pause_are_not_used():
+    times = np.arange(50) / RATE + np.random.default_rng(1).normal(0, 1e-3, 50)
+    halved = departures(times, rate=2 * RATE)
+    np.testing.assert_allclose(halved, departures(times), atol=0.01)
+    times[25:] += 1.4
+    assert departures(times) is None
