@@ -231,7 +231,7 @@ def test_a_worker_without_wavefield_is_named():
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"deploy": "nowhere.Cluster"}, "`deploy`: 'nowhere.Cluster' cannot be imported"),
+        ({"deploy": "distributed.NoCluster"}, "`deploy`: 'distributed.NoCluster' cannot be imported"),
         ({"deploy": "distributed.SSHCluster", "options": {"hosts": []}}, "see `options`"),
     ],
 )
@@ -239,6 +239,19 @@ def test_classes_that_do_not_deploy_are_named(settings, sentence, tmp_path):
     workflow = Workflow(cluster="dask", **settings)
     with open_cluster(workflow, tmp_path) as mapped, pytest.raises(ExperimentError, match=sentence):
         list(mapped(abs, [1]))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["os.system", "subprocess.Popen", "nowhere.Cluster", "distributed.Client", "distributed", "Cluster", "",
+     "distributed.deploy.local.os.system", "dask_evil.Cluster", "distributed_evil.SSHCluster"],
+)  # fmt: skip
+def test_only_classes_of_clusters_are_imported(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_cluster, "import_module", lambda module: pytest.fail(f"imported {module}"))
+    path = tmp_path / "workflow.yaml"
+    path.write_text(f"cluster: dask\ndeploy: '{name}'\n")
+    with pytest.raises(ExperimentError, match=r"no class of clusters|needs the class"):
+        Workflow.load(path)
 
 
 def test_a_folder_for_logs_that_cannot_be_written_is_named(tmp_path):

@@ -522,7 +522,7 @@ def test_masks_are_drawn_with_the_mouse_and_saved_as_polygons(page, whole):
         page.click("camera_view", *pixel)
         page.wait(f"{model('camera_mask')}.data.x.length == {number + 1}")
     page.page.get_by_role("button", name="Save").click()
-    page.wait(f"{model('mask_words')}.text.includes('Saved in experiment.yaml')")
+    page.wait(f"{model('mask_words')}.text.includes('Saved in {file}')")
     try:
         saved = Experiment.load(file).mask
         np.testing.assert_allclose(saved["water"][0].polygon, corners[:3], atol=0.01)

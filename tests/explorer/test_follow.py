@@ -15,7 +15,7 @@ from wavefield.explorer import learner as learning
 from wavefield.explorer.features import bead_size, frame_features
 from wavefield.explorer.follower import Follower
 from wavefield.explorer.learner import Learner
-from wavefield.explorer.lights import red_lights
+from wavefield.explorer.lights import arrival_lights, red_lights
 from wavefield.explorer.watch import FolderWatch
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -150,6 +150,51 @@ def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, s
     first = next(iter(red_lights(later.latest.lights)), None)
     assert (first.name, first.camera) == ("synchronisation", "cam1")
     assert later.latest.number == 6
+
+
+def test_cameras_that_all_stop_turn_a_light_each(small_tank, tmp_path, monkeypatch):
+    from types import SimpleNamespace
+
+    from bokeh.document import Document
+
+    from wavefield.explorer import watch
+    from wavefield.explorer.follow_page import FollowPage
+
+    now = [100.0]
+    monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=lambda: now[0], time=time.time))
+    folder = tmp_path / "live"
+    follower = Follower(Experiment.load(record(folder)))
+
+    def red():
+        follower.poll()
+        return [(light.name, light.camera) for light in red_lights(follower.latest.lights)]
+
+    for number in range(3):
+        write(folder, number, small_tank[1][number])
+    assert red() == []
+    now[0] += 1.5
+    assert red() == []
+    now[0] += 20
+    assert follower._arrivals()[0].state == "good"  # a step that takes long to measure is no silence
+    assert red() == [("arrival", name) for name in CAMERAS]
+    page = FollowPage(follower, SimpleNamespace(words="", found={}))
+    page.attach(Document())
+    assert "arrival cam1, cam2, cam3" in page.words["verdict"].text
+    assert "no new frame for 22 s" in page.words["verdict"].text
+    write(folder, 3, {name: small_tank[1][3][name] for name in ("cam1", "cam3")})
+    assert ("arrival", "cam2") in red()
+    assert not {("arrival", "cam1"), ("arrival", "cam3")} & set(red())
+    write(folder, 3, {"cam2": small_tank[1][3]["cam2"]})
+    assert "arrival" not in dict(red())
+
+
+def test_slow_cameras_have_not_stopped_and_those_that_never_began_have():
+    silent = {"slow": 45.0, "gone": 80.0, "never": 80.0}
+    lights = arrival_lights(silent, {"slow": 0.0, "gone": 0.0}, {"slow": 7, "gone": 7}, frame_rate=0.1)
+    found = {light.camera: (light.state, light.words) for light in lights if light.name == "arrival"}
+    assert found["slow"] == ("good", "frames arrive")
+    assert found["gone"] == ("bad", "no new frame for 1 min 20 s")
+    assert found["never"] == ("bad", "no new frame for 1 min 20 s, none yet")
 
 
 def test_frames_that_come_too_fast_are_skipped_and_counted(small_tank, tmp_path):

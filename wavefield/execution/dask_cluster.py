@@ -174,7 +174,7 @@ def _deploy(workflow: Workflow, settings: dict[str, Any]) -> Any:
     module, _, attribute = name.rpartition(".")
     try:
         kind = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError) as error:
         raise ExperimentError(
             f"the workflow's `deploy`: {name!r} cannot be imported ({error}); install its package, or "
             "correct the name, such as distributed.SSHCluster"

@@ -8,6 +8,12 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from wavefield.config_files import ConfigSection, load
 
+# the only ones that `deploy` imports from: a workflow file names no other code
+CLUSTER_PACKAGES = (
+    "distributed", "dask_jobqueue", "dask_kubernetes", "dask_gateway", "dask_cloudprovider", "dask_yarn",
+    "coiled",
+)  # fmt: skip
+
 
 class Between(ConfigSection):
     """From how many to how many workers: more are asked for while blocks wait, and given back at the end."""
@@ -115,6 +121,18 @@ class Workflow(ConfigSection):
     def _port(cls, value: str | None) -> str | None:
         if value is not None and not re.fullmatch(r".*:\d+", value):
             raise ValueError(f"{value!r} is not an address of a dashboard; write it as ':8787'")
+        return value
+
+    @field_validator("deploy")
+    @classmethod
+    def _class_of_clusters(cls, value: str | None) -> str | None:
+        if value is not None:
+            package, name = value.partition(".")[0], value.rpartition(".")[2]
+            if package not in CLUSTER_PACKAGES or not re.fullmatch(r"[A-Za-z]\w*Cluster", name):
+                raise ValueError(
+                    f"{value!r} is no class of clusters; give one of {', '.join(CLUSTER_PACKAGES)}, such as "
+                    "distributed.SSHCluster"
+                )
         return value
 
     @model_validator(mode="after")

@@ -177,7 +177,7 @@ class FollowPage:
                 heading, "#B34700", _plain("; ".join(dict.fromkeys(light.words for light in red)))
             )
         elif doubtful:
-            verdict = _large("Sound with remarks", "#B07800", f"check {', '.join(doubtful)}")
+            verdict = _large("Sound with remarks", "#B07800", _plain(f"check {', '.join(doubtful)}"))
         else:
             verdict = _large("Sound", "#007a5a", "all lights are good")
         self.words["verdict"].text = verdict

@@ -215,6 +215,6 @@ class LookPage:
         if not preview.complete:
             percent = 100 * int(preview.loaded.sum()) // max(int(preview.measured.sum()), 1)
             words += f"; reading the preview for series: {percent} %"
-        if preview.trouble:
-            words += f"; {escape(preview.trouble, quote=False)}"
+        for trouble in filter(None, (preview.trouble, self.panels.trouble)):
+            words += f"; {escape(trouble, quote=False)}"
         self.state.text = words

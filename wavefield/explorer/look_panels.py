@@ -1,7 +1,6 @@
 """The panels of `wavefield look` in two groups of tabs: views of a step, and what is picked on them."""
 
 from collections.abc import Callable
-from contextlib import suppress
 
 from bokeh.models import Select
 
@@ -36,9 +35,14 @@ class LookPanels:
         masks_changed: Callable[[], None],
     ) -> None:
         self._session = session
-        record, probes = session.record, None
-        with suppress(WavefieldError):  # a wrong file of probes: the cube is shown without them
-            probes = session.run.probes
+        record, probes, run = session.record, None, session.run
+        self.trouble = ""  # why the probes of the experiment are not shown
+        try:
+            probes = run.probes
+            if probes is None and run.experiment is not None and run.experiment.probes is not None:
+                self.trouble = run.reason("probes")
+        except WavefieldError as error:
+            self.trouble = f"no probes: {error}"
         self.map = MapPanel(record, drag, picked)
         if probes is not None:
             names = [str(name) for name in probes.probe.values]

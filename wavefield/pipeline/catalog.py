@@ -13,6 +13,7 @@ so that a changed recipe is kept next to the old one. ``run`` and ``recipe`` are
 
 import errno
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,12 @@ from wavefield.store.ledger import Status
 _OPTIONS = "intake.readers.user_parameters:OptionsUserParameter"
 _TEXT = "intake.readers.user_parameters:SimpleUserParameter"
 _XARRAY = "intake.readers.readers:XArrayDatasetReader"
+_DRIVERS = {  # what a catalog may have intake import, by key
+    "datatype": r"intake\.readers\.datatypes:[A-Z]\w*",
+    "reader": r"intake\.readers\.readers:[A-Z]\w*",
+    "cls": r"intake\.readers\.user_parameters:[A-Z]\w*",
+    "output_instance": r"(xarray|pandas|numpy|dask)[\w.]*:[A-Z]\w*|numpy:ndarray",
+}
 _PARTS = ["spectra", "coherence", "kinematics", "statistics"]
 
 
@@ -257,9 +264,28 @@ def _named(progress: ProgressFunction | None, run: str) -> ProgressFunction | No
     return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
 
 
+def check_drivers(catalog: Path, part: Any) -> None:
+    """Refuse a part of a catalog that would have intake import anything but its own drivers."""
+    if isinstance(part, str) and re.match(r"{?(import|func|pickle64)[(]", part.strip()):
+        raise ExperimentError(f"{catalog}: {part!r} would run code; a catalog can only name intake's drivers")
+    if isinstance(part, list):
+        for value in part:
+            check_drivers(catalog, value)
+    if isinstance(part, dict):
+        for key, value in part.items():
+            driver = _DRIVERS.get(str(key))
+            if driver and value is not None and not re.fullmatch(driver, str(value)):
+                raise ExperimentError(
+                    f"{catalog}: {key}: {value!r} is none of intake's drivers, such as {_XARRAY}; "
+                    "correct it, or let `wavefield catalog add` make a new catalog"
+                )
+            check_drivers(catalog, value)
+
+
 def _open_entry(catalog: Path, entry: str, chosen: Mapping[str, str]) -> Any:
     import intake
 
+    check_drivers(catalog, read_yaml(catalog))
     opened = intake.open_catalog(str(catalog))
     known = [name for name in opened.user_parameters if not name.isupper()]
     unknown = [name for name in chosen if name not in known]
