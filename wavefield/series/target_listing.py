@@ -3,7 +3,7 @@
 import glob
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from wavefield.errors import CalibrationError
@@ -23,11 +23,11 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
     for camera in experiment.cameras:
         poses: dict[str, Path] = {}
         for pattern in tilted:
-            poses |= _poses(experiment, pattern, camera)
+            _add_poses(poses, _images(experiment, pattern, camera), experiment)
         if not poses:
             raise _no_images(experiment, camera, tilted)
         if section.flat:
-            flat = list(_poses(experiment, section.flat, camera).values())
+            flat = [path for _, path in _images(experiment, section.flat, camera)]
             if len(flat) > 1:
                 raise CalibrationError(
                     f"{experiment.path}: flat: {section.flat} names {len(flat)} images of {camera}; name one"
@@ -47,8 +47,22 @@ def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> 
     )
 
 
-def _poses(experiment: Experiment, pattern: str, camera: str) -> dict[str, Path]:
-    """Images that fit a pattern, by pose: the part that its wildcards match, the same in all cameras."""
+def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], experiment: Experiment) -> None:
+    """Add images to those of a camera; two different files for one pose are refused."""
+    for pose, path in images:
+        other = poses.setdefault(pose, path)
+        if other != path:
+            raise CalibrationError(
+                f"{experiment.path}: both {other} and {path} would be pose {pose!r}; rename one of them, or "
+                "narrow `tilted`"
+            )
+
+
+def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple[str, Path]]:
+    """Images that fit a pattern, each with its pose: what the wildcards match, the same in all cameras.
+
+    A leading minus belongs to the pose: plates are traversed from -3 mm to 3 mm.
+    """
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))
     groups = {"*": "(.*?)", "?": "(.)"}
@@ -56,12 +70,14 @@ def _poses(experiment: Experiment, pattern: str, camera: str) -> dict[str, Path]
     expression = re.compile(
         "".join(groups[part[0]] if part[:1] in groups else re.escape(part) for part in parts)
     )
-    stem = Path(pattern.replace("{camera}", "")).stem
-    out = {}
+    *folders, name = pattern.replace("{camera}", "").split("/")
+    # folders with wildcards are a part of the pose, too
+    template = [re.sub(r"\*+", "*", part) for part in (*folders, Path(name).stem) if re.search(r"[*?]", part)]
+    words = [word.strip("_- ") for word in template] or [Path(name).stem.strip("_- ")]
     for file in sorted(glob.glob(str(folder / named))):
         match = expression.fullmatch(os.path.relpath(file, folder)) or expression.fullmatch(file)
-        pose = stem
-        for piece in match.groups() if match else ():
-            pose = re.sub(r"\*+|\?", piece, pose, count=1)
-        out[pose.strip("_- ") or Path(file).stem] = Path(file)
-    return out
+        pose = "_".join(words)
+        if match:
+            pieces = iter(match.groups())
+            pose = re.sub(r"[*?]", lambda _: next(pieces), pose)
+        yield pose.lstrip("_ ").rstrip("_- ") or Path(file).stem, Path(file)

@@ -1,0 +1,74 @@
+"""Which target image is which pose."""
+
+import random
+
+import pytest
+import yaml
+
+from wavefield.errors import CalibrationError
+from wavefield.series import Experiment
+from wavefield.series.target_listing import find_views
+
+
+def note(folder, tilted, flat=None):
+    section = {"target": {"kind": "dots", "mesh": 0.01}, "tilted": tilted} | ({"flat": flat} if flat else {})
+    cameras = {name: {"images": f"{name}/img_{{frame:05d}}.tif"} for name in ("cam1", "cam2")}
+    data = {"name": "plates", "frame_rate": 10.0, "cameras": cameras, "calibration": section}
+    (folder / "experiment.yaml").write_text(yaml.safe_dump(data))
+    return Experiment.load(folder / "experiment.yaml")
+
+
+def touch(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    return path
+
+
+PATTERNS = (
+    "{camera}/*.tif",
+    "{camera}/*mm.tif",
+    "{camera}_*mm.tif",
+    "{camera}*.tif",
+    "plate_*mm_{camera}.tif",
+    "*/{camera}.tif",
+    "{camera}/z_*/board.tif",
+    "{camera}/*/*.tif",
+)
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize("seed", range(3))
+def test_every_height_of_a_traversed_plate_is_a_pose_of_its_own(tmp_path, pattern, seed):
+    draw = random.Random(seed)
+    heights = {sign * draw.choice((1, 2, 3, 10, 1.5)) for sign in (-1, 1) for _ in range(4)} | {-3, 3, 0}
+    for height in heights:
+        for camera in ("cam1", "cam2"):
+            name = pattern.replace("*mm", "*").replace("*", f"{height:g}mm")
+            touch(tmp_path / name.replace("{camera}", camera))
+    views = find_views(note(tmp_path, pattern))
+    assert set(views["cam1"]) == set(views["cam2"])
+    assert len(set(views["cam1"].values())) == len(heights)
+    for pose, path in views["cam1"].items():
+        assert ("-" in pose) == ("-" in path.relative_to(tmp_path).as_posix())
+
+
+def test_two_files_of_one_pose_are_refused_by_name(tmp_path):
+    for folder in ("monday", "tuesday"):
+        for camera in ("cam1", "cam2"):
+            touch(tmp_path / folder / camera / "tilt_1.tif")
+    patterns = ["monday/{camera}/tilt_*.tif", "tuesday/{camera}/tilt_*.tif"]
+    with pytest.raises(CalibrationError, match=r"both .*monday.*tilt_1\.tif and .*tuesday.*tilt_1\.tif"):
+        find_views(note(tmp_path, patterns))
+    for camera in ("cam1", "cam2"):
+        touch(tmp_path / camera / "1.tif")
+        touch(tmp_path / camera / "1.png")
+    with pytest.raises(CalibrationError, match=r"1\.png and .*1\.tif.*'1'"):
+        find_views(note(tmp_path, "{camera}/*.*"))
+
+
+def test_a_file_that_two_patterns_name_is_one_pose(tmp_path):
+    for height in (-3, 3):
+        for camera in ("cam1", "cam2"):
+            touch(tmp_path / camera / f"plate_{height}.tif")
+    views = find_views(note(tmp_path, ["{camera}/plate_*.tif", "{camera}/plate_-*.tif"]))
+    assert sorted(views["cam1"]) == ["plate_-3", "plate_3"]
