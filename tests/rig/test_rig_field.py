@@ -62,3 +62,16 @@ def test_a_camera_that_sees_no_water_is_refused():
     upwards = Camera(1000, 1000, 500, 500, ((1, 0, 0), (0, -1, 0), (0, 0, 1)), (0, 0, -2), (1000, 1000))
     with pytest.raises(RigError, match="does not see the water"):
         common_field([upwards])
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 20.0])
+def test_the_elevations_kept_in_view_follow_from_the_cameras_distance(scale):
+    cameras = [Camera(1000, 1000, 499.5, 499.5, FACING_DOWN, (0, 0, 4.0 * scale), (1000, 1000))]
+    own = common_field(cameras, step=0.004 * scale, margin=0.0)
+    assert own == common_field(cameras, step=0.004 * scale, margin=0.0, height=0.04 * scale)
+
+
+def test_elevations_may_be_stated_as_a_range():
+    tall = common_field([down()], step=0.01, height=(0.0, 0.4), margin=0.0)
+    assert tall == common_field([down()], step=0.01, height=0.4, margin=0.0)
+    assert common_field([down()], step=0.01, height=(-0.4, 0.0), margin=0.0).x[1] > tall.x[1]

@@ -188,3 +188,17 @@ def test_a_file_of_another_kind_gets_one_sentence_and_a_block_is_not_compared_wi
     with pytest.raises(ExperimentError, match="less than one step") as caught:
         Experiment.load(path)
     assert "'auto'" not in str(caught.value)
+
+
+def test_an_automatic_grid_keeps_the_elevations_of_the_settings_in_view(tmp_path):
+    auto = LAB_NOTE.replace("grid: {x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}", "grid: auto")
+    rig = paper_rig()
+    widths = {}
+    for stated in ("z_range: [-0.3, 0.3]", "z_range: [0.0, 0.01]", "sheet_thickness: 0.01"):
+        x0, x1 = load(tmp_path, auto + f"settings: {{{stated}}}\n").choose_grid(rig).x
+        widths[stated] = x1 - x0
+    usual = load(tmp_path, auto)
+    x0, x1 = usual.choose_grid(rig).x
+    assert widths["z_range: [-0.3, 0.3]"] < x1 - x0 < widths["z_range: [0.0, 0.01]"]
+    assert widths["sheet_thickness: 0.01"] >= widths["z_range: [0.0, 0.01]"]
+    assert usual.choose_grid(rig, {"z_range": (-0.3, 0.3)}).x[1] < x1

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavefield.calibration.points import Mask, Nodes, TargetPoints
+from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
+from wavefield.rig.field import view_on_water
 from wavefield.rig.lens import LENS, Array
 
 Index = Nodes
@@ -128,8 +130,13 @@ class Geometry:
 
 def common_extent(cameras: Sequence[Camera], plan: Array) -> tuple[Array, Array]:
     """Lower and upper (x, y) of the field that all cameras see on z = 0, or else of the target's plan, m."""
-    box = np.stack([camera.corners() for camera in cameras])
-    lo, hi = box.min(axis=1).max(axis=0), box.max(axis=1).min(axis=0)
-    if np.isfinite(box).all() and (hi > lo).all():
-        return lo, hi
+    try:
+        views = [view_on_water(camera) for camera in cameras]
+    except RigError:  # of a rig in a frame of its own, z = 0 may be out of view
+        views = []
+    if views:
+        lo = np.max([view.min(axis=0) for view in views], axis=0)
+        hi = np.min([view.max(axis=0) for view in views], axis=0)
+        if (hi > lo).all():
+            return lo, hi
     return plan[:, :2].min(axis=0), plan[:, :2].max(axis=0)

@@ -18,6 +18,7 @@ from wavefield.measurement.rectify import sight_map
 from wavefield.measurement.regrid import BlockLattice
 from wavefield.measurement.sight import Sight
 from wavefield.rig import Camera
+from wavefield.rig.field import view_on_water
 
 Float = NDArray[np.floating]
 
@@ -79,16 +80,28 @@ def fit_plane(
         least, most = np.fmax.reduce(others), np.fmin.reduce(others)
         lo = np.fmin(lo, np.fmin.reduce(np.fmin(reference, least), axis=1))
         hi = np.fmax(hi, np.fmax.reduce(np.fmax(reference, most), axis=1))
-    corners = [one.corners() for one in cameras]
+    views = [_reach(one, np.stack([edge_x, edge_y], axis=-1)) for one in cameras]
     # beyond what the second widest of the views reaches, no two cameras see anything
-    lo = np.maximum(lo, np.sort([np.nanmin(c, axis=0) for c in corners], axis=0)[1])
-    hi = np.minimum(hi, np.sort([np.nanmax(c, axis=0) for c in corners], axis=0)[-2])
+    lo = np.maximum(lo, np.sort([view.min(axis=0) for view in views], axis=0)[1])
+    hi = np.minimum(hi, np.sort([view.max(axis=0) for view in views], axis=0)[-2])
     blocks = np.ceil((hi - lo) / (BLOCK * pixel)) + 2 * _MARGIN_BLOCKS
     if not (blocks >= _MIN_BLOCKS + 2 * _MARGIN_BLOCKS).all():
         raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
     nx, ny = (int(scipy.fft.next_fast_len(int(n))) for n in blocks)
     x0, y0 = 0.5 * (lo + hi) - 0.5 * pixel * (np.array([nx, ny]) * BLOCK - 1)
     return RectifiedPlane((float(x0), float(y0)), pixel, (ny, nx))
+
+
+def _reach(camera: Camera, edge: Float) -> Float:
+    """Places that bound what a camera sees of the plane, (n, 2), metres.
+
+    Where the horizon is in view, these are nodes of the grid's edge (m, 2), too: they may be further than
+    the bound of `view_on_water`.
+    """
+    view = view_on_water(camera)
+    if np.isfinite(camera.corners()).all():
+        return view
+    return np.concatenate([view, edge[camera.sees(*edge.T, 0.0)]])
 
 
 def rectified_views(

@@ -104,8 +104,9 @@ def prepare(
     used = {name: rig[name] for name in experiment.measuring_cameras}
     rig = replace(rig, cameras=used)
     refuse_far_cameras(experiment, rig, rig_file)
+    settings = make_settings(experiment, workflow)
     try:
-        grid = experiment.choose_grid(rig)
+        grid = experiment.choose_grid(rig, {**experiment.settings, **workflow.settings})
     except ValueError as error:  # a step that does not fit what the cameras see
         raise ExperimentError(f"{experiment.path}: {error}") from None
     refuse_other_grids(experiment, rig, grid, rig_file)
@@ -116,7 +117,6 @@ def prepare(
             f"{experiment.path}: {who} the grid (x {grid.x[0]:g} to {grid.x[1]:g} m, "
             f"y {grid.y[0]:g} to {grid.y[1]:g} m); correct `grid`, or leave it out to have it chosen"
         )
-    settings = make_settings(experiment, workflow)
     refuse_high_water(
         settings, rig, str(workflow.path if "z_range" in workflow.settings else experiment.path)
     )

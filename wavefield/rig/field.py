@@ -12,11 +12,15 @@ from wavefield.rig.resolution import pixel_sides
 
 HORIZON_SAMPLES = 65  # pixels along each side of an image that shows the horizon
 MAX_DISTANCE_RATIO = 3.0  # times the nearest water: further towards the horizon pixels are too coarse
+DEFAULT_HEIGHT = 0.01  # of the nearest camera's distance: half of what is searched where nothing is stated
 CORNER_CANDIDATES = 401  # along each axis: the rectangle is accurate to a quarter per cent
 
 
 def common_field(
-    cameras: Iterable[Camera], step: float | None = None, height: float = 0.05, margin: float = 16.0
+    cameras: Iterable[Camera],
+    step: float | None = None,
+    height: float | tuple[float, float] | None = None,
+    margin: float = 16.0,
 ) -> Grid:
     """Largest upright rectangle of the water that every camera sees, as a grid.
 
@@ -27,8 +31,9 @@ def common_field(
     step : float, optional
         Distance between nodes, metres; if left out, the round number (1, 2, 5, 10 ...) next above four pixels
         of the coarsest camera.
-    height : float, default 0.05
-        The surface may rise and sink by this much and stay in view, metres.
+    height : float or (float, float), optional
+        The surface may rise and sink by this much, or is between these two elevations, and stays in view,
+        metres; if left out, 1 % of the distance of the nearest camera.
     margin : float, default 16
         Distance kept from the images' edges, px.
 
@@ -50,21 +55,25 @@ def common_field(
     Grid(x=(-1.98, 1.98), y=(-1.98, 1.98), step=0.02)
     """
     cameras = list(cameras)
-    views = [_view(camera) for camera in cameras]
+    views = [view_on_water(camera) for camera in cameras]
     lo = np.max([points.min(axis=0) for points in views], axis=0)
     hi = np.min([points.max(axis=0) for points in views], axis=0)
     if not (hi > lo).all():
         raise RigError("the cameras have no common field at z = 0: is it the right rig for these images?")
+    if height is None:
+        middle = np.array([*(0.5 * (lo + hi)), 0.0])
+        height = DEFAULT_HEIGHT * min(float(np.linalg.norm(camera.centre - middle)) for camera in cameras)
+    elevations = height if isinstance(height, tuple) else (-height, height)
     x, y = np.linspace(lo[0], hi[0], CORNER_CANDIDATES), np.linspace(lo[1], hi[1], CORNER_CANDIDATES)
     visible = np.ones((CORNER_CANDIDATES, CORNER_CANDIDATES), bool)
     for camera in cameras:
-        for z in {-height, height}:
+        for z in set(elevations):
             visible &= camera.sees(x[None, :], y[:, None], z, margin)
     (y0, y1), (x0, x1) = largest_rectangle(visible)
     y1, x1 = y1 - 1, x1 - 1
     if step is None:
-        middle = 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])
-        step = _round_up(4.0 * max(pixel_sides(camera, *middle)[1] for camera in cameras))
+        centre = 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])
+        step = _round_up(4.0 * max(pixel_sides(camera, *centre)[1] for camera in cameras))
     ends = []
     for first, last in ((x[x0], x[x1]), (y[y0], y[y1])):
         # both ends are visible, and so are whole multiples between them
@@ -75,7 +84,7 @@ def common_field(
     return Grid(ends[0], ends[1], step)
 
 
-def _view(camera: Camera) -> NDArray[np.float64]:
+def view_on_water(camera: Camera) -> NDArray[np.float64]:
     """Places on z = 0 that bound what a camera sees, (n, 2), metres: its corners, or short of the horizon."""
     corners = camera.corners()
     if np.isfinite(corners).all():

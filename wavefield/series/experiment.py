@@ -303,13 +303,17 @@ class Experiment(RecordSection):
                 )
         return with_water_level(rig, self.water.level) if self.water.level else rig
 
-    def choose_grid(self, rig: Rig) -> Grid:
+    def choose_grid(self, rig: Rig, settings: Mapping[str, Any] | None = None) -> Grid:
         """The grid of the file, or the largest that all cameras see.
 
         Parameters
         ----------
         rig : Rig
             The cameras.
+        settings : mapping, optional
+            Settings of the measurement, default those of the file: the nodes stay in view over their
+            ``z_range``, or over half of their ``sheet_thickness`` up and down; without either, over 1 % of
+            the cameras' distance.
 
         Returns
         -------
@@ -324,7 +328,8 @@ class Experiment(RecordSection):
         if isinstance(section, GridSection) and section.x is not None and section.y is not None:
             return Grid(section.x, section.y, section.step)
         step = section.step if isinstance(section, GridSection) else None
-        return common_field([rig[name] for name in self.measuring_cameras], step)
+        height = _elevations_in_view(self.settings if settings is None else settings)
+        return common_field([rig[name] for name in self.measuring_cameras], step, height)
 
     @property
     def measuring_cameras(self) -> list[str]:
@@ -334,6 +339,19 @@ class Experiment(RecordSection):
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
         used |= set(self.velocity.cameras if self.velocity else ())
         return [name for name in self.cameras if name in used]
+
+
+def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
+    """Elevations at which the nodes of an automatic grid stay in view, metres; None if none are stated."""
+    try:
+        if settings.get("z_range"):
+            low, high = settings["z_range"]
+            return float(low), float(high)
+        if settings.get("sheet_thickness"):
+            return 0.5 * float(settings["sheet_thickness"])
+    except (TypeError, ValueError):
+        pass  # the settings' own check reports it
+    return None
 
 
 def _start(path: Path) -> str:

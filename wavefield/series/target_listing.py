@@ -4,6 +4,7 @@ import glob
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 from wavefield.errors import CalibrationError
@@ -78,6 +79,6 @@ def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple
         match = expression.fullmatch(os.path.relpath(file, folder)) or expression.fullmatch(file)
         pose = "_".join(words)
         if match:
-            pieces = iter(match.groups())
-            pose = re.sub(r"[*?]", lambda _: next(pieces), pose)
+            texts = re.split(r"[*?]", pose)
+            pose = "".join(chain.from_iterable(zip(texts, (*match.groups(), ""))))
         yield pose.lstrip("_ ").rstrip("_- ") or Path(file).stem, Path(file)
