@@ -24,7 +24,7 @@ Examples:
 @click.option(
     "--distance",
     type=click.FloatRange(min=0, min_open=True),
-    help="Between two cameras, m: the second is placed anew by what both see.",
+    help="Between two cameras, m: the second camera's pose is recomputed from features that both see.",
 )
 @click.option(
     "--frames", default=20, show_default=True, type=click.IntRange(min=1), help="How many instants to use."

@@ -101,7 +101,7 @@ def _reach(camera: Camera, edge: Float) -> Float:
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
-    return np.concatenate([view, edge[camera.sees(*edge.T, 0.0)]])
+    return np.concatenate([view, edge[camera.sees(edge[:, 0], edge[:, 1], 0.0)]])
 
 
 def rectified_views(

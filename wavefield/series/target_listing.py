@@ -80,5 +80,5 @@ def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple
         pose = "_".join(words)
         if match:
             texts = re.split(r"[*?]", pose)
-            pose = "".join(chain.from_iterable(zip(texts, (*match.groups(), ""))))
+            pose = "".join(chain.from_iterable(zip(texts, (*match.groups()[: len(texts) - 1], ""))))
         yield pose.lstrip("_ ").rstrip("_- ") or Path(file).stem, Path(file)
