@@ -23,6 +23,7 @@ import yaml
 
 from benchmarks import path_traced
 from benchmarks.options import parser_of
+from benchmarks.results import save_result
 from benchmarks.scenes import FRAMES, SCENES, SEEDS, Case, calibrated, draw, inside, reconstruct, scene
 from benchmarks.scores import Score, rms
 from wavefield.measurement import Settings
@@ -44,6 +45,20 @@ ASKED = {
     "glare": "98.5 % measured; u v .018; w .035; z .045; 63-75, 93-98, 1 %",
     "tank_small": "99.5 % measured; u v .035; w .055; z bias apart .05; 60, 90, 2 %",
 }
+LABELS = {  # on the validation page
+    "random": "random sea, 1.4 cm rms",
+    "light": "the same, one camera five times darker than another, flicker of 30 %",
+    "steep": "steep sea, slopes to 0.39",
+    "low_light": "poor light: beads 45 grey levels over a background of 30, read noise 7",
+    "gaps": "eight gaps of 3 to 8 cm radius, clustered beads",
+    "noisy": "twice the noise, 10 % of the beads visible to one camera only",
+    "texture": "painted texture on a wave of 3 cm",
+    "rest": "still water",
+    "tank": "path-traced beads, lit from the side",
+    "glare": "path-traced beads and glare",
+    "tank_small": "path-traced small beads, two frames only",
+}
+COLUMNS = ("images", "z", "u dt, v dt, w dt", "nodes measured", "within one std: z, u, v, w")
 RESIDUAL = {"random": "; residual .08", "steep": "; residual .04"}
 
 
@@ -69,8 +84,8 @@ def cases(name: str, options: argparse.Namespace) -> Iterator[Case]:
         yield draw(described, Tank(described).rig if options.exact else calibrated(options.full))
 
 
-def compare(name: str, options: argparse.Namespace, settings: Settings) -> list[str]:
-    """Measure a row: its results in words."""
+def compare(name: str, options: argparse.Namespace, settings: Settings) -> tuple[dict[str, Score], list[str]]:
+    """Measure a row: its score and its results in words."""
     score, shares, steepest = Score(), [], 0.0
     began = time.process_time()
     for case in cases(name, options):
@@ -85,7 +100,10 @@ def compare(name: str, options: argparse.Namespace, settings: Settings) -> list[
         measured, exact = np.mean(shares, axis=0)
         lines.append(f"residual over nonlinear term {measured:.3f}; of exact fields {exact:.3f}")
     took = time.process_time() - began
-    return [*lines, f"largest slope {steepest:.2f}; {len(options.seeds)} seeds; CPU {took:.0f} s"]
+    return {"": score}, [
+        *lines,
+        f"largest slope {steepest:.2f}; {len(options.seeds)} seeds; CPU {took:.0f} s",
+    ]
 
 
 def read_options(words: Sequence[str]) -> argparse.Namespace:
@@ -94,6 +112,7 @@ def read_options(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
     parser.add_argument("--full", action="store_true", help="the paper's whole field")
     parser.add_argument("--exact", action="store_true", help="exact cameras instead of calibrated ones")
+    parser.add_argument("--save", action="store_true", help="write the result for the validation page")
     parser.add_argument("--set", type=Path, help="YAML of measurement settings that differ")
     return parser.parse_args(words)
 
@@ -104,15 +123,22 @@ def main(words: Sequence[str]) -> int:
     settings = Settings.from_dict(changed)
     size = "full size" if options.full else "half size"
     print(f"1 px = 1.8 mm; {size}; {FRAMES} frames of each scene, seeds {options.seeds}", flush=True)
+    rows = []
     for name in options.only:
+        scores: dict[str, Score] = {}
         if name in SCENES:
-            lines = compare(name, options, settings)
+            scores, lines = compare(name, options, settings)
         elif path_traced.folder() is None:
             lines = ["skipped: no path-traced images (set WAVEFIELD_SHARED)"]
         else:
-            lines = path_traced.compare(name, settings)
+            scores, lines = path_traced.compare(name, settings)
         print(f"{name}\n    asked: {ASKED[name]}{RESIDUAL.get(name, '')}", flush=True)
         print("".join(f"    {line}\n" for line in lines), end="", flush=True)
+        rows += [[LABELS[name] + words, *score.cells()] for words, score in scores.items()]
+        if name == "gaps":
+            rows.append(["the filled nodes of these gaps", *scores[""].cells(filled=True)])
+    if options.save:
+        save_result("measurement", COLUMNS, rows)
     return 0
 
 

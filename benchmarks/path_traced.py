@@ -100,8 +100,8 @@ def load(name: str) -> Case:
     return Case(rig(), GRID, FRAME_RATE, frames, truth)
 
 
-def compare(name: str, settings: Settings) -> list[str]:
-    """Measure a record: its results in words."""
+def compare(name: str, settings: Settings) -> tuple[dict[str, Score], list[str]]:
+    """Measure a record: its scores, by what is appended to its label, and its results in words."""
     case = load(name)
     began = time.process_time()
     score, without = Score(), Score()
@@ -111,4 +111,5 @@ def compare(name: str, settings: Settings) -> list[str]:
     lines = [f"bead_height {1e3 * height:.2f} mm, from still water", *score.lines()]
     lines += [f"without it {line}" for line in without.lines()[:2]]
     apart = np.sqrt(score.rms("z") ** 2 - score.bias("z") ** 2)
-    return [*lines, f"z without its bias {apart:.4f}; CPU {time.process_time() - began:.0f} s"]
+    scores = {", `bead_height` from still water": score, ", without `bead_height`": without}
+    return scores, [*lines, f"z without its bias {apart:.4f}; CPU {time.process_time() - began:.0f} s"]

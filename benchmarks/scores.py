@@ -86,6 +86,13 @@ class Score:
         print(head)
         print("".join(f"    {line}\n" for line in (*self.lines(), *more)), end="", flush=True)
 
+    def cells(self, filled: bool = False) -> list[str]:
+        """Cells of a row of the validation page: z; u, v, w; nodes measured; within one std."""
+        moved = ", ".join(f"{self.rms(name, filled):.3f}" for name in "uvw")
+        within = ", ".join(f"{self.fractions(name, filled)[0]:.0f}" for name in NAMES)
+        measured = "" if filled else f"{100 * self.measured / max(self.nodes, 1):.1f} %"
+        return [f"{self.rms('z', filled):.3f}", moved, measured, f"{within} %"]
+
     def lines(self) -> list[str]:
         """The results in words, a line each."""
 

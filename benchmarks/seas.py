@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "waves"))
 from independent_seas import FAMILIES, Sea, family
 
 from benchmarks.options import parser_of
+from benchmarks.results import save_result
 from wavefield.errors import CubeError
 from wavefield.waves import fit_dispersion, spectrum
 
@@ -42,12 +43,15 @@ def main() -> None:
     parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=FAMILIES)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--each", action="store_true", help="print every sea")
+    parser.add_argument("--save", action="store_true", help="write the result for the validation page")
     given = parser.parse_args()
     cases = [(name, seed) for name in given.families for seed in range(given.seeds[0], given.seeds[1] + 1)]
     start = time.perf_counter()
     with Pool(given.processes) as pool:
         rows = pool.map(current_of, cases, chunksize=1)
-    print("| family | seas | refused | rms error, mm/s | largest | rms over std | largest |\n|" + "---|" * 7)
+    columns = ("family", "seas", "refused", "rms error, mm/s", "largest", "rms over std", "largest")
+    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
+    table = []
     for name in (*given.families, "all"):
         mine = [row for row in rows if name in (row[0], "all")]
         fitted = [row for row in mine if not row[4]]
@@ -55,14 +59,16 @@ def main() -> None:
             for row in mine:
                 words = row[4] or f"{1e3 * np.hypot(*row[2]):.1f} mm/s, {np.abs(row[3]).max():.1f} std"
                 print(f"{row[0]} {row[1]}: {words}; {family(*row[:2])}")
-        start_of = f"| {name} | {len(mine)} | {len(mine) - len(fitted)} |"
-        if not fitted:
-            print(f"{start_of} | | | |")
-            continue
-        size = 1e3 * np.array([np.hypot(*row[2]) for row in fitted])
-        over = np.abs(np.array([row[3] for row in fitted]))
-        rms = [np.sqrt((values**2).mean()) for values in (size, over)]
-        print(f"{start_of} {rms[0]:.2f} | {size.max():.1f} | {rms[1]:.2f} | {over.max():.1f} |")
+        cells = [name, str(len(mine)), str(len(mine) - len(fitted)), "", "", "", ""]
+        if fitted:
+            size = 1e3 * np.array([np.hypot(*row[2]) for row in fitted])
+            over = np.abs(np.array([row[3] for row in fitted]))
+            rms = [np.sqrt((values**2).mean()) for values in (size, over)]
+            cells[3:] = f"{rms[0]:.2f}", f"{size.max():.1f}", f"{rms[1]:.2f}", f"{over.max():.1f}"
+        print("| " + " | ".join(cells) + " |")
+        table.append(cells)
+    if given.save:
+        save_result("seas", columns, table)
     print(f"\n{time.perf_counter() - start:.0f} s")
 
 
