@@ -460,6 +460,32 @@ def test_only_this_machine_may_talk_to_it(served):
         urllib.request.urlopen(request)
 
 
+def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
+    from browser import Browser
+    from explorer_cases import create_cube
+
+    from wavefield.explorer.notebook import look
+
+    tag = "<img src=x onerror=hit()>"
+    folder = tmp_path / tag
+    folder.mkdir()
+    create_cube(folder / "cube.zarr", experiment=tag, experiment_file=tag)
+    served = look(folder / "cube.zarr")
+    window = Browser(chrome.new_page())
+    window.page.add_init_script("window.hits = 0; window.hit = () => { window.hits += 1 }")
+    window.open(served.url)
+    window.page.keyboard.press("4")
+    window.wait(f"{model('wave_words')}.text.includes('onerror=hit()')")
+    window.page.keyboard.press("3")
+    window.wait(f"{model('camera_words')}.text.includes('onerror=hit()')")
+    window.page.get_by_text("no images").wait_for()
+    assert window.page.evaluate("window.hits") == 0
+    assert window.page.evaluate("document.querySelectorAll('img[src=x]').length") == 0
+    window.page.close()
+    served.stop()
+    assert window.errors == []
+
+
 def test_a_lost_connection_is_said_and_the_page_stays(chrome, whole):
     from browser import Browser
 
