@@ -1,6 +1,6 @@
-"""Two checks on what a cube stores: the surface rises as its water moves, and steps continue each other.
+"""Checks on what a cube stores: the surface rises as its water moves, steps continue each other evenly.
 
-Neither uses what the uncertainties were computed from, so that both can show where these are wrong.
+None uses what the uncertainties were computed from, so that all can show where these are wrong.
 """
 
 from collections import deque
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.quality.frame_jitter import FrameJitter, frame_jitter, step_factor
 from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.store.read import open_cube
 from wavefield.store.verdict import Remark
@@ -24,6 +25,9 @@ Mask = NDArray[np.bool_]
 MIN_NODES = 50  # with fewer measured nodes a step is not checked
 MARGIN_NODES = 3  # from the edge of the grid, where slopes are of lower order
 MEDIAN_SQUARE = 0.455  # of a standard normal variable
+JITTER_STEPS = 64  # read for the jitter of frame times
+MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left out
+ELEVATION_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z
 NEIGHBOURS = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0  # a cubic through the steps k - 2, k - 1, k + 1, k + 2
 USABLE_CONTINUITY = (
     0.7,
@@ -94,6 +98,36 @@ def continuities_of(cube: Any) -> Array:
     return out
 
 
+def jitter_of(cube: Any, continuities: Array) -> tuple[FrameJitter, float] | None:
+    """Jitter of a cube's frame times, and the largest error by it over its standard uncertainty.
+
+    Of some steps in a row in the middle of the record, without those around discontinuous
+    ones; None where no jitter shows.
+    """
+    count = cube.sizes["time"]
+    first = max((count - JITTER_STEPS) // 2, 0)
+    names = ["u", "v", "w"]
+    part = cube[[*names, "z_std", *(f"{name}_std" for name in names), "quality"]]
+    part = part.isel(time=slice(first, first + JITTER_STEPS)).load()
+    velocity = np.stack([part[name].values for name in names], axis=1).astype(np.float64)
+    measured = (part.quality.values & int(Quality.MEASURED) != 0) & np.isfinite(velocity).all(axis=1)
+    broken = discontinuous(continuities) - first
+    factors, variances = np.full((2, len(velocity)), np.nan)
+    for k in range(2, len(velocity) - 2):
+        near = slice(k - 2, k + 3)
+        alone = not np.any(np.abs(broken - k) <= 2) or broken.size > MAX_BROKEN * count
+        if alone and (found := step_factor(list(velocity[near]), list(measured[near]))):
+            factors[k], variances[k] = found
+    jitter = frame_jitter(factors, variances, int(cube.path_frames))
+    if jitter is None:
+        return None
+    sizes = [float(np.sqrt(np.mean(np.square(one[measured])))) for one in np.moveaxis(velocity, 1, 0)]
+    stds = [float(np.median(part[f"{name}_std"].values[measured])) for name in (*names, "z")]
+    late = jitter.intervals / float(cube.attrs["frame_rate"])
+    errors = [*(jitter.velocity * size for size in sizes), ELEVATION_NOISE * late * sizes[2]]
+    return jitter, max(error / std for error, std in zip(errors, stds) if std > 0)
+
+
 def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> Iterator[Remark]:
     """Compare the stored fields of a cube with each other: kinematics at some steps, continuity at all.
 
@@ -118,7 +152,8 @@ def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> It
                 "check frame rate, synchronisation and seeding; waves may be too short for the images",
                 {"kinematic_misfit": misfit},
             )
-    found = discontinuous(continuities_of(cube))
+    continuities = continuities_of(cube)
+    found = discontinuous(continuities)
     if found.size:
         yield Remark(
             "record",
@@ -129,4 +164,17 @@ def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> It
             "none",
             "check whether frames were duplicated or lost in all cameras there, and leave these steps out",
             {"steps": int(found.size)},
+        )
+    shown = jitter_of(cube, continuities)
+    if shown and shown[1] > RECORD_LIMITS.jitter_noted:
+        late = 1e3 * shown[0].intervals / float(cube.attrs["frame_rate"])
+        yield Remark(
+            "record",
+            "jitter",
+            "remark" if shown[1] > RECORD_LIMITS.jitter else "note",
+            f"the times of the frames depart by {late:.2g} ms rms from those that they are measured at:"
+            f" values are off by {shown[1]:.1f} standard uncertainties",
+            f"at most {RECORD_LIMITS.jitter} standard uncertainties",
+            "state the cameras' time stamps (`times`), or trigger the cameras by a steadier clock",
+            {"jitter_ms": late, "over_std": shown[1]},
         )

@@ -8,12 +8,13 @@ import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
 
-from wavefield.series.clocks import MAX_OFFSET, RATE_ERROR
+from wavefield.series.clocks import MAX_OFFSET
 from wavefield.series.frames import FrameSeries
 
 Times = NDArray[np.float64]
 
 _EVEN = 2e-4  # intervals: smaller departures change nothing
+_RATE_ERROR = 1e-4  # of a quartz
 _DECIMALS = 7  # of departures in intervals
 _OTHER_RATE = 0.05  # by which a clock's rate and the stated one differ where frames were left out since
 _DRIFT_FRAMES = 129  # over so many frames the drift of a clock is even
@@ -82,7 +83,7 @@ def _line(x: Times, y: Times) -> Times:
     mean, square = y.mean(), float(x @ x)
     rest = y - mean - x * float(x @ y) / square
     jitter = float(rest @ rest) / max(len(y) - 2, 1)
-    return np.asarray(mean + x * float(x @ y) / (square + jitter / RATE_ERROR**2))
+    return np.asarray(mean + x * float(x @ y) / (square + jitter / _RATE_ERROR**2))
 
 
 def _resolution(times: Times) -> float:
