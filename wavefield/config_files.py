@@ -5,16 +5,19 @@ A section is a pydantic model (`ConfigSection`) or a frozen dataclass. `load` re
 from plain data that was read already.
 """
 
+import codecs
 import dataclasses
 import difflib
+import os
+import re
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from wavefield.errors import ExperimentError, WavefieldError
@@ -24,12 +27,45 @@ T = TypeVar("T")
 
 _LARGEST = 200_000  # values in a file; a list of every image of a long record has fewer
 _MAX_MESSAGES = 4  # problems of a file
+_MAX_NAME = 100  # characters
+_BROKEN_PATH = re.compile(
+    r"^[A-Za-z]:[\x00-\x1f\x7f-\xa0]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]|^[^\n]*[\t\n\r][^\n]*\.\w+$"
+)
 _KNOWN = "; known keys here: "
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 # of a dataclass that `make` makes: as its ``__pydantic_config__``
 CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+_RESERVED_NAMES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # of devices, on Windows
+_NOT_IN_NAMES = re.compile(r"[/\\:*?\"<>|{}\[\]\x00-\x1f]")
+
+
+def safe_name(name: str) -> str:
+    """A name that can be part of a path on any system, and stays in its folder.
+
+    Examples
+    --------
+    >>> safe_name("cam 1")
+    'cam 1'
+    """
+    odd = _NOT_IN_NAMES.search(name) or _RESERVED_NAMES.fullmatch(name)
+    if odd or not name.strip() or name != name.strip() or name.strip(".") == "" or len(name) > _MAX_NAME:
+        raise ValueError(f"{name[:40]!r} cannot be part of a file's name; use letters, digits, - and _")
+    return name
+
+
+def portable_path(path: str) -> str:
+    """A path as it is read on any system: with / between folders."""
+    if "\\" in path and os.sep == "/" and not Path(path).exists():
+        raise ValueError(f"{path!r} has \\ between folders; write /, which is read on Windows as well")
+    return path
+
+
+Name = Annotated[str, AfterValidator(safe_name)]
+PathText = Annotated[str, AfterValidator(portable_path)]
 
 
 class ConfigSection(BaseModel):
@@ -54,7 +90,7 @@ def make(
 ) -> T:
     """Make a section from plain data."""
     try:
-        return TypeAdapter(kind).validate_python(dict(data))
+        made = TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
         where = place_of(path, location) if path else name
         raise error(f"{where}: {found}" if where else str(found)) from None
@@ -64,6 +100,12 @@ def make(
         unknown = [p for p in wrong if p["type"] in _UNKNOWN]  # what is missing is there under a wrong name
         wrong = unknown or [p for p in wrong if not _is_other_form(p, wrong)]
         problems = [_sentence(problem, kind, path, node, location, name) for problem in wrong]
+    else:
+        problems = [
+            _not_a_number(path, [*location, *inner], name) for inner in _booleans_as_numbers(data, made)
+        ]
+        if not problems:
+            return made
     messages = list(dict.fromkeys(problems))
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
@@ -77,7 +119,55 @@ def make(
     raise error("; ".join(sentences))
 
 
+def _not_a_number(path: Path | None, location: Sequence[Key], name: str) -> tuple[str, str]:
+    what = ".".join(str(step) for step in location)
+    where = place_of(path, location) if path else name
+    return where, f"{what} should be a valid number, which yes, no, on, off, true, false are not"
+
+
+def _booleans_as_numbers(
+    data: object, made: object, place: tuple[Key, ...] = ()
+) -> Iterator[tuple[Key, ...]]:
+    """Places of true and false that were taken for 1 and 0."""
+    if isinstance(data, bool):
+        if isinstance(made, int | float) and not isinstance(made, bool):
+            yield place
+    elif isinstance(data, Mapping):
+        for key, value in data.items():
+            inner = made.get(key) if isinstance(made, Mapping) else getattr(made, str(key), None)
+            yield from _booleans_as_numbers(value, inner, (*place, key))
+    elif isinstance(data, list) and isinstance(made, list | tuple):
+        for k, (value, inner) in enumerate(zip(data, made)):
+            yield from _booleans_as_numbers(value, inner, (*place, k))
+
+
 # -- YAML ----------------------------------------------------------------------------------------------------
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads numbers as people write them: 1:30 is text, not 90, a date is text, and 010 is ten."""
+
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        text = str(self.construct_scalar(node)).replace("_", "")
+        return int(text, 16 if "x" in text else 10)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [rule for rule in rules if rule[0].rpartition(":")[2] not in ("int", "float", "timestamp")]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"[-+]?(0x[0-9a-fA-F_]+|[0-9][0-9_]*)$"), list("-+0123456789")
+)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"[-+]?([0-9][0-9_]*\.[0-9_]*|\.[0-9][0-9_]*|[0-9][0-9_]*(?=[eE]))([eE][-+]?[0-9]+)?$"
+        r"|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
+    ),
+    list("-+0123456789."),
+)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -86,13 +176,18 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
     _measure(node, path, {})
+    for value in _broken_paths(node):
+        raise ExperimentError(
+            f"{path}, line {value.start_mark.line + 1}: in double quotes \\ begins a special character: "
+            f"{value.value[:60]!r}; write / between folders, or single quotes"
+        )
     for first, second in _twice(node):
         raise ExperimentError(
             f"{path}, line {second.start_mark.line + 1}: {second.value!r} is there twice "
             f"(first on line {first.start_mark.line + 1}); remove one"
         )
     try:
-        data: dict[str, Any] = yaml.safe_load(_text(path))
+        data: dict[str, Any] = yaml.load(_text(path), Loader=_Loader)
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise _not_yaml(path, error) from None
     return data
@@ -106,15 +201,23 @@ def _text(path: Path) -> str:
     except IsADirectoryError:
         raise ExperimentError(f"{path} is a folder; name the YAML file in it") from None
     except UnicodeDecodeError:
-        raise ExperimentError(f"{path} is not a text file (UTF-8)") from None
+        kind = "UTF-16" if _is_utf16(path.read_bytes()) else "not a text file"
+        raise ExperimentError(f"{path} is {kind}, not UTF-8; save it as UTF-8 in your editor") from None
     except OSError as error:
         raise ExperimentError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _is_utf16(data: bytes) -> bool:
+    try:
+        return data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) and ":" in data.decode("utf-16")
+    except UnicodeDecodeError:
+        return False
 
 
 def _compose(path: Path) -> yaml.Node | None:
     text = _text(path)
     try:
-        return yaml.compose(text, Loader=yaml.SafeLoader)
+        return yaml.compose(text, Loader=_Loader)
     except yaml.YAMLError as error:
         raise _not_yaml(path, error) from None
     except RecursionError:
@@ -125,6 +228,14 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
     mark = getattr(error, "problem_mark", None)
     where = f", line {mark.line + 1}" if mark else ""
     problem = getattr(error, "problem", None) or "not YAML"
+    if "escape" in problem:
+        return ExperimentError(
+            f"{path}{where}: in double quotes \\ begins a special character; write / between folders, or "
+            "single quotes"
+        )
+    if "special characters" in str(error):
+        problem = "it holds characters that are no text: is it UTF-16? save it as UTF-8"
+        return ExperimentError(f"{path}: {problem}")
     return ExperimentError(f"{path}{where}: {problem}; check indentation, colons and brackets")
 
 
@@ -146,6 +257,17 @@ def _measure(node: yaml.Node, path: Path, sizes: dict[int, int]) -> int:
         )
     sizes[id(node)] = size
     return size
+
+
+def _broken_paths(node: yaml.Node) -> Iterator[yaml.Node]:
+    """Paths in double quotes whose \\t, \\n, ... have become control characters."""
+    if isinstance(node, yaml.ScalarNode):
+        if node.style == '"' and _BROKEN_PATH.search(str(node.value)):
+            yield node
+    elif isinstance(node, yaml.CollectionNode):
+        for value in node.value:
+            for part in value if isinstance(value, tuple) else (value,):
+                yield from _broken_paths(part)
 
 
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
@@ -214,11 +336,13 @@ def _sentence(
 
 
 def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
-    """Whether it is only about the word that is allowed in place of a block."""
-    if problem["type"] != "literal_error" or not isinstance(problem["input"], Mapping):
-        return False
+    """Whether it only states that a value is not of another form that it could have."""
     place = problem["loc"][:-1]
-    return any(other is not problem and other["loc"][: len(place)] == place for other in wrong)
+    others = [other for other in wrong if other is not problem and other["loc"][: len(place)] == place]
+    if problem["type"] == "literal_error" and isinstance(problem["input"], Mapping):
+        return bool(others)
+    wrong_kind = problem["type"] in ("list_type", "dict_type")
+    return wrong_kind and any(other["type"] == "value_error" for other in others)
 
 
 def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
@@ -233,6 +357,8 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
     if sort == "value_error":
         return message.removeprefix("Value error, ")
     value = problem.get("input")
+    if value is None:
+        return "is empty; fill it in"
     return message.replace("Input should", "should") + (f", not {value!r}" if _is_short(value) else "")
 
 

@@ -164,7 +164,7 @@ LAUGHS = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         (LAUGHS, "write out its aliases"),
         ("a: &a {b: *a}", "write out its aliases"),
         ("a: " + 2000 * "[", "is nested too deeply"),
-        ("name: 2026-13-45", "not YAML"),
+        ("frame_rate: 2026-13-45", "frame_rate should be a valid number"),
         ("cameras: {Left: {image: 3}}", "cameras.Left.image is not a known key; did you mean 'images'?"),
     ],
 )

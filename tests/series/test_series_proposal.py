@@ -28,7 +28,12 @@ def folder(tmp_path):
 def test_what_is_proposed_is_an_experiment_file(folder, capsys):
     assert main(["init", str(folder)]) == 0
     said = capsys.readouterr().out
+    with pytest.raises(ExperimentError, match="frame_rate is empty; fill it in"):
+        Experiment.load(folder / "experiment.yaml")
+    text = (folder / "experiment.yaml").read_text()
+    (folder / "experiment.yaml").write_text(text.replace("frame_rate:", "frame_rate: 50", 1))
     made = Experiment.load(folder / "experiment.yaml")
+    assert made.water.depth is None
     assert made.name == "run-07"
     assert made.cameras["cam1"].images == "cam1/img_{frame:04d}.tif"
     assert made.cameras["cam3"].offset == -5

@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 from wavefield.config_files import make
 from wavefield.errors import CalibrationError
 
-Length = Annotated[float, Field(gt=0, lt=100)]  # m
+Length = Annotated[float, Field(gt=5e-5, lt=2)]  # m; what laboratories have, not cm or mm
 Nodes = Annotated[int, Field(ge=3)]
 
 

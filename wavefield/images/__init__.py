@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,16 +15,22 @@ from wavefield.atomic_write import ANY_FILE, atomic
 from wavefield.errors import FrameError, StoreError
 from wavefield.images.davis_image import read_buffer
 from wavefield.images.dng import read_dng
+from wavefield.images.jpeg_scan import is_damaged
 from wavefield.images.plain_tiff import read_plain_tiff
+from wavefield.images.tiff_page import as_bright, page_of
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported here
+JPEG_ENDINGS = (".jpg", ".jpeg")
+TIFF_ENDINGS = (".tif", ".tiff")
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 FILE_ENDS = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 TAIL_BYTES = 4096  # at the end of a complete file, which contain these
 
 
-def read_image(path: str | Path, page: int = 0) -> np.ndarray:
+def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
     """Read one grey image, (row, column), as stored: TIFF, PNG, BMP, JPEG, DNG, LaVision's IM7.
+
+    Of a file of several images the page has to be named.
 
     Examples
     --------
@@ -39,11 +46,36 @@ def read_image(path: str | Path, page: int = 0) -> np.ndarray:
         return read_buffer(path, page or None)
     if ending == ".dng":
         return read_dng(path)
+    if ending in TIFF_ENDINGS:
+        return _checked(_read_tiff(Path(path), page), str(path))
     with _quiet():
-        image = _read_page(path, page) if page else _read_file(path)
+        image = _read_file(path)
     if image is None:
         image = _read_otherwise(Path(path), page)
     return _checked(image, str(path))
+
+
+def _read_tiff(path: Path, page: int | None) -> np.ndarray:
+    """Read a page of a TIFF file: plain ones at once, others by OpenCV as far as their tags allow it."""
+    if page is None and (image := read_plain_tiff(path)) is not None:
+        return image
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            found = page_of(tiff, page, str(path))
+    except FrameError:
+        raise
+    except Exception:  # perhaps another kind of image under this name; else it is reported what is wrong
+        found = page or 0
+    if not isinstance(found, int):
+        return found
+    with _quiet(), suppress(cv2.error):
+        if not found:
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        else:
+            image = next(iter(cv2.imreadmulti(str(path), found, 1, flags=cv2.IMREAD_UNCHANGED)[1]), None)
+        if image is not None:
+            return image
+    return _read_otherwise(path, found)
 
 
 def _checked(image: np.ndarray, name: str) -> np.ndarray:
@@ -55,21 +87,36 @@ def _checked(image: np.ndarray, name: str) -> np.ndarray:
 
 def decode_image(data: bytes, name: str) -> np.ndarray:
     """Read one grey image, (row, column), from the bytes of a file that is neither DNG nor IM7."""
-    image = None
-    last = FILE_ENDS.get(Path(name).suffix.lower(), b"")
-    if data and last in data[-TAIL_BYTES:]:
-        with _quiet(), suppress(cv2.error):
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None and data[:4] in TIFF_STARTS:
+    image: np.ndarray | None
+    if data[:4] in TIFF_STARTS:
         try:
             with tifffile.TiffFile(BytesIO(data)) as tiff:
-                image = np.asarray(tiff.pages.first.asarray())
+                found = page_of(tiff, None, name)
+                if isinstance(found, int):
+                    image = _decoded(data, name) if not found else None
+                    image = np.asarray(tiff.pages[found].asarray()) if image is None else image
+                else:
+                    image = found
+        except FrameError:
+            raise
         except Exception as error:
             raise FrameError(f"{name} is corrupt or truncated: {error}") from None
+    else:
+        image = _decoded(data, name)
     if image is None:
         state = "not an image, corrupt or truncated" if data else "empty"
         raise FrameError(f"{name} is {state}; copy it again from the camera")
     return _checked(image, name)
+
+
+def _decoded(data: bytes, name: str) -> np.ndarray | None:
+    last = FILE_ENDS.get(Path(name).suffix.lower(), b"")
+    jpeg = data[:3] == b"\xff\xd8\xff"
+    if not data or last not in data[-TAIL_BYTES:] or (jpeg and is_damaged(data)):
+        return None
+    with _quiet(), suppress(cv2.error):
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    return None
 
 
 def grey(image: np.ndarray) -> np.ndarray:
@@ -109,24 +156,14 @@ def _read_file(path: str | Path) -> np.ndarray | None:
     try:
         if ending in FILE_ENDS and not _is_complete(path, FILE_ENDS[ending]):
             return None
-        if ending in (".jpg", ".jpeg"):
-            return cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-        if ending in (".tif", ".tiff") and (image := read_plain_tiff(path)) is not None:
-            return image
+        if ending in JPEG_ENDINGS:
+            return _decoded(Path(path).read_bytes(), str(path))
         return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     except (cv2.error, OSError):
         return None
 
 
-def _read_page(path: str | Path, page: int) -> np.ndarray | None:
-    try:
-        ok, images = cv2.imreadmulti(str(path), page, 1, flags=cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        return None
-    return images[0] if ok and images else None
-
-
-def _read_otherwise(path: Path, page: int) -> np.ndarray:
+def _read_otherwise(path: Path, page: int | None) -> np.ndarray:
     """Read what OpenCV cannot, or report what is wrong with the file."""
     try:
         with path.open("rb") as stream:
@@ -138,9 +175,11 @@ def _read_otherwise(path: Path, page: int) -> np.ndarray:
     if start in TIFF_STARTS:
         try:
             with tifffile.TiffFile(path) as tiff:
-                if page >= len(tiff.pages):
-                    raise FrameError(f"{path} has {len(tiff.pages)} pages: there is no page {page}")
-                return tiff.pages[page].asarray()
+                found = page_of(tiff, page, str(path))
+                if not isinstance(found, int):
+                    return found
+                one: Any = tiff.pages[found]
+                return as_bright(one, one.asarray())
         except FrameError:
             raise
         except Exception as error:
@@ -154,7 +193,7 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
     path = Path(path)
     try:
         with atomic(path, ANY_FILE) as draft:
-            if path.suffix.lower() in (".tif", ".tiff"):
+            if path.suffix.lower() in TIFF_ENDINGS:
                 tifffile.imwrite(draft, image)
             else:
                 draft.write_bytes(cv2.imencode(path.suffix, image)[1].tobytes())

@@ -76,7 +76,10 @@ def _parsed(stream: FileIO, size: int) -> _TiffLayout | None:
         if page.bitspersample != 8 * page.dtype.itemsize or page.dataoffsets[0] + page.nbytes > size:
             return None
         kind = tiff.tiff
-        directory = kind.tagnosize + kind.tagsize * len(page.tags)
+        if len(tiff.pages) > 1 or page.subifds:
+            return None
+        # with the place of the next directory, of which there is none
+        directory = kind.tagnosize + kind.tagsize * len(page.tags) + kind.offsetsize
         spans = [(HEADER_BYTES, kind.offsetsize if kind.is_bigtiff else 0), (page.offset, directory)]
         for tag in page.tags:
             outside = not page.offset <= tag.valueoffset < page.offset + directory

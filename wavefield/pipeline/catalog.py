@@ -22,7 +22,7 @@ from urllib.parse import unquote, urlparse
 import yaml
 
 from wavefield.atomic_write import ANY_FILE, NEW_FILE, write_text
-from wavefield.config_files import read_yaml
+from wavefield.config_files import read_yaml, safe_name
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.execution.cluster import open_cluster
 from wavefield.execution.lock import Lock
@@ -71,6 +71,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
     catalog = Path(catalog).absolute()
     found = Experiment.load(experiment)
     run = name or found.name
+    _refuse_names(catalog, [run])
     data = read_yaml(catalog) if catalog.exists() else new_catalog(catalog.stem)
     try:
         options = data["user_parameters"]["run"]["options"]
@@ -246,11 +247,21 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
     if unknown:
         raise ExperimentError(f"{path} has no run {unknown[0]!r}; it has {', '.join(options) or 'none'}")
     runs = list(entries) or list(options)
+    _refuse_names(path, runs)
     if not runs:
         raise ExperimentError(
             f"{path} has no runs; add one with `wavefield catalog add {path.name} EXPERIMENT`"
         )
     return runs
+
+
+def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
+    """Refuse runs whose names would lead out of the catalog's folder."""
+    try:
+        for run in runs:
+            safe_name(str(run))
+    except ValueError as error:
+        raise ExperimentError(f"{catalog}: run {error}") from None
 
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:

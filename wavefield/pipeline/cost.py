@@ -46,8 +46,8 @@ class Cost:
         return text
 
 
-def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
-    """Measure a few steps in the middle of the run, and extrapolate to all of it."""
+def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]:
+    """Measure a few steps in the middle of the run, and extrapolate to all of it; also their fields."""
     start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
@@ -69,7 +69,7 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
         reading=measure_reading_speed(prepared.series, prepared.chunk_steps, step, workers),
     )
-    return cost, fraction_measured(one.fields["quality"])
+    return cost, one.fields
 
 
 class _Clocked:

@@ -1,22 +1,30 @@
 """What an experiment has, what is missing, and what its run will cost."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.worker_settings import one_thread
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
 from wavefield.pipeline.advice import advise
-from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, measure_cost, spell_size
-from wavefield.pipeline.magnitudes import refuse_small_fields
-from wavefield.pipeline.prepare import expected_coverage, load_files, prepare
+from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, fraction_measured, measure_cost, spell_size
+from wavefield.pipeline.magnitudes import (
+    expected_coverage,
+    refuse_small_fields,
+    remark_on_depth,
+    remark_on_speed,
+)
+from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.pipeline.run_quality import clocks, compare_cameras
 from wavefield.pipeline.still_water import remark_on_rest
+from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
 from wavefield.quality.frame_remarks import FrameInspection, inspect_frames, remark_on_frames, sample_frames
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.rig import Rig
@@ -228,7 +236,7 @@ def check(
     measuring = {name: series[name] for name in experiment.measuring_cameras}
     sample = sample_frames(measuring)
     inspections = {
-        name: inspect_frames(one, tuple(sorted({*sample, *_unusual_files(one)})))
+        name: inspect_frames(one, tuple(sorted({*sample, *_unusual_files(one), 0, len(one) - 1})))
         for name, one in series.items()
     }
     cameras = tuple(
@@ -237,7 +245,7 @@ def check(
     problems: list[str] = []
     shares: dict[str, float] = {}
     sentences: dict[str, str] = {}
-    prepared, cost = None, None
+    prepared, cost, fields = None, None, None
     try:
         prepared = prepare(experiment, rig, workflow)
         refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
@@ -249,9 +257,11 @@ def check(
         shares["coverage"] = expected_coverage(prepared.rig, prepared.grid)
         first = {"motion": prepared.motion, "heights": prepared.heights}
         sentences = {name: one.sentence for name, one in first.items() if one}
+    if prepared and not problems:
         with one_thread():
             try:
-                cost, shares["measured"] = measure_cost(prepared)
+                cost, fields = measure_cost(prepared)
+                shares["measured"] = fraction_measured(fields["quality"])
             except ExperimentError as error:
                 problems.append(str(error))
             sentences["advice"] = advise(prepared, shares.get("measured", 0.0))
@@ -266,7 +276,7 @@ def check(
             remarks += late
     remarks += remark_on_recordings(experiment, series)
     if prepared:
-        remarks.append(remark_on_rest(prepared.experiment, prepared.rig))
+        remarks += _remarks_on_trial(prepared, shares["coverage"], fields or {})
     verdict = None
     if faults:
         verdict = Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
@@ -286,6 +296,23 @@ def check(
         verdict=verdict,
         sentences=sentences,
     )
+
+
+def _remarks_on_trial(
+    prepared: PreparedRun, coverage: float, fields: Mapping[str, NDArray[Any]]
+) -> Iterator[Remark]:
+    """Remarks on rig and grid, and on the fields of the step that was tried."""
+    yield remark_on_rest(prepared.experiment, prepared.rig)
+    yield from remark_on_coverage(coverage)
+    if not fields:
+        return
+    yield from remark_on_holes(fraction_measured(fields["quality"]))
+    yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
+    yield from remark_on_depth(prepared.experiment, prepared.rig, fields["z"])
+    motion = prepared.motion
+    if motion and motion.found:
+        pixels = float(np.abs([motion.x, motion.y]).max())
+        yield from remark_on_speed(prepared.experiment, prepared.rig, prepared.grid, pixels)
 
 
 def _remark_on_disk(cost: Cost) -> Remark:

@@ -1,27 +1,39 @@
 """Lengths that cannot be metres: a rig, a grid or a range of elevations given in another unit."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
+from wavefield.quality.field_remarks import MIN_COVERAGE, MIN_USEFUL_COVERAGE
 from wavefield.rig import Camera, Rig
-from wavefield.rig.resolution import pixel_sides
+from wavefield.rig.field import common_field
+from wavefield.rig.resolution import pixel_sides, pixel_size
 from wavefield.series import Experiment
+from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, Settings
 
 _UNITS = {"centimetres": 0.01, "millimetres": 0.001}
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: nearer or farther ones are given in another unit
+_MAX_LENS_ERROR = 0.5  # px
+_MAX_SENSOR_TILT = 0.8  # rad
+_MIN_WATER_SHARE = 0.1  # of an image: the rest may be above the horizon
 _USUAL_DISTANCES = (0.2, 30.0)  # m
-_MAX_GRID_FIELDS = 20.0  # times as wide as a camera's field may a grid be
+_MAX_FIELD_GRIDS = 20.0  # times as wide as a fine grid may a camera's field be
+_MAX_NODES_TRIED = 300  # along each side of a grid, for the common view
+_MAX_DEPTH_DISTANCES = 100.0  # of the cameras from the water: deeper water is remarked upon
+_MAX_SPEED = 30.0  # m/s, of water: faster than the crest of any breaking wave
 _MIN_STEP_PIXELS = 0.1  # between nodes: finer ones have nothing of their own
 _MIN_BLOCKS = 21  # along the longer side of what is matched
 _MAX_ELEVATION_SHARE = 0.5  # of the distance of the nearest camera
+_MAX_THICKNESS_SHARE = 0.05  # of beads or of a light sheet, likewise
 
 
 def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
@@ -31,6 +43,13 @@ def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
     low, high = _CAMERA_DISTANCES
     if not low <= distance <= high:
         raise RigError(f"{rig_file}: its cameras are {distance:.3g} m away from the water{_remedy(distance)}")
+    for name, camera in rig.cameras.items():
+        tilt = max(abs(camera.tau_x), abs(camera.tau_y))
+        if not _lens_error(camera) < _MAX_LENS_ERROR or tilt > _MAX_SENSOR_TILT:
+            raise RigError(
+                f"{rig_file}: the lens of {name} takes pixels of its image to places that other pixels show, "
+                "or to none; check its distortion, tilt and focal length"
+            )
     level = experiment.water.level
     under = [name for name, camera in rig.cameras.items() if camera.centre[2] <= 0 < camera.centre[2] + level]
     if under:
@@ -39,49 +58,146 @@ def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
         )
 
 
-def refuse_other_grids(experiment: Experiment, rig: Rig, grid: Grid, rig_file: str) -> None:
-    """Refuse a grid that does not fit the cameras' field by so much that one of them is not in metres."""
+def _lens_error(camera: Camera) -> float:
+    """Median distance, px, of pixels on the water's side of the horizon from those their places give."""
+    width, height = camera.size
+    column, row = np.meshgrid(np.linspace(0, width - 1, 7), np.linspace(0, height - 1, 7))
+    with np.errstate(all="ignore"):
+        there = camera.project(*camera.unproject(column, row), 0.0)
+        apart = np.hypot(there[0] - column, there[1] - row)
+    shown = np.isfinite(apart)
+    return float(np.median(apart[shown])) if shown.mean() > _MIN_WATER_SHARE else float("inf")
+
+
+def expected_coverage(rig: Rig, grid: Grid) -> float:
+    """Share of the grid's nodes that every camera sees while the water is at rest.
+
+    Of a large grid some hundred nodes along each side are tried.
+    """
+    x, y = (nodes[:: 1 + len(nodes) // _MAX_NODES_TRIED] for nodes in (grid.x_nodes, grid.y_nodes))
+    seen = np.ones((len(y), len(x)), bool)
+    with np.errstate(all="ignore"):  # a grid in another unit may be anywhere
+        for name in rig:
+            seen &= rig[name].sees(x[None, :], y[:, None], 0.0)
+    return float(seen.mean())
+
+
+def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
+    """Refuse a grid of which the cameras have hardly anything in common view."""
+    share = expected_coverage(rig, grid)
+    if share >= MIN_USEFUL_COVERAGE:
+        return
+    blind = [name for name in rig if not expected_coverage(replace(rig, cameras={name: rig[name]}), grid)]
+    if len(blind) == len(rig.cameras):
+        who = "no camera sees the grid"
+    elif blind:
+        who = f"{', '.join(blind)} does not see the grid"
+    else:
+        who = f"the cameras have {100 * share:.2g} % of the grid in common view"
+    raise ExperimentError(
+        f"{experiment.path}: {who} (x {grid.x[0]:g} to {grid.x[1]:g} m, y {grid.y[0]:g} to {grid.y[1]:g} m); "
+        f"{_suggested_grid(rig, grid)}"
+    )
+
+
+def _suggested_grid(rig: Rig, grid: Grid) -> str:
+    """The grid in another unit if most of it is in view then, else what all cameras see."""
+    pixel = min(pixel_sides(camera, *_middle(camera)[0])[1] for camera in rig.cameras.values())
+    for factor in _UNITS.values():
+        (x0, x1), (y0, y1) = ((factor * low, factor * high) for low, high in (grid.x, grid.y))
+        for step in (factor * grid.step, grid.step):
+            fits = step <= min(x1 - x0, y1 - y0) and step >= pixel
+            if fits and expected_coverage(rig, meant := Grid((x0, x1), (y0, y1), step)) >= MIN_COVERAGE:
+                return f"`grid` is in metres: did you mean {_spelled(meant)}?"
+    try:
+        seen = _spelled(common_field(rig.cameras.values()))
+    except RigError as error:
+        return f"correct `grid`, which is in metres, or the rig: {error}"
+    return f"correct `grid`, which is in metres: the cameras see {seen}; or leave it out to have it chosen"
+
+
+def _spelled(grid: Grid) -> str:
+    (x0, x1), (y0, y1) = grid.x, grid.y
+    return f"{{x: [{x0:g}, {x1:g}], y: [{y0:g}, {y1:g}], step: {grid.step:g}}}"
+
+
+def refuse_fine_grids(experiment: Experiment, rig: Rig, grid: Grid, rig_file: str) -> None:
+    """Refuse a grid whose step is so far below a pixel that it or the rig is not in metres."""
     field = _field(rig)
     if field is None or experiment.grid == "auto":
         return
     extent = max(grid.x[1] - grid.x[0], grid.y[1] - grid.y[0])
     pixel = min(pixel_sides(camera, *_middle(camera)[0])[1] for camera in rig.cameras.values())
-    if extent > _MAX_GRID_FIELDS * field or not np.isfinite(extent):
-        unit, factor = _unit(extent, field)
-        raise ExperimentError(
-            f"{experiment.path}: the grid is {extent:.3g} m wide, but the cameras of {rig_file} see only "
-            f"{field:.2g} m; if it is in {unit}, multiply `grid` by {factor:g}"
-        )
-    if grid.step < _MIN_STEP_PIXELS * pixel:
+    if grid.step >= _MIN_STEP_PIXELS * pixel:
+        return
+    if field > _MAX_FIELD_GRIDS * extent:
         unit, factor = _unit(field, extent)
-        if field > _MAX_GRID_FIELDS * extent:
-            raise RigError(
-                f"{rig_file}: its cameras see {field:.3g} m, but the grid of {experiment.path} is only "
-                f"{extent:.2g} m wide; if the rig is in {unit}, multiply its lengths by {factor:g}"
-            )
-        raise ExperimentError(
-            f"{experiment.path}: grid.step of {grid.step:g} m is far below the size of a pixel on the water, "
-            f"{pixel:.2g} m; four pixels are a good step"
+        raise RigError(
+            f"{rig_file}: its cameras see {field:.3g} m, but the grid of {experiment.path} is only "
+            f"{extent:.2g} m wide; if the rig is in {unit}, multiply its lengths by {factor:g}"
+        )
+    raise ExperimentError(
+        f"{experiment.path}: grid.step of {grid.step:g} m is far below the size of a pixel on the water, "
+        f"{pixel:.2g} m; four pixels are a good step"
+    )
+
+
+def remark_on_depth(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -> Iterator[Remark]:
+    """Report a depth that the surface measured, z in metres, or the cameras' distance contradict."""
+    depth = experiment.water.depth
+    if depth is None:
+        return
+    lowest = float(np.nanmin(z, initial=0.0)) if np.isfinite(z).any() else 0.0
+    distance = float(np.median([np.linalg.norm(_middle(camera)[1]) for camera in rig.cameras.values()]))
+    if -lowest > depth:
+        found = f"the surface is {-lowest:.2g} m below still water in the step tried"
+    elif depth > _MAX_DEPTH_DISTANCES * distance:
+        found = f"the cameras are {distance:.2g} m away from the water"
+    else:
+        return
+    yield Remark(
+        "water",
+        "depth",
+        "remark",
+        f"water.depth of {experiment.path.name} is {depth:g} m, but {found}",
+        "",
+        "is it in metres? where waves are too short to feel the bottom, leave it out",
+        {"depth": depth, "lowest": lowest, "distance": distance},
+    )
+
+
+def remark_on_speed(experiment: Experiment, rig: Rig, grid: Grid, pixels: float) -> Iterator[Remark]:
+    """Report water that moves faster than any; ``pixels`` is its largest displacement in a step."""
+    speed = pixels * pixel_size(rig, grid) * experiment.frame_rate
+    if speed > _MAX_SPEED:
+        yield Remark(
+            "record",
+            "speed",
+            "grave",
+            f"the water moves by {pixels:.0f} px from frame to frame, which is {speed:.3g} m/s at "
+            f"{experiment.frame_rate:g} Hz",
+            f"{_MAX_SPEED:g} m/s at most",
+            f"is frame_rate of {experiment.path.name} in Hz, and the rig in metres?",
+            {"speed": speed},
         )
 
 
 def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
-    """Refuse elevations that come near the cameras: they are not in metres."""
-    room = _MAX_ELEVATION_SHARE * min(
-        float(np.linalg.norm(_middle(camera)[1])) for camera in rig.cameras.values()
-    )
-    lengths: Mapping[str, tuple[float, ...]] = {
-        "z_range": settings.z_range or (),
-        "bead_height": (settings.bead_height,),
-        "sheet_thickness": (settings.sheet_thickness or 0.0,),
+    """Refuse elevations that come near the cameras, and thick beads or sheets: they are not in metres."""
+    distance = min(float(np.linalg.norm(_middle(camera)[1])) for camera in rig.cameras.values())
+    elevation, thickness = (_MAX_ELEVATION_SHARE, 0.025), (_MAX_THICKNESS_SHARE, 0.0002)  # and what is usual
+    lengths: Mapping[str, tuple[tuple[float, float], tuple[float, ...]]] = {
+        "z_range": (elevation, settings.z_range or ()),
+        "bead_height": (thickness, (settings.bead_height,)),
+        "sheet_thickness": (thickness, (settings.sheet_thickness or 0.0,)),
     }
-    for name, values in lengths.items():
+    for name, ((share, usual), values) in lengths.items():
         largest = max((abs(value) for value in values), default=0.0)
-        if largest > room:
-            unit, factor = _unit(largest, 0.05 * room)
+        if largest > share * distance:
+            unit, factor = _unit(largest, usual * distance)
             raise ExperimentError(
                 f"{source}: settings.{name} of {largest:g} m does not fit below cameras that are "
-                f"{2 * room:.2g} m away; if it is in {unit}, multiply it by {factor:g}"
+                f"{distance:.2g} m away; if it is in {unit}, multiply it by {factor:g}"
             )
 
 

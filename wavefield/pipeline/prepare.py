@@ -19,8 +19,9 @@ from wavefield.pipeline.experiment_of_cube import image_names
 from wavefield.pipeline.magnitudes import (
     name_of_rig,
     refuse_far_cameras,
+    refuse_fine_grids,
     refuse_high_water,
-    refuse_other_grids,
+    refuse_unseen_grids,
 )
 from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Rig
@@ -109,14 +110,8 @@ def prepare(
         grid = experiment.choose_grid(rig, {**experiment.settings, **workflow.settings})
     except ValueError as error:  # a step that does not fit what the cameras see
         raise ExperimentError(f"{experiment.path}: {error}") from None
-    refuse_other_grids(experiment, rig, grid, rig_file)
-    blind = [name for name in rig if not expected_coverage(replace(rig, cameras={name: rig[name]}), grid)]
-    if blind:
-        who = "no camera sees" if len(blind) == len(used) else f"{', '.join(blind)} does not see"
-        raise ExperimentError(
-            f"{experiment.path}: {who} the grid (x {grid.x[0]:g} to {grid.x[1]:g} m, "
-            f"y {grid.y[0]:g} to {grid.y[1]:g} m); correct `grid`, or leave it out to have it chosen"
-        )
+    refuse_fine_grids(experiment, rig, grid, rig_file)
+    refuse_unseen_grids(experiment, rig, grid)
     refuse_high_water(
         settings, rig, str(workflow.path if "z_range" in workflow.settings else experiment.path)
     )
@@ -221,15 +216,6 @@ def make_recipe(
 def _digest(departures: np.ndarray) -> dict[str, str]:
     """Departures of the frames from even times, as plain data of a recipe."""
     return {"sha256": hashlib.sha256(departures.astype("<f8").tobytes()).hexdigest()[:16]}
-
-
-def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Share of the nodes that every camera sees while the water is at rest."""
-    x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
-    visible = np.ones(x.shape, bool)
-    for name in rig:
-        visible &= rig[name].sees(x, y, 0.0)
-    return float(visible.mean())
 
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":

@@ -9,11 +9,13 @@ import numpy as np
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
 from wavefield.pipeline.cost import fraction_measured
-from wavefield.pipeline.prepare import PreparedRun, expected_coverage
+from wavefield.pipeline.magnitudes import expected_coverage
+from wavefield.pipeline.prepare import PreparedRun
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality import camera_delay, camera_motion
 from wavefield.quality.camera_delay import Delay
 from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
+from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
@@ -36,10 +38,7 @@ class RunLimits:
     instants_for_first_delays: int = 4  # the same before it
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
-    eps_piv: tuple[float, float] = (0.15, 0.5)  # px, median: more is remarked upon, makes values useless
     without_camera: tuple[float, float] = (0.01, 0.1)  # fraction of the nodes: more is noted, remarked upon
-    in_view: tuple[float, float] = (0.5, 0.05)  # fraction of the grid: less is remarked upon, is useless
-    measured: tuple[float, float] = (0.7, 0.2)  # fraction of the nodes in view: likewise
     faulty: float = 0.01  # of the steps with bad frames: fewer are only noted
 
 
@@ -160,47 +159,15 @@ def _fields(store: Path, in_view: float) -> Iterator[Remark]:
     z = np.stack([np.asarray(group["z"][k]) for k in steps])
     if group["z"].dtype == np.int16:
         z = np.where(z == group["z"].attrs["_FillValue"], np.nan, z.astype(np.float32))
-    found = np.isfinite(z)
-    if not found.any():
+    if not np.isfinite(z).any():
         return  # the ledger reports it
     eps = np.stack([np.asarray(group["eps_piv"][k], np.float32) for k in steps])
     eps *= np.float32(group["eps_piv"].attrs.get("scale_factor", 1.0))
-    misfit = (
-        float(np.median(np.abs(eps[found & np.isfinite(eps)]))) if (found & np.isfinite(eps)).any() else 0.0
-    )
-    if misfit > LIMITS.eps_piv[0]:
-        yield Remark(
-            "velocity",
-            "eps'",
-            "grave" if misfit > LIMITS.eps_piv[1] else "remark",
-            f"the cameras are inconsistent on the motion of the water: median eps' {misfit:.2f} px",
-            f"less than {LIMITS.eps_piv[0]} px",
-            "are the frames of the same moments, and of the same order, for all cameras?",
-            {"eps_piv": misfit},
-        )
+    yield from remark_on_eps_piv(z, eps)
     yield from _left_out(group, steps)
     quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
-    measured = fraction_measured(quality)
-    if in_view < LIMITS.in_view[0]:
-        yield Remark(
-            "grid",
-            "coverage",
-            "grave" if in_view < LIMITS.in_view[1] else "remark",
-            f"the cameras have {100 * in_view:.2g} % of the grid's nodes in common view",
-            f"{100 * LIMITS.in_view[0]:.0f} % at least",
-            "check the extent of the grid, which is in metres, or leave it out: `grid: auto`",
-            {"fraction": in_view},
-        )
-    if measured < LIMITS.measured[0]:
-        yield Remark(
-            "surface",
-            "holes",
-            "grave" if measured < LIMITS.measured[1] else "remark",
-            f"{100 * measured:.0f} % of the nodes in view were measured; the others are filled or empty",
-            f"{100 * LIMITS.measured[0]:.0f} % at least",
-            "check seeding and light; `quality` gives the reason why nodes were rejected",
-            {"fraction": measured},
-        )
+    yield from remark_on_coverage(in_view)
+    yield from remark_on_holes(fraction_measured(quality))
 
 
 def _left_out(group: CubeGroup, steps: Sequence[int]) -> Iterator[Remark]:

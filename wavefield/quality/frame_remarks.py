@@ -84,19 +84,25 @@ def remark_on_frames(
         if not read:
             continue
         for fault, (kind, words, remedy) in FAULT_WORDS.items():
-            bad = [index for index in read if index in found.faults and found.faults[index][0] == fault]
-            if len(bad) > max(1, RECORD_LIMITS.bad_frames * len(read)):
-                numbers = spell_ranges([series[name].first + index for index in bad], 3)
-                yield Remark(
-                    name,
-                    kind,
-                    "grave" if len(bad) > RECORD_LIMITS.usable_steps * len(read) else "remark",
-                    f"{len(bad)} of {len(read)} frames read {words}: frames {numbers} "
-                    f"({found.faults[bad[0]][1]})",
-                    f"{100 * RECORD_LIMITS.bad_frames:.0f} % at most",
-                    remedy,
-                    {"bad": len(bad), "read": len(read)},
-                )
+            everywhere = [index for index, (other, _) in found.faults.items() if other == fault]
+            bad = [index for index in everywhere if index in read]
+            count, those = len(read), "frames read"
+            if len(bad) <= _most(fault, count):  # files of unusual sizes were read beside the sample
+                bad, count, those = everywhere, len(series[name]), "frames"
+            if len(bad) <= _most(fault, count):
+                continue
+            numbers = spell_ranges([series[name].first + index for index in bad], 3)
+            yield Remark(
+                name,
+                kind,
+                "grave" if len(bad) > RECORD_LIMITS.usable_steps * count else "remark",
+                f"{len(bad)} of {count} {those} {words}: frames {numbers} ({found.faults[bad[0]][1]})",
+                "none"
+                if fault == FrameFault.WRONG_SIZE
+                else f"{100 * RECORD_LIMITS.bad_frames:.0f} % at most",
+                remedy,
+                {"bad": len(bad), "read": count},
+            )
         pairs = sum(index - 1 in read for index in read)
         if len(found.repeated) > max(1, RECORD_LIMITS.bad_frames * pairs):
             numbers = spell_ranges([series[name].first + index for index in sorted(found.repeated)], 3)
@@ -111,6 +117,11 @@ def remark_on_frames(
                 {"repeated": len(found.repeated), "pairs": pairs},
             )
     yield from _usable(series, inspections, sample)
+
+
+def _most(fault: FrameFault, frames: int) -> float:
+    """Number of bad frames that is not remarked upon: one setting of the camera gives frames of one size."""
+    return 0 if fault == FrameFault.WRONG_SIZE else max(1, RECORD_LIMITS.bad_frames * frames)
 
 
 def _usable(

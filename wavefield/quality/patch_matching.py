@@ -134,10 +134,16 @@ class PatchMatcher:
 def _sampled(
     image: NDArray[np.generic] | None, column: NDArray[np.float32], row: NDArray[np.float32], side: int
 ) -> NDArray[np.float32] | None:
-    """Squares (n, side, side) of an image at pixels (n side, side); NaN outside of it."""
+    """Squares (n, side, side) of an image at pixels (n side, side); NaN outside of it.
+
+    Real numbers, which often are from 0 to 1, are scaled to 255, as other grey levels.
+    """
     if image is None:
         return None
     flat = np.ascontiguousarray(image, np.float32)
+    largest = float(np.abs(flat).max()) if image.dtype.kind == "f" else 0.0
+    if largest > 0:
+        flat = flat * np.float32(255.0 / largest)
     sampled = cv2.remap(flat, column, row, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
     return np.asarray(sampled, np.float32).reshape(-1, side, side)
 

@@ -56,6 +56,10 @@ def read_time_stamps(path: Path, camera: str) -> Times:
         lines = path.read_text().splitlines()
     except OSError as error:
         raise ExperimentError(f"time stamps of {camera}: {path} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ExperimentError(
+            f"time stamps of {camera}: {path} is not a text file of one time per line, in seconds"
+        ) from None
     times: list[float] = []
     for number, line in enumerate(lines, 1):
         words = line.replace(",", " ").replace(";", " ").split()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, model_validator
 
-from wavefield.config_files import load, read_yaml
+from wavefield.config_files import PathText, load, read_yaml
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
@@ -53,12 +53,12 @@ class Experiment(RecordSection):
     """
 
     calibration: CalibrationSection | None = None
-    rest: str | dict[str, str] | None = Field(
+    rest: PathText | dict[str, PathText] | None = Field(
         default=None,
         examples=['"rest/{camera}/img_{frame:05d}.tif"'],
         description="images of still water, one pattern or one per camera: they correct and level the rig",
     )
-    rig: str | dict[str, str] | None = Field(
+    rig: PathText | dict[str, PathText] | None = Field(
         default=None, examples=["rig.yaml"], description="this program's or another's; or one file per camera"
     )
     surface: SurfaceSection | None = None
@@ -124,22 +124,40 @@ class Experiment(RecordSection):
             If the file is missing or wrong; the message names the line and the remedy.
         """
         path = Path(str(path).removeprefix("file://")).absolute()
-        data = read_yaml(path)
-        if set(data) in ({"experiment"}, {"experiment", "folder"}):
+        data, passed = read_yaml(path), [path]
+        while set(data) in ({"experiment"}, {"experiment", "folder"}):
             if folder is None and data.get("folder"):
-                folder = path.parent / data["folder"]
+                folder = path.parent / str(data["folder"])
             target = path.parent / str(data["experiment"])
             if not target.is_file():
                 raise ExperimentError(f"{path} points to {target}, which is not there")
-            return cls.load(target, folder)
+            if any(target.samefile(one) for one in passed):
+                raise ExperimentError(
+                    f"{passed[0]} points to itself (`experiment:`); name the file that has the cameras"
+                )
+            path = target
+            data = read_yaml(path)
+            passed.append(path)
         if folder:
             data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
-        if "frame_rate" not in data and isinstance(data.get("cameras"), Mapping):
+        if data.get("frame_rate") is None and isinstance(data.get("cameras"), Mapping):
             rate = one_rate(recorded_rates(data["cameras"], path.parent / (data.get("folder") or "")), path)
             data |= {} if rate is None else {"frame_rate": rate}
         out = load(cls, path, data)
         out._path = path
+        out._refuse_itself()
         return out
+
+    def _refuse_itself(self) -> None:
+        """Refuse a file that names itself where another should be."""
+        named: dict[str, object] = {"rig": self.rig, "rest": self.rest}
+        named |= {f"cameras.{name}.times": camera.times for name, camera in self.cameras.items()}
+        named |= {f"cameras.{name}.images": camera.images for name, camera in self.cameras.items()}
+        named |= {"probes": self.probes.file} if self.probes else {}
+        for key, value in named.items():
+            files = list(value.values()) if isinstance(value, dict) else [value]
+            if any(isinstance(file, str) and self.resolve(file) == self._path for file in files):
+                raise ExperimentError(f"{self._path}: {key} names this file itself; name the file it is in")
 
     @property
     def path(self) -> Path:

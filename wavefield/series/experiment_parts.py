@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavefield.config_files import ConfigSection
+from wavefield.config_files import ConfigSection, Name, PathText, safe_name
 from wavefield.grid import Grid
 from wavefield.water import tension_over_density
 
@@ -12,12 +12,12 @@ from wavefield.water import tension_over_density
 class CameraSection(ConfigSection):
     """Where the images of one camera are."""
 
-    images: str | list[str | None] = Field(
+    images: PathText | list[PathText | None] = Field(
         examples=['"cam1/img_{frame:05d}.tif"'],
         description="pattern with the frame number, glob, list, multi-page TIFF, video, Zarr array",
     )
     offset: int = Field(default=0, description="added to this camera's frame numbers")
-    times: str | None = Field(
+    times: PathText | None = Field(
         default=None,
         description="file of time stamps, one line per image, seconds; `recorded`: those in a recording, "
         "where all cameras' clocks are one",
@@ -39,27 +39,37 @@ class FramesSection(ConfigSection):
 class RecordSection(ConfigSection):
     """The record of an experiment: its name, its cameras and their images."""
 
-    name: str = Field(examples=["coriolis-07"], pattern=r"^[^/\\]+$")
+    name: Name = Field(examples=["coriolis-07"])
     description: str = ""
     frame_rate: float = Field(
         gt=0, le=1e7, examples=["20.0"], description="Hz; by default what recordings state"
     )
-    folder: str | None = Field(default=None, description="folder of the images, if not that of this file")
+    folder: PathText | None = Field(
+        default=None, description="folder of the images, if not that of this file"
+    )
     cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
     frames: FramesSection = FramesSection()
 
     @field_validator("name", mode="before")
     @classmethod
     def _name_is_text(cls, value: object) -> object:
-        return str(value) if isinstance(value, int | float) else value  # `name: 7` is a fine name
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        return str(value) if number else value  # `name: 7` is a fine name
+
+    @field_validator("cameras")
+    @classmethod
+    def _cameras_in_paths(cls, value: dict[str, CameraSection]) -> dict[str, CameraSection]:
+        for name in value:
+            safe_name(name)
+        return value
 
 
 class CalibrationSection(ConfigSection):
     """Target images and what the target is; read by the calibration."""
 
     target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"])
-    tilted: str | list[str] = Field(examples=['"calib/{camera}/tilt_*.tif"'])
-    flat: str | None = Field(default=None, examples=['"calib/{camera}/flat.tif"'])
+    tilted: PathText | list[PathText] = Field(examples=['"calib/{camera}/tilt_*.tif"'])
+    flat: PathText | None = Field(default=None, examples=['"calib/{camera}/flat.tif"'])
     model: str | None = Field(default=None, description="camera model, where the default does not do")
     target_std: float = Field(
         default=0.0,
@@ -112,7 +122,7 @@ class WaterSection(ConfigSection):
 
     depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="m")
     level: float = Field(default=0.0, description="height of the still water above z = 0 of the rig file, m")
-    density: float | None = Field(default=None, gt=0, le=30_000, examples=["1000"], description="kg m-3")
+    density: float | None = Field(default=None, ge=400, le=30_000, examples=["1000"], description="kg m-3")
     surface_tension: float | None = Field(default=None, ge=0, le=5, examples=["0.073"], description="N m-1")
 
     def attributes(self) -> dict[str, float]:
@@ -126,7 +136,7 @@ class WaterSection(ConfigSection):
 class ProbesSection(ConfigSection):
     """A file of wave probes, and what its header does not state."""
 
-    file: str = Field(examples=["probes.csv"])
+    file: PathText = Field(examples=["probes.csv"])
     time: str | int = Field(
         default="time", examples=['"Zeit [s]"'], description="column of time: its name, or its number from 1"
     )

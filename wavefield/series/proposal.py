@@ -95,7 +95,7 @@ def propose(folder: str | Path) -> str:
         *_calibration([s for s in series if _TARGETS.search(s.pattern)]),
         *_rest(rest),
         "grid: auto                    # what all cameras see; or {x: [..], y: [..], step: ..} in metres",
-        "water: {depth: 0.70}          # TO FILL IN: metres",
+        "water: {depth: }              # TO FILL IN: metres, such as 0.70",
         *_probes(folder),
     ]
     return "\n".join(lines) + "\n"
@@ -104,7 +104,7 @@ def propose(folder: str | Path) -> str:
 def _head(folder: Path) -> Iterator[str]:
     yield f"# Proposed from the images in {folder.name}; check every line, then run `wavefield check`."
     yield f"name: {re.sub(r'[^A-Za-z0-9_.-]+', '-', folder.name) or 'experiment'}"
-    yield "frame_rate: 20.0              # TO FILL IN: Hz; image files do not state it"
+    yield "frame_rate:                   # TO FILL IN: Hz, such as 20.0; image files do not state it"
 
 
 def _cameras(records: list[NumberedImages]) -> Iterator[str]:
@@ -129,7 +129,7 @@ def _calibration(targets: list[NumberedImages]) -> Iterator[str]:
         yield "# calibration: no target images were found; name them here, or a rig: `rig: rig.yaml`"
         return
     yield "calibration:"
-    yield "  target: {kind: chessboard, mesh: 0.03, shape: [9, 6]}   # TO FILL IN: mesh in metres"
+    yield "  target: {kind: , mesh: }    # TO FILL IN: such as chessboard, 0.03 (metres), shape: [9, 6]"
     names = [re.sub(r"\{frame[^}]*\}", "*", s.pattern) for s in targets]
     pattern = _common_pattern(names)
     if pattern:

@@ -13,6 +13,7 @@ import tifffile
 
 from wavefield.errors import FrameError
 from wavefield.images import grey, read_image
+from wavefield.images.tiff_page import as_bright, frame_pages, refuse_page
 from wavefield.series.formats import file_of, open_recording
 from wavefield.series.remote import is_remote, read_remote
 
@@ -74,12 +75,8 @@ def count_images(name: str | Path) -> tuple[Kind, int]:
     if ending == ".zarr" or path.is_dir():
         return "zarr", _open_array(str(path)).count
     if ending in (".tif", ".tiff"):
-        with _open_tiff(str(path)) as tiff:
-            try:
-                pages = len(tiff.pages)
-            except Exception as error:  # of many kinds, by the damage
-                raise FrameError(f"{path} cannot be read: {error}") from None
-        return ("page", pages) if pages > 1 else ("file", 1)
+        count = _count_pages(path)
+        return ("page", count) if count > 1 else ("file", 1)
     if not path.is_file():
         raise FrameError(f"{path}: no such image")
     return "file", 1
@@ -110,11 +107,24 @@ def _open(path: str, opener: Callable[[str], Opened]) -> Opened:
     return cast(Opened, _open_files[key])
 
 
-def _open_tiff(path: str) -> tifffile.TiffFile:
-    try:
-        return tifffile.TiffFile(path)
-    except Exception as error:  # of many kinds, by the damage
-        raise FrameError(f"{path} cannot be read: {error}") from None
+class _Tiff:
+    """A TIFF file of many images; thumbnails among them are left out."""
+
+    def __init__(self, path: str) -> None:
+        try:
+            self.file = tifffile.TiffFile(path)
+            self.pages = frame_pages(self.file)
+        except Exception as error:  # of many kinds, by the damage
+            raise FrameError(f"{path} cannot be read: {error}") from None
+
+    def close(self) -> None:
+        self.file.close()
+
+
+def _count_pages(path: Path) -> int:
+    tiff = _Tiff(str(path))
+    tiff.close()
+    return len(tiff.pages)
 
 
 def _open_array(path: str) -> "ZarrImages":
@@ -124,22 +134,28 @@ def _open_array(path: str) -> "ZarrImages":
 
 
 def _read_page(entry: FrameEntry) -> np.ndarray:
-    tiff = _open(entry.path, _open_tiff)
+    tiff = _open(entry.path, _Tiff)
     try:
-        page: Any = tiff.pages[entry.image]
+        number = tiff.pages[entry.image]
+        page: Any = tiff.file.pages[number]
     except IndexError:
         raise FrameError(f"{entry.path} has no image {entry.image}: is it truncated?") from None
     except Exception as error:
         raise FrameError(f"{entry} cannot be read: {error}") from None
-    if page.compression == tifffile.COMPRESSION.NONE and page.bitspersample in (8, 16, 32):
-        try:
-            image = page.asarray()
-        except Exception as error:
-            raise FrameError(f"{entry} is corrupt or truncated: {error}") from None
-        if image.ndim not in (2, 3) or not image.size:
-            raise FrameError(f"{entry} is corrupt: its header is that of no image")
-        return grey(image[..., ::-1]) if image.ndim == 3 else image
-    return read_image(entry.path, entry.image)
+    if page.compression != tifffile.COMPRESSION.NONE or page.bitspersample not in (8, 16, 32):
+        return read_image(entry.path, number)
+    if page.photometric == tifffile.PHOTOMETRIC.PALETTE:
+        return read_image(entry.path, number)
+    refuse_page(page, str(entry))
+    try:
+        image = as_bright(page, page.asarray())
+    except FrameError:
+        raise
+    except Exception as error:
+        raise FrameError(f"{entry} is corrupt or truncated: {error}") from None
+    if image.ndim not in (2, 3) or not image.size:
+        raise FrameError(f"{entry} is corrupt: its header is that of no image")
+    return grey(image)
 
 
 class _Video:

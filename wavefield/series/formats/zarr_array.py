@@ -12,6 +12,8 @@ from zarr.storage import LocalStore
 from wavefield.errors import FrameError
 from wavefield.series.formats.recording import Pixels
 
+_METADATA = ("zarr.json", ".zarray", ".zgroup", ".zmetadata")  # of a Zarr array or group
+
 
 class ZarrImages:
     """An array of images; one in a file of its own without compression is read past Zarr."""
@@ -68,6 +70,9 @@ def _native(serializer: object) -> bool:
 
 
 def _open(path: str) -> Any:
+    folder = Path(path)
+    if folder.is_dir() and not any((folder / name).exists() for name in _METADATA):
+        raise FrameError(f"{path} is a folder and no Zarr array; name its images, as in {path}/{{frame}}.tif")
     try:
         opened = zarr.open(path, mode="r")
     except Exception as error:

@@ -1,0 +1,66 @@
+"""Some of the faults and of the sound experiments of `benchmarks.check_faults`."""
+
+import shutil
+
+import pytest
+
+from benchmarks.check_faults import FAULTS, SOUND, free_bytes, outcome, write_experiment
+
+REFUSED = {
+    "grid in centimetres": "did you mean {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}?",
+    "grid in centimetres, its step in metres": "did you mean {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}?",
+    "grid in inches": "% of the grid in common view",
+    "bead_height in millimetres": "if it is in millimetres, multiply it by 0.001",
+    "density in g cm-3": "water.density should be greater than or equal to 400",
+}
+FOUND = {
+    "the first frame of another size": "1 of 13 frames read have another size or type than the others",
+    "grid of four times the field": "of the grid's nodes in common view (expected: 50 % at least)",
+    "depth in millimetres": "water.depth of experiment.yaml is 700 m",
+    "frame rate in Hz of microseconds": "30 m/s at most",
+    "no room on the disk": "free some room",
+}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return write_experiment(tmp_path_factory.mktemp("check") / "whole", 300).parent
+
+
+@pytest.fixture
+def lab(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_faults_that_prevent_a_run_are_refused_with_the_remedy(lab, name):
+    FAULTS[name](lab)
+    status, words = outcome(lab / "experiment.yaml")
+    assert status == 1
+    assert REFUSED[name] in words
+
+
+def test_several_faults_at_once_are_all_named(lab, monkeypatch):
+    monkeypatch.setattr("wavefield.pipeline.cost.shutil.disk_usage", free_bytes)
+    for name in FOUND:
+        FAULTS[name](lab)
+    status, words = outcome(lab / "experiment.yaml")
+    assert status == 3
+    for sentence in FOUND.values():
+        assert sentence in words
+
+
+def test_waves_below_the_bottom_are_reported(lab):
+    FAULTS["depth of less than the waves"](lab)
+    status, words = outcome(lab / "experiment.yaml")
+    assert status == 3
+    assert "water.depth of experiment.yaml is 0.0007 m, but the surface is" in words
+
+
+def test_sound_experiments_raise_no_alarm(lab):
+    for title, _, change in SOUND:
+        if title in ("float images", "a grid wider than what is seen", "an ocean's depth"):
+            change(lab)
+    status, words = outcome(lab / "experiment.yaml")
+    assert status == 0, words
