@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from exact_waves import SteadyWave
 from waves_cases import GaussianSea, Waves, axes, cube, relation, second_order_sea
 
 import wavefield.waves as wv
@@ -189,6 +190,17 @@ def test_a_crest_that_outruns_itself_is_an_event_with_its_history():
     assert 0 < float(found.event_duration[top]) < 1.0
     calm = wv.breaking(cube(f | {"u": f["u"] * 0.2}, t, y, x), wavelength=0.6)
     assert calm.sizes.get("event", 0) == 0
+
+
+@pytest.mark.parametrize("steepness", [0.09, 0.27, 0.42])
+def test_water_at_the_crests_of_exact_waves_has_its_share_of_their_speed(steepness):
+    rng = np.random.default_rng([90311, int(1000 * steepness)])
+    current = rng.uniform(-0.2, 0.2, 2)
+    wave = SteadyWave(steepness, 0.5, rng.uniform(-np.pi, np.pi), tuple(current))
+    t, y, x = np.arange(36) * 0.05, np.arange(46) * 0.01, np.arange(50) * 0.01
+    found = wv.breaking(cube(wave.fields(t, y, x), t, y, x))
+    assert float(found.B.median()) == pytest.approx(wave.ratio, abs=0.01)
+    assert float(found.crest_speed.median()) == pytest.approx(wave.speed, rel=0.01)
 
 
 def test_functions_for_notebooks_are_public():
