@@ -4,12 +4,15 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from independent_seas import Sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import FrameStatus, Quality
+from wavefield.waves.estimation.holes import IN_TIME, fill_error
+from wavefield.waves.estimation.segments import Reader
 from wavefield.waves.estimation.wave_record import fill
 
 
@@ -161,3 +164,53 @@ def test_something_masked_that_crosses_the_whole_field_takes_its_steps_instead(s
     assert record.shape == sea.z.shape[1:]
     assert record.runs == ((0, 30), (32, sea.sizes["time"]))
     assert record.bridged == ()
+
+
+def _blobs(rng, shape, share, size):
+    """Holes of size x size nodes, anew at every step."""
+    hole = np.zeros(shape, bool)
+    for step in hole:
+        for _ in range(max(1, round(share * step.size / size**2))):
+            a, b = (rng.integers(0, n - size + 1) for n in step.shape)
+            step[a : a + size, b : b + size] = True
+    return hole
+
+
+@pytest.mark.parametrize(("dx", "highest", "noise"), [(0.01, 4.0, 0.0), (0.02, 3.5, 5e-5), (0.02, 7.0, 0.0)])
+def test_holes_leave_the_floor_as_it_is(dx, highest, noise):
+    seed = 70200 + int(1e3 * dx + highest)
+    sea = Sea(
+        seed=seed, dx=dx, highest=highest, noise=noise, shape=(200, 48, 64), waves=250, depth=0.7, slope=6
+    )
+    whole = sea.cube(("z",))
+    holes = _blobs(np.random.default_rng(seed), sea.shape, 0.01, 4)
+    holed = whole.where(~xr.DataArray(holes, dims=("time", "y", "x")))
+    spectra = [wv.frequency_spectrum(wv.komega(c.z, segment=80)).E for c in (whole, holed)]
+    floor = (spectra[0].frequency > 5) & (spectra[0].frequency < 7)
+    assert float((spectra[1] / spectra[0]).where(floor).max()) < 2
+
+
+def test_filled_values_do_not_depend_on_the_block_they_are_read_in():
+    sea = Sea(seed=70301, shape=(64, 24, 28), waves=100)
+    holes = _blobs(np.random.default_rng(70301), sea.shape, 0.03, 3)
+    z = sea.cube(("z",)).z.where(~xr.DataArray(holes, dims=("time", "y", "x")))
+    z[30:32] = np.nan
+    record = wv.find_record(z)
+    assert record.bridged == (30, 31)
+    read = Reader([z], record)
+    (whole,) = read(0, 64, (0, 64))
+    for a, b in ((0, 16), (16, 32), (24, 40), (29, 31), (31, 33), (40, 64)):
+        np.testing.assert_array_equal(read(a, b, (0, 64))[0], whole[a:b])
+
+
+@pytest.mark.parametrize("size", [2, 4, 9])
+def test_the_stated_error_of_filled_nodes_is_their_error(size):
+    sea = Sea(seed=70400 + size, shape=(120, 48, 64), waves=200, noise=1e-4)
+    whole = sea.cube(("z",)).z
+    holes = _blobs(np.random.default_rng(70400 + size), sea.shape, 0.02, size)
+    holed = whole.values.copy()
+    holed[holes] = np.nan
+    error = (fill(holed, np.zeros(120, bool)) - whole.values)[IN_TIME:-IN_TIME][holes[IN_TIME:-IN_TIME]].std()
+    steps = range(IN_TIME, 120 - IN_TIME, 9)
+    stated = np.sqrt(np.mean([fill_error(holed[t - IN_TIME : t + IN_TIME + 1]) ** 2 for t in steps]))
+    assert 0.7 < stated / error < 1.4

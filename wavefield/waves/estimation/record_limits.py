@@ -3,10 +3,13 @@
 import numpy as np
 import xarray as xr
 
+from wavefield.waves.estimation.holes import IN_TIME, fill_error
+from wavefield.waves.estimation.wave_record import Record, piece
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.products import Noted, Product, register
 
 FEW_SEGMENTS = 7  # with fewer, single cells of a spectrum are uncertain
+FILLED_STEPS = 12  # at which the error of filled nodes is found
 MIN_PERIODS = (
     10  # of the strongest wave: fewer do not separate it from its neighbours, nor its height from chance
 )
@@ -34,7 +37,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
             f"{len(record.bridged)} missing steps in short gaps were bridged by interpolation in time."
         )
     if record.holes:
-        out.append(f"{record.holes} missing nodes were filled from their neighbours.")
+        out.append(_note_on_holes(record, cube["z"]))
     if record.shape != (sizes["y"], sizes["x"]):
         out.append(
             f"Of {sizes['y']} x {sizes['x']} nodes (y, x) the largest full rectangle was used,"
@@ -43,6 +46,25 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
     if not np.isfinite(depth):
         out.append("The depth of the water is not known to the cube: deep water was assumed.")
     return out
+
+
+def _note_on_holes(record: Record, z: xr.DataArray) -> str:
+    """How many nodes were filled, how well, and what that adds to the spectrum of the elevation."""
+    share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
+    text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
+    inside = [t for a, b in record.runs for t in range(a + IN_TIME, b - IN_TIME)]
+    chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, FILLED_STEPS).astype(int)} if inside else ()
+    area = slice(*record.y), slice(*record.x)
+    blocks = (np.asarray(piece(z, slice(t - IN_TIME, t + IN_TIME + 1), *area)) for t in sorted(chosen))
+    errors = np.array([fill_error(block) for block in blocks])
+    errors = errors[np.isfinite(errors)]
+    if not errors.size:
+        return f"{text}."
+    variance = float(np.mean(errors**2))
+    return (
+        f"{text}, with an error of {1e3 * np.sqrt(variance):.2g} mm (found on nodes that are there): it adds"
+        f" {2 * record.dt * share * variance:.1g} m2/Hz to the spectrum of the elevation, at all frequencies."
+    )
 
 
 def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:

@@ -16,6 +16,7 @@ from scipy import fft
 
 from wavefield.errors import CubeError
 from wavefield.waves.estimation import wave_kernels
+from wavefield.waves.estimation.holes import IN_TIME
 from wavefield.waves.estimation.wave_record import LONGEST_BRIDGE, Record, all_finite, fill, piece
 from wavefield.waves.estimation.windows import choose_segment, hann, segment_count
 
@@ -59,9 +60,11 @@ def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
     """What to read for the steps a to b, which of it is missing, and where a to b are in it."""
-    # interpolation in time needs measured steps on either side
+    # interpolation in time needs measured steps on either side, and filling missing nodes some more
     bridged = np.asarray(record.bridged, int)
-    reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
+    reach = IN_TIME if record.holes else 0
+    if ((bridged >= a - 1) & (bridged <= b)).any():
+        reach += LONGEST_BRIDGE + 2
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
     missing = np.isin(np.arange(lo, hi), bridged)
     return (slice(lo, hi), slice(*record.y), slice(*record.x)), missing, slice(a - lo, b - lo)

@@ -9,11 +9,11 @@ from typing import Any
 import dask
 import numpy as np
 import xarray as xr
-from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
+from wavefield.waves.estimation.holes import fill_nodes
 
 # does work for every item, on workers, and gives the results in the order of the items
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
@@ -41,7 +41,7 @@ class Record:
     steps : int
         Steps of the whole cube.
     holes : int
-        Single nodes missing inside the rectangle at valid steps: filled from their neighbours.
+        Nodes missing inside the rectangle at valid steps: filled from those around them in space and time.
     dt, dy, dx : float
         Distances, s and m.
     """
@@ -341,13 +341,8 @@ def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Fill the missing steps, and nodes, of a piece of a record (steps, ny, nx)."""
     if not missing.any() and all_finite(block):
         return block
-    block = block.copy()
+    block = fill_nodes(block, missing)
     valid_steps = np.flatnonzero(~missing)
-    for t in valid_steps:
-        hole = ~np.isfinite(block[t])
-        if hole.any():
-            nearest = ndimage.distance_transform_edt(hole, return_distances=False, return_indices=True)
-            block[t] = block[t][tuple(nearest)]
     for t in np.flatnonzero(missing):
         before, after = valid_steps[valid_steps < t][-2:], valid_steps[valid_steps > t][:2]
         if before.size != after.size:  # at an edge: from the nearest
