@@ -32,6 +32,7 @@ from wavefield.tank.write_experiment import simulate
 from wavefield.waves.dispersion_relation.current_by_depth import current_by_depth
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
+from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
 from wavefield.waves.nonlinear.coherence import coherence
 from wavefield.waves.nonlinear.kinematics import kinematics
@@ -65,6 +66,7 @@ __all__ = [
     "check",
     "coherence",
     "crest_statistics",
+    "cube",
     "current_by_depth",
     "directional_spectrum",
     "energy_budget",

@@ -55,7 +55,9 @@ def _summary_rows(run: Run) -> list[tuple[str, str]]:
         ("grid", f"{cube.sizes['x']} x {cube.sizes['y']} nodes, {run.grid.step * 100:g} cm apart"),
     ]
     if "path_frames" in cube.coords:
-        rows.append(("velocities", f"along paths of {int(cube.path_frames)} frames"))
+        frames = int(cube.path_frames)
+        stated = {1: "instantaneous", 2: "displacements over one step"}
+        rows.append(("velocities", stated.get(frames, f"along paths of {frames} frames")))
     if "z_level_std" in cube:
         level = number(1e3 * float(cube.z_level_std), "mm")
         rows.append(("uncertainty of z = 0, common to all nodes", level))

@@ -1,7 +1,7 @@
 """Every variable of every dataset: one table that gives attributes, checks and documentation."""
 
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
-from wavefield.variables.cube import AROUND, CUBE_FIELDS, PATH_WEIGHTS
+from wavefield.variables.cube import AROUND, CUBE_FIELDS, INSTANTANEOUS, PATH_WEIGHTS
 from wavefield.variables.spectra_table import (
     FIELD_TEXTS,
     FIELD_UNITS,
@@ -21,6 +21,7 @@ __all__ = [
     "FIELD_TEXTS",
     "FIELD_UNITS",
     "GROUPS",
+    "INSTANTANEOUS",
     "K_UNITS",
     "METHODS",
     "OMEGA_UNITS",

@@ -16,6 +16,7 @@ PATH_WEIGHTS: dict[int, tuple[float, ...]] = {
     4: (26 / 24, -1 / 24),
     6: (34 / 48, 10 / 48, -3 / 48),
 }
+INSTANTANEOUS = 1  # frames: of velocities at an instant, as a model has them, no displacements over dt
 
 
 def _cube(name: str, units: str, long_name: str, **more: Any) -> Variable:
@@ -40,7 +41,8 @@ register(
         "1",
         "frames that velocity and rate of rise come from",
         dtype="uint8",
-        meaning="6 where the frame rate is high beside the waves, else 4; fewer beside lost frames and ends",
+        meaning="6 where the frame rate is high beside the waves, else 4; fewer beside lost frames and ends;"
+        " 2 of displacements over one step, 1 of instantaneous velocities",
     ),
     _cube(
         "z",

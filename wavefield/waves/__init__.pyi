@@ -5,6 +5,7 @@ from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_relation.fit_settings import FitSettings
+from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.estimation.transfer_functions import (
     elevation_from_w,
     gain_box,
@@ -54,6 +55,7 @@ __all__ = [
     "coherence",
     "crest_statistics",
     "cross_spectra",
+    "cube",
     "current_by_depth",
     "directional_spectrum",
     "directions",

@@ -31,7 +31,7 @@ from wavefield.waves.estimation import segments
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.record_limits import record_notes
 from wavefield.waves.estimation.wave_record import Each, Record, find_record
-from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.estimation.welch import Welch, with_velocity
 from wavefield.waves.estimation.window_gain import gain_of
 from wavefield.waves.onepass import FIELDS, Progress, one_pass
 from wavefield.waves.spectra.segment_sums import NAMES, Requested
@@ -45,6 +45,7 @@ class AnalysisOptions(TypedDict, total=False):
     probes: str | Path | xr.Dataset | None
     segment: int | None
     depth: float | None
+    velocity: Literal["instantaneous", "displacement"] | None
     pixel_size: float | None
     gain: str | Path | xr.Dataset | Literal[False] | None
     fit: object
@@ -95,6 +96,9 @@ def analyze(
             Steps of a Welch segment; by default chosen from the record.
         ``depth`` : float
             Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
+        ``velocity`` : {"instantaneous", "displacement"}
+            What the velocities of a cube that does not state it are (`wavefield.cube`); by default
+            displacements over one step.
         ``pixel_size`` : float
             Size of a pixel on the water, m; by default the attribute ``pixel_size`` of the cube.
         ``gain`` : path, Dataset or False
@@ -149,7 +153,7 @@ def analyze(
     if out is not None:
         refuse_input(Path(out), cube, gain)
         check_writable(out, WAVES)
-    complete = _open(cube)
+    complete, unstated = with_velocity(_open(cube), options.get("velocity"))
     for name in FIELDS:
         if name not in complete:
             raise CubeError(
@@ -178,6 +182,8 @@ def analyze(
         except segments.UnlikeFirst:
             record = find_record(fields.assign(status), each=each)
             tree = _analyze(given, record, options.get("segment"), False, progress)
+    if unstated:
+        tree.attrs["notes"] = "\n".join(filter(None, [tree.attrs["notes"], unstated]))
     if out is not None:
         write_waves(tree, Path(out))
     return tree

@@ -16,7 +16,7 @@ from wavefield.errors import CubeError
 from wavefield.water import dispersion
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.estimation import rings
-from wavefield.waves.estimation.transfer_functions import path_factor
+from wavefield.waves.estimation.transfer_functions import noise_of_displacement, path_factor
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.spectra.field_spectra import density, plane_density
 
@@ -92,7 +92,8 @@ class SpectraOnCurrent:
             intrinsic = intrinsic_frequency(omega, doppler_shift, sigma, dt)
             half = np.sin(intrinsic * dt / 2)
             to_z = dt / (2 * half * path_factor(intrinsic, dt, frames))
-            planes = np.stack([self.w.values[i] * to_z**2, self.zw.values[i] * to_z, 1 / (4 * half**2)])
+            shape = 1 / noise_of_displacement(intrinsic, dt, frames)
+            planes = np.stack([self.w.values[i] * to_z**2, self.zw.values[i] * to_z, shape])
             flat = np.fft.ifftshift(planes, axes=(1, 2)).reshape(3, -1)
             out[:, i] = (shares @ flat.T).T
         energy, cross = out[:2] * (cell_y * cell_x / table.dk)
@@ -150,7 +151,7 @@ def blend(
         turns = np.where(folded, _turns(omega[i], doppler_shift, sigma, dt), 0)
         intrinsic = intrinsic_frequency(omega[i], doppler_shift - 2 * np.pi * turns / dt, sigma, dt)
         half = 2j * np.sin(intrinsic * dt / 2)
-        weight = 1 / (1 + 1 / (noise * np.abs(half) ** 2))
+        weight = 1 / (1 + 1 / (noise * noise_of_displacement(intrinsic, dt, frames)))
         to_z = dt / (half * path_factor(intrinsic, dt, frames))
         planes = fft.fft2(np.pad([z[i], w[i]], ((0, 0), *[(margin, margin)] * 2), mode="reflect") * fade)
         sign = np.where(turns % 2 == 0, 1.0, -1.0)  # half a step of another turn has the other sign

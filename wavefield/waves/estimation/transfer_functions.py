@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from wavefield.variables import PATH_WEIGHTS, annotate
+from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
 from wavefield.water import dispersion
 
 Array = NDArray[Any]
@@ -61,6 +61,7 @@ def path_factor(omega: Values, dt: float, frames: int) -> Values:
 
     With weights w of displacements d (`wavefield.variables.PATH_WEIGHTS`), w_0 d(k) + w_1 [d(k-1) + d(k+1)]
     + ..., it is w_0 + 2 w_1 cos omega dt + 2 w_2 cos 2 omega dt: (26 - 2 cos omega dt) / 24 of four frames.
+    One frame stands for an instantaneous velocity: b / sin b.
 
     Examples
     --------
@@ -69,11 +70,27 @@ def path_factor(omega: Values, dt: float, frames: int) -> Values:
     >>> [round(float(path_factor(2 * np.pi * 5, 0.025, frames)), 3) for frames in (4, 6)]
     [1.024, 1.003]
     """
+    factor: Values
+    if frames == INSTANTANEOUS:
+        reciprocal: Any = np.sinc(np.asarray(omega) * dt / (2 * np.pi))
+        with np.errstate(divide="ignore"):
+            factor = 1 / reciprocal
+        return factor
     central, *others = PATH_WEIGHTS[frames]
     out: Any = np.full_like(omega, central, dtype=float)
     for n, weight in enumerate(others, 1):
         out = out + 2 * weight * np.cos(n * omega * dt)
-    factor: Values = out
+    factor = out
+    return factor
+
+
+def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
+    """Noise of the displacements over that of the elevation integrated from them, 4 sin^2 b.
+
+    Of instantaneous velocities times dt it is (2 b)^2.
+    """
+    twice: Any = omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)
+    factor: Values = twice**2
     return factor
 
 
@@ -111,7 +128,8 @@ def gain_displacement(omega: Values, dt: float, frames: int = 2) -> Values:
     dt : float
         Time between frames, s.
     frames : int
-        Frames that the velocity comes from (`path_factor`).
+        Frames that the velocity comes from: 2 of a displacement, 4 or 6 along a path, 1 of an instantaneous
+        velocity.
 
     Returns
     -------
@@ -133,7 +151,8 @@ def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
     dt : float
         Time between frames, s.
     frames : int
-        Frames that the velocity comes from (`path_factor`).
+        Frames that the velocity comes from: 2 of a displacement, 4 or 6 along a path, 1 of an instantaneous
+        velocity.
 
     Returns
     -------

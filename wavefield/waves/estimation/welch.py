@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from wavefield.errors import CubeError
+from wavefield.variables import INSTANTANEOUS
 from wavefield.waves.estimation import rings, segments
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.windows import degrees_of_freedom, effective_duration
@@ -17,6 +19,8 @@ Array = NDArray[np.float64]
 Coordinates = dict[str, tuple[str, Array]]
 
 LEAST_COUNT = 4  # segments
+VELOCITY = "velocity"  # attribute of a cube, or of its fields, that states what its velocities are
+MEANINGS = {"displacement": 2, "instantaneous": INSTANTANEOUS}  # over one step; and their frames
 _NEAR = 3  # lines over which the spread over cells is averaged
 LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
 
@@ -164,7 +168,7 @@ class Welch:
 
 
 def frames_of(fields: Any) -> int:
-    """Frames that the velocities of a cube come from: 6 or 4 along paths, else 2."""
+    """Frames that the velocities of a cube come from: 6 or 4 along paths, 1 of an instant, else 2."""
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
     arrays = (
@@ -172,12 +176,45 @@ def frames_of(fields: Any) -> int:
         if hasattr(fields, "data_vars")
         else [fields]
     )
+    stated = {str(one.attrs[VELOCITY]) for one in (fields, *arrays) if VELOCITY in one.attrs}
+    if stated:
+        return frames_of_meaning(*sorted(stated))
     return max((int(array.attrs.get("frames", 2)) for array in arrays), default=2)
 
 
+def frames_of_meaning(*stated: str) -> int:
+    """Frames of velocities that are stated to be displacements over a step, or instantaneous."""
+    if len(stated) > 1 or stated[0] not in MEANINGS:
+        raise CubeError(
+            f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
+        )
+    return MEANINGS[stated[0]]
+
+
+def with_velocity(cube: Any, meaning: str | None) -> tuple[Any, str]:
+    """A cube that states what its velocities are, and a note where neither it nor the argument does."""
+    arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
+    stated = "path_frames" in cube.coords or any(
+        key in one.attrs for one in (cube, *arrays) for key in (VELOCITY, "frames", "recipe")
+    )
+    if meaning is None:
+        note = (
+            "The cube does not state what its velocities are: displacements over one step were assumed (give"
+            " `velocity: instantaneous` for those of a model)."
+        )
+        return cube, "" if stated else note
+    frames = frames_of_meaning(meaning)
+    if stated and frames_of(cube) != frames:
+        raise CubeError(
+            f"velocity is {meaning!r}, but the cube states that its velocities come from {frames_of(cube)}"
+            " frames: leave velocity out"
+        )
+    return cube.assign_coords(path_frames=np.uint8(frames)), ""
+
+
 def along_paths(fields: Any) -> bool:
-    """Whether the velocities of a cube follow paths; of a lazy one nothing is computed."""
-    return "path_frames" in fields.coords or frames_of(fields) > 2
+    """Whether the velocities of a cube are those at mid-time; of a lazy one nothing is computed."""
+    return "path_frames" in fields.coords or frames_of(fields) != 2
 
 
 def frames_of_z(fields: Any) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from wavefield.errors import CubeError
-from wavefield.variables import CUBE_DIMS, TABLE
+from wavefield.variables import CUBE_DIMS, INSTANTANEOUS, TABLE
 from wavefield.water import water_of
 from wavefield.waves.dispersion_relation.doppler_correction import Distances, blend
 from wavefield.waves.estimation import wave_kernels
@@ -94,7 +94,7 @@ class _Filter:
             wave_kernels.frames(*arguments)
             return np.asarray(fft.rfft(starts * window, axis=0))
         lines = np.asarray(fft.rfft(z * window, axis=0))
-        if self.with_flow and any(self.current):
+        if self.frames[0] == INSTANTANEOUS or (self.with_flow and any(self.current)):
             lines *= np.exp(1j * (omega * dt / 2)).conj()[:, None]
         else:
             lines += fft.rfft(z_t * window, axis=0) * to_frame_time(omega, dt, *self.frames)[:, None]

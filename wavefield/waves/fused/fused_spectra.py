@@ -23,7 +23,12 @@ from wavefield.waves.dispersion_relation.doppler_correction import (
 )
 from wavefield.waves.estimation.degrees_of_freedom import with_interval
 from wavefield.waves.estimation.leakage import leakage
-from wavefield.waves.estimation.transfer_functions import MIN_SIGNAL_TO_NOISE, elevation_from_w, path_factor
+from wavefield.waves.estimation.transfer_functions import (
+    MIN_SIGNAL_TO_NOISE,
+    elevation_from_w,
+    noise_of_displacement,
+    path_factor,
+)
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import MIN_POWER_GAIN, read_gain, ring_gain
@@ -144,7 +149,7 @@ def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None)
         to_elevation[0], factor_w[0] = 0, 0
         of_w = ring["E_w"].values * factor_w[:, None]
         cross = (ring["S_z_w"].values * to_elevation[:, None]).real
-        shape = np.broadcast_to(4 * np.sin(b[:, None]) ** 2, cross.shape)
+        shape = np.broadcast_to(noise_of_displacement(omega, dt, frames)[:, None], cross.shape)
     of_w, cross = of_w * leaked.w[:, None], cross * leaked.cross[:, None]
     return _Elevations(*given, of_w, cross, shape, leaked.own, speed)
 

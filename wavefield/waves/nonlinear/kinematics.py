@@ -213,7 +213,7 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     dt, dy, dx = check_axes(cube)
     if along_paths(cube):
         raise CubeError(
-            "the cube's velocities follow paths and hold no displacements: use the residual of"
+            "the cube's velocities are those at mid-time and hold no displacements: use the residual of"
             " wavefield.waves.kinematics, which is as exact"
         )
     z_t = cube["z_t"]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.variables import INSTANTANEOUS
 from wavefield.waves.estimation import segment_variance, segments, transfer_functions, wave_kernels
 from wavefield.waves.estimation.rings import Rings, half_plane
 from wavefield.waves.estimation.welch import Welch
@@ -137,7 +138,9 @@ def add_segment(
             if name == "z" and welch.frames == 2:
                 halves = _at_frame_times(first, second, slab, dt)
             lines[name] = transform(*halves, i)
-            if name == "z" and welch.moving:
+            if name == "z" and welch.frames == INSTANTANEOUS:
+                lines[name] *= np.exp(-0.5j * omega * dt).astype(dtype)
+            elif name == "z" and welch.moving:
                 lines[name] *= transfer_functions.from_moving_frame(k[slab, None], omega, dt)
             elif name == "z" and welch.frames != 2:
                 lines[name] += to_frame_time * transform(first["z_t"][slab], second["z_t"][slab], len(names))
