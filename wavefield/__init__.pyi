@@ -30,6 +30,7 @@ from wavefield.store.verify import verify
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate
 from wavefield.waves.dispersion_relation.current_by_depth import current_by_depth
+from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.estimation.cube_of_fields import cube
@@ -38,11 +39,13 @@ from wavefield.waves.nonlinear.coherence import coherence
 from wavefield.waves.nonlinear.kinematics import kinematics
 from wavefield.waves.nonlinear.resonances import resonances
 from wavefield.waves.spectra.field_spectra import komega, spectrum
+from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
 from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths
 from wavefield.waves.surface.energy_budget import energy_budget
 from wavefield.waves.surface.increments import structure_functions
+from wavefield.waves.surface.statistics import statistics
 from wavefield.waves.surface.vortices import waves_and_vortices
 from wavefield.waves.wave_analysis import analyze
 
@@ -50,6 +53,8 @@ __version__: str
 
 __all__ = [
     "Camera",
+    "E_k",
+    "E_omega",
     "Experiment",
     "Grid",
     "Rig",
@@ -69,6 +74,7 @@ __all__ = [
     "cube",
     "current_by_depth",
     "directional_spectrum",
+    "directions",
     "energy_budget",
     "export",
     "find_sheet",
@@ -93,6 +99,7 @@ __all__ = [
     "run_catalog",
     "simulate",
     "spectrum",
+    "statistics",
     "status",
     "stokes_drift",
     "structure_functions",

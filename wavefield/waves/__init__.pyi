@@ -33,6 +33,7 @@ from wavefield.waves.spectra.field_spectra import (
     spectrum,
     total,
 )
+from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
 from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths
@@ -43,6 +44,8 @@ from wavefield.waves.surface.vortices import waves_and_vortices
 from wavefield.waves.wave_analysis import analyze
 
 __all__ = [
+    "E_k",
+    "E_omega",
     "FitSettings",
     "HigherOrderSettings",
     "Record",

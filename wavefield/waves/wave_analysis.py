@@ -28,6 +28,7 @@ from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import products
 from wavefield.waves.estimation import segments
+from wavefield.waves.estimation.inputs import described
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.record_limits import record_notes
 from wavefield.waves.estimation.wave_record import Each, Record, find_record
@@ -55,6 +56,10 @@ class AnalysisOptions(TypedDict, total=False):
 def _open(cube: str | Path | xr.Dataset) -> xr.Dataset:
     if isinstance(cube, xr.Dataset):
         return cube
+    if not isinstance(cube, str | Path):
+        raise CubeError(
+            f"analyze needs a cube or the path of one, got {described(cube)}: give the cube itself"
+        )
     if (Path(cube) / "checksum").is_dir():  # written by a run
         from wavefield.store.read import open_stored
 

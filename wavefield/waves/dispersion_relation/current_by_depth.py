@@ -12,8 +12,10 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
+from wavefield.waves.estimation.inputs import takes
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.products import Product, register
+from wavefield.waves.spectra.plane_input import a_dataset_with
 
 Array = NDArray[Any]
 
@@ -38,6 +40,7 @@ class ShearSettings:
     degree: int = 3
 
 
+@takes(a_dataset_with(("ridge_k", "ridge_omega", "ridge_angle", "ridge_weight", "depth"), "fit_dispersion"))
 def current_by_depth(
     fit: xr.Dataset,
     *,

@@ -12,8 +12,10 @@ from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.estimation import rings
+from wavefield.waves.estimation.inputs import takes
 from wavefield.waves.estimation.windows import interval
 from wavefield.waves.products import Product, register
+from wavefield.waves.spectra.plane_input import plane_of
 
 Array = NDArray[Any]
 
@@ -126,6 +128,7 @@ def _freedom(levels: Array, covariances: Array) -> Array:
     return np.asarray(2 / np.maximum(own + covariances.sum() / total**2, 1e-12))
 
 
+@takes(plane_of("w"))
 def directions(
     density: xr.DataArray,
     frequency: list[float] | Array,
@@ -141,18 +144,20 @@ def directions(
 
     Parameters
     ----------
-    density : DataArray, (omega, ky, kx)
-        Spectrum of z or w.
+    density : DataArray or Dataset
+        Spectrum (omega, ky, kx) of z or w, or the result of `spectrum`; of a field (time, y, x) or of the w
+        of a cube it is computed.
     frequency : array_like
         Frequencies in the frame of the water, Hz: without a current those of the cameras.
     depth : float
-        Depth of the water, m.
+        Depth of the water, m; by default that of the cube, or deep.
     current : tuple of float
         Velocity of the water along x and y, m/s (`fit_dispersion`).
     sectors : int
         Number of sectors of the circle.
     dof : float, optional
-        Degrees of freedom of a cell; needed for ``dof``, ``low``, ``high``.
+        Degrees of freedom of a cell; needed for ``dof``, ``low``, ``high``. Only of a density alone are
+        they not known.
     gamma : float
         Surface tension over density, m3/s2.
     bandwidth : float

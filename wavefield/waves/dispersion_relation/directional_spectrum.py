@@ -12,6 +12,7 @@ from wavefield.water import dispersion, water_of
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.transfer_functions import elevation_from_w
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, frames_of
@@ -74,6 +75,7 @@ def from_density(
     return annotate(out, "directional")
 
 
+@takes(a_cube)
 def directional_spectrum(
     cube: xr.Dataset,
     *,

@@ -22,9 +22,11 @@ from wavefield.waves.dispersion_relation.relation_points import (
 )
 from wavefield.waves.dispersion_relation.shell_contrast import contrast, explained, fraction
 from wavefield.waves.dispersion_relation.shell_error import against_theory
+from wavefield.waves.estimation.inputs import takes
 from wavefield.waves.estimation.welch import Welch, k_coords
 from wavefield.waves.estimation.windowed_dispersion import SpectralCells
 from wavefield.waves.products import Product, register
+from wavefield.waves.spectra.plane_input import plane_of
 
 Array = NDArray[Any]
 
@@ -40,6 +42,7 @@ CONVERGED, NOT_CONVERGED = 3e-4, 5e-3  # m/s: the rounds end at a smaller change
 STRONG_LINE = 20.0  # energy near the dispersion relation over the noise there: the band of a second fit
 
 
+@takes(plane_of("w"))
 def fit_dispersion(
     density: xr.DataArray,
     depth: float = np.inf,
@@ -51,10 +54,11 @@ def fit_dispersion(
 
     Parameters
     ----------
-    density : DataArray, (omega, ky, kx)
-        Spectrum, best of w, which shows the relation most clearly.
+    density : DataArray or Dataset
+        Spectrum (omega, ky, kx), best of w, which shows the relation most clearly, or the result of
+        `spectrum`; of a field (time, y, x) or of the w of a cube it is computed.
     depth : float
-        Depth of the water, m. It is kept fixed: waves this short do not determine it.
+        Depth of the water, m; by default that of the cube, or deep. It is kept fixed: waves this short do not determine it.
     gamma : float
         Surface tension over density, m3/s2, to start from and for the theory of ``ridge_error``.
     settings : FitSettings, optional

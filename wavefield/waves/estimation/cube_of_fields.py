@@ -103,8 +103,7 @@ def cube(
     stated = {VELOCITY: velocity, "frame_rate": 1 / dt} | attrs
     if depth is not None and np.isfinite(depth):
         stated["water_depth"] = float(depth)
-    found: xr.Dataset = annotate(out.assign_coords(path_frames=np.uint8(frames))).assign_attrs(stated)
-    return found
+    return annotate(out.assign_coords(path_frames=np.uint8(frames))).assign_attrs(stated)
 
 
 def _seconds(name: str, field: Any) -> xr.DataArray:
@@ -114,7 +113,8 @@ def _seconds(name: str, field: Any) -> xr.DataArray:
     if "time" in field.coords and field["time"].dtype.kind in "mM":
         since = (field["time"] - field["time"][0]).values / np.timedelta64(1, "s")
         field = field.assign_coords(time=("time", since, {"units": "s"}))
-    return field
+    out: xr.DataArray = field
+    return out
 
 
 def _rate(z: xr.DataArray) -> xr.DataArray:

@@ -15,6 +15,7 @@ from wavefield.variables import CUBE_DIMS, INSTANTANEOUS, TABLE
 from wavefield.water import water_of
 from wavefield.waves.dispersion_relation.doppler_correction import Distances, blend
 from wavefield.waves.estimation import wave_kernels
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.transfer_functions import path_factor, to_frame_time
 from wavefield.waves.estimation.wave_record import Record, fill, find_record, piece
 from wavefield.waves.estimation.welch import frames_of, frames_of_z, moves_with_flow
@@ -101,6 +102,7 @@ class _Filter:
         return lines
 
 
+@takes(a_cube)
 def fused_series(
     cube: xr.Dataset,
     fusion: xr.Dataset,

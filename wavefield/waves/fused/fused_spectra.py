@@ -22,6 +22,7 @@ from wavefield.waves.dispersion_relation.doppler_correction import (
     shortest_waves,
 )
 from wavefield.waves.estimation.degrees_of_freedom import with_interval
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.leakage import leakage
 from wavefield.waves.estimation.transfer_functions import (
     MIN_SIGNAL_TO_NOISE,
@@ -360,6 +361,7 @@ def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> fl
     return float((both[lines] / np.sqrt(z[lines] * w[lines])).mean()) if lines.any() else float("nan")
 
 
+@takes(a_cube)
 def fused_spectra(
     cube: xr.Dataset,
     *,

@@ -14,11 +14,13 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion, group_velocity
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.segments import Reader, segment_length, spatial_window
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import LOWEST, omega_coords
 from wavefield.waves.estimation.windows import CORRELATED_CELLS, hann
 from wavefield.waves.products import Product, register
+from wavefield.waves.spectra.plane_input import plane_of
 
 Array = NDArray[Any]
 
@@ -138,6 +140,7 @@ def _leakage(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tupl
     return total / total.sum(), float((power * from_relation**2)[free].sum() / power[free].sum())
 
 
+@takes(plane_of("z"))
 def free_and_bound(
     density: xr.DataArray,
     depth: float = np.inf,
@@ -150,10 +153,11 @@ def free_and_bound(
 
     Parameters
     ----------
-    density : DataArray, (omega, ky, kx)
-        Spectrum of the elevation (`spectrum`), m2 per rad/s and (rad/m)2.
+    density : DataArray or Dataset
+        Spectrum (omega, ky, kx) of the elevation (`spectrum`), m2 per rad/s and (rad/m)2; of a field
+        (time, y, x) or of the z of a cube it is computed.
     depth : float
-        Depth of the water, m.
+        Depth of the water, m; by default that of the cube, or deep.
     gamma : float
         Surface tension over density, m3/s2.
     current : tuple of float
@@ -290,6 +294,7 @@ def _label(energies: _Energies, axes: _Axes, cut: RelationCut, own_width: float)
     return annotate(xr.Dataset(out, omega_coords(axes.omega), attrs), "bound")
 
 
+@takes(a_cube)
 def free_and_bound_fields(
     cube: xr.Dataset, split: xr.Dataset, *, segment: int | None = None, record: Record | None = None
 ) -> xr.Dataset:

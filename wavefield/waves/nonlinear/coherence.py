@@ -7,6 +7,7 @@ import xarray as xr
 
 from wavefield.variables import annotate
 from wavefield.waves.estimation.degrees_of_freedom import samples_in_time
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimation.windows import effective_duration
@@ -71,6 +72,7 @@ def _samples(ring: xr.Dataset, name: str) -> xr.DataArray:
     return (ring["dof_rise"] * other) ** 0.5 / 2
 
 
+@takes(a_cube)
 def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
     """Coherence of z_t with w, with -u . grad z and with their sum, over k and over (k, omega).
 

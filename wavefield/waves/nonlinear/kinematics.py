@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves.estimation import wave_kernels
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.wave_record import check_axes
 from wavefield.waves.estimation.welch import along_paths
 from wavefield.waves.products import Product, register
@@ -59,6 +60,7 @@ def terms(
     return {name: array.reshape(shape) for name, array in zip(OUTPUTS, out)}
 
 
+@takes(a_cube)
 def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> xr.Dataset:
     """Slopes, nonlinear term, residual, vorticity and divergence at every node.
 
@@ -184,6 +186,7 @@ def finite_residual_on_grid(
     return (ends[0] - ends[1]) / dt - w
 
 
+@takes(a_cube)
 def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     """Kinematic residual in its exact form for finite displacements.
 

@@ -17,6 +17,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
+from wavefield.waves.estimation.inputs import a_field, takes
 from wavefield.waves.estimation.segments import Reader, spatial_window
 from wavefield.waves.estimation.surrogate_probability import probabilities
 from wavefield.waves.estimation.wave_record import Record, find_record
@@ -270,6 +271,7 @@ def _coherences(x: Array, autocorrelation: Array, groups: _Groups) -> _Coherence
     return _Coherences(*(np.concatenate(parts, axis=1) if parts else np.zeros((3, 0))))
 
 
+@takes(a_field)
 def resonances(
     field: xr.DataArray,
     depth: float = np.inf,

@@ -8,6 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.variables import annotate
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.segments import Reader
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords
@@ -20,6 +21,7 @@ Array = NDArray[Any]
 STEPS_AT_A_TIME = 128
 
 
+@takes(a_cube)
 def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     """Coherence at each wave vector, averaged over time, and its mean over angle taken after the ratio.
 

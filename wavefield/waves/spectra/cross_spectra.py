@@ -14,6 +14,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves.estimation import segment_variance, segments
 from wavefield.waves.estimation.degrees_of_freedom import samples_in_time, with_interval
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
@@ -62,6 +63,7 @@ def door(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     return validate(cube, *fields)
 
 
+@takes(a_cube)
 def cross_spectra(
     cube: xr.Dataset,
     names: Sequence[str],

@@ -16,6 +16,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import K_UNITS, TABLE, annotate, density_units, product
 from wavefield.waves.estimation import rings, segment_variance, segments, wave_kernels
 from wavefield.waves.estimation.degrees_of_freedom import independent_cells, with_interval
+from wavefield.waves.estimation.inputs import a_field, described, is_field, takes
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.windows import interval
@@ -23,11 +24,16 @@ from wavefield.waves.estimation.windows import interval
 Array = NDArray[Any]
 
 
-def _check(field: object) -> None:
-    if not isinstance(field, xr.DataArray):
-        raise CubeError(
-            f"expected one variable over time, y and x (for example cube.w), got {type(field).__name__}"
-        )
+def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
+    """E(k, omega) as given, or of a field."""
+    if is_field(given):
+        return komega(given), {}
+    if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == {"omega", "k"}:
+        return given, {}
+    raise CubeError(
+        f"{name} needs one variable over time, y and x (for example cube.w) or the result of"
+        f" wavefield.komega, got {described(given)}"
+    )
 
 
 def _name(field: xr.DataArray) -> str:
@@ -84,6 +90,7 @@ def density(power: Array, welch: Welch) -> Array:
     return values
 
 
+@takes(a_field)
 def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
     """Power spectrum E(ky, kx, omega).
 
@@ -125,7 +132,6 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     >>> round(float(total(E) / (0.01**2 / 2)), 2)
     1.0
     """
-    _check(field)
     welch = Welch.of(field, segment, record)
     summed = segments.sum_segments([field], welch.record, welch.half, _transform, _powers)
     lazy = dask.delayed(_map, pure=False)(summed, welch)
@@ -190,6 +196,7 @@ def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
     return {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
 
 
+@takes(a_field)
 def komega(
     field: xr.DataArray,
     *,
@@ -236,7 +243,6 @@ def komega(
     >>> E.E.dims, int(E.segments)
     (('omega', 'k'), 7)
     """
-    _check(field)
     welch = Welch.of(field, segment, record, dk)
     table = welch.table
     ring_powers = partial(_ring_powers, table)
@@ -329,13 +335,14 @@ def at_frequency(density: xr.DataArray, frequency: float, bandwidth: float | Non
     return out.assign_coords(frequency=float(lines[chosen].mean()))
 
 
+@takes(a_komega)
 def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
     """Integrate E(k, omega) over k.
 
     Parameters
     ----------
-    komega : Dataset
-        As `komega` gives it.
+    komega : Dataset or DataArray
+        As `komega` gives it, or a field (time, y, x).
 
     Returns
     -------

@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.wave_record import check_axes
 from wavefield.waves.nonlinear.kinematics import slopes
 
@@ -75,6 +76,7 @@ def _is_crest(z: Array, n_y: Array, n_x: Array) -> Array:
     return np.asarray((z >= ahead) & (z > behind))
 
 
+@takes(a_cube)
 def breaking(
     cube: xr.Dataset,
     *,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.segments import Reader
 from wavefield.waves.estimation.wave_record import Record, find_record
 
@@ -103,6 +104,7 @@ def tayfun(level: Array, skewness: float) -> Array:
     return np.asarray(np.exp(-((np.sqrt(1 + 2 * steepness * level) - 1) ** 2) / (2 * steepness**2)))
 
 
+@takes(a_cube)
 def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     """Distributions of crests and troughs, and Hs, skewness and kurtosis with their errors.
 

@@ -11,10 +11,12 @@ from scipy import ndimage
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.segments import Reader
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import omega_coords
 from wavefield.waves.estimation.windows import CORRELATED_CELLS
+from wavefield.waves.spectra.plane_input import plane_of
 
 Array = NDArray[Any]
 
@@ -63,6 +65,7 @@ def follow(velocities: Iterable[tuple[Array, Array]], place: Array, step: Array,
     return np.array(places)
 
 
+@takes(a_cube)
 def surface_paths(
     cube: xr.Dataset, *, duration: float = 10.0, spacing: float = 0.1, record: Record | None = None
 ) -> xr.Dataset:
@@ -171,6 +174,7 @@ def _label(
     return annotate(xr.Dataset(out, coords), "paths")
 
 
+@takes(plane_of("z"))
 def stokes_drift(
     density: xr.DataArray,
     depth: float = np.inf,
@@ -183,10 +187,11 @@ def stokes_drift(
 
     Parameters
     ----------
-    density : DataArray, (omega, ky, kx)
-        Spectrum of the elevation (`spectrum`), m2 per rad/s and (rad/m)2.
+    density : DataArray or Dataset
+        Spectrum (omega, ky, kx) of the elevation (`spectrum`), m2 per rad/s and (rad/m)2; of a field
+        (time, y, x) or of the z of a cube it is computed.
     depth : float
-        Depth of the water, m.
+        Depth of the water, m; by default that of the cube, or deep.
     gamma : float
         Surface tension over density, m3/s2.
     current : tuple of float

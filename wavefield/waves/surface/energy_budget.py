@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import DENSITY, GRAVITY, dispersion, group_velocity, water_of
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.segments import segment_length
 from wavefield.waves.estimation.transfer_functions import elevation_from_w
 from wavefield.waves.estimation.wave_record import Record, find_record
@@ -78,6 +79,7 @@ def _blocks_of_time(record: Record, segment: int) -> list[tuple[int, int]]:
     return [(a, a + length) for first, last in record.runs for a in range(first, last - length + 1, length)]
 
 
+@takes(a_cube)
 def energy_budget(
     cube: xr.Dataset,
     *,

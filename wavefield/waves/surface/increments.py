@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
+from wavefield.waves.estimation.inputs import a_field, takes
 from wavefield.waves.estimation.segments import Reader
 from wavefield.waves.estimation.wave_record import Record, find_record
 
@@ -59,6 +60,7 @@ def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
 
 
+@takes(a_field)
 def structure_functions(
     field: xr.DataArray,
     *,

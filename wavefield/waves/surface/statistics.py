@@ -16,6 +16,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import wavenumber
 from wavefield.waves.estimation import segments, wave_kernels
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.record_limits import without_short_peak
 from wavefield.waves.estimation.wave_record import Each, Record, find_record, piece
 from wavefield.waves.estimation.welch import Welch
@@ -167,6 +168,7 @@ def label(sums: Mapping[str, Array], scales: Scales, dt: float, pixel_size: floa
     return annotate(xr.Dataset(out, coords), "statistics")
 
 
+@takes(a_cube)
 def statistics(
     cube: xr.Dataset, *, record: Record | None = None, pixel_size: float | None = None
 ) -> xr.Dataset:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wavefield.variables import annotate, validate
 from wavefield.waves.estimation import segment_variance, segments, wave_kernels
 from wavefield.waves.estimation.degrees_of_freedom import with_interval
+from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
 
@@ -77,6 +78,7 @@ def _powers(
     return out | {"totals": np.array([vortices, total, vortices**2, total**2, vortices * total])}
 
 
+@takes(a_cube)
 def waves_and_vortices(
     cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None
 ) -> xr.Dataset:

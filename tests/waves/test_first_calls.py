@@ -1,0 +1,102 @@
+"""The first calls of a new user: estimators take what they can, and refuse the rest in a sentence."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from waves_cases import linear_cube, random_waves
+
+import wavefield as wf
+from wavefield import waves as wv
+from wavefield.errors import WavefieldError
+
+NAMES = [
+    "E_k",
+    "E_omega",
+    "komega",
+    "spectrum",
+    "structure_functions",
+    "resonances",
+    "coherence",
+    "kinematics",
+    "breaking",
+    "surface_paths",
+    "energy_budget",
+    "waves_and_vortices",
+    "statistics",
+    "cross_spectra",
+    "directional_spectrum",
+    "fused_spectra",
+    "plane_coherence",
+    "crest_statistics",
+    "fit_dispersion",
+    "directions",
+    "free_and_bound",
+    "stokes_drift",
+    "current_by_depth",
+    "analyze",
+]
+ESTIMATORS = {name: getattr(wf, name, None) or getattr(wv, name) for name in NAMES}
+MORE = {"directions": {"frequency": [2.0]}, "cross_spectra": {"names": ("w",)}}
+FIELD = {"E_k", "E_omega", "komega", "spectrum", "structure_functions"}
+PLANE = {"directions", "free_and_bound", "stokes_drift"}
+
+
+@pytest.fixture(scope="module")
+def inputs():
+    cube = linear_cube(random_waves(7, n=40), 128, 16, 20, dx=0.04)
+    komega, spectrum = wf.komega(cube.w, segment=32), wf.spectrum(cube.w, segment=32)
+    return {
+        "field": cube.w,
+        "cube": cube,
+        "cropped": cube.isel(time=slice(0, 100), x=slice(2, None)),
+        "no w": cube[["z"]],
+        "spectrum": spectrum,
+        "density": spectrum.E,
+        "komega": komega,
+        "array": cube.w.values,
+        "path": "not/there.zarr",
+        "None": None,
+    }
+
+
+KINDS = ("field", "cube", "cropped", "no w", "spectrum", "density", "komega", "array", "path", "None")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_an_estimator_computes_or_says_in_one_sentence_what_it_needs(inputs, name, kind):
+    try:
+        found = ESTIMATORS[name](inputs[kind], **MORE.get(name, {}))
+    except WavefieldError as error:
+        text = str(error)
+        assert 20 < len(text) < 400
+        assert "\n" not in text
+        computed = False
+    else:
+        assert isinstance(found, xr.Dataset | xr.DataTree)
+        computed = True
+    if name in FIELD:
+        takes = {"field", "komega"} if name.startswith("E_") else {"field"}
+        assert computed == (kind in takes)
+    if name in PLANE and kind in ("field", "cube", "cropped", "spectrum", "density"):
+        assert computed
+    if kind in ("array", "path", "None"):
+        assert not computed
+
+
+def test_depth_and_degrees_of_freedom_are_those_that_the_input_states(inputs):
+    cube = inputs["cube"].assign_attrs(water_depth=0.05)
+    spectrum = wf.spectrum(cube.w)
+    given = wf.directions(spectrum.E, [1.5, 2.0], 0.05, dof=float(spectrum.dof))
+    read = wf.directions(cube, [1.5, 2.0])
+    deep = wf.directions(spectrum, [1.5, 2.0])
+    xr.testing.assert_identical(read, given)
+    assert not np.allclose(deep.D, given.D)
+    assert np.isfinite(deep.dof).all()
+
+
+def test_sums_of_the_spectrum_over_k_and_over_omega_hold_the_same_variance(inputs):
+    both = wf.E_k(inputs["field"]), wf.E_omega(inputs["field"])
+    variances = [float(wv.total(one.E)) for one in both]
+    assert variances[0] == pytest.approx(variances[1], rel=1e-9)
+    assert all(bool((one.low < 1).all() and (one.high > 1).all()) for one in both)

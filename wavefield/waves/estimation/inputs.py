@@ -1,0 +1,81 @@
+"""What estimators are given: one rule for all, applied before anything is computed.
+
+Estimators of one field take that field, (time, y, x). Estimators of the surface take a cube. Estimators of
+the dispersion relation take a spectrum E(omega, ky, kx), or a cube or a field that they make it of
+(`wavefield.waves.spectra.plane_input`). Depth, surface tension and degrees of freedom that are not given are
+those that a cube or the result of `spectrum` states.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.variables import CUBE_DIMS
+
+Estimator = TypeVar("Estimator", bound=Callable[..., Any])
+# of what an estimator is given: what it works on, and the parameters that the input states
+Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
+
+
+def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
+    """Convert the first argument of an estimator; parameters that are not given are read from the input."""
+
+    def decorate(estimator: Estimator) -> Estimator:
+        signature = inspect.signature(estimator)
+        first = next(iter(signature.parameters))
+
+        @functools.wraps(estimator)
+        def call(*args: Any, **options: Any) -> Any:
+            bound = signature.bind(*args, **options)
+            bound.arguments[first], stated = convert(bound.arguments[first], estimator.__name__)
+            for name, value in stated.items():
+                if name in signature.parameters:
+                    bound.arguments.setdefault(name, value)
+            return estimator(*bound.args, **bound.kwargs)
+
+        return cast(Estimator, call)
+
+    return decorate
+
+
+def described(given: Any) -> str:
+    """What was given, for messages."""
+    if isinstance(given, xr.DataArray):
+        return f"a variable over {', '.join(map(str, given.dims)) or 'nothing'}"
+    if isinstance(given, xr.Dataset):
+        names = [str(name) for name in given.data_vars]
+        return f"a Dataset of {', '.join(names[:4]) + (', ...' if len(names) > 4 else '') or 'nothing'}"
+    return f"a {type(given).__name__}"
+
+
+def is_field(given: Any) -> bool:
+    """Whether something is a variable over time, y and x."""
+    return isinstance(given, xr.DataArray) and set(given.dims) == set(CUBE_DIMS)
+
+
+def is_cube(given: Any) -> bool:
+    """Whether something is a Dataset with the axes of a cube."""
+    return isinstance(given, xr.Dataset) and set(CUBE_DIMS) <= set(given.dims)
+
+
+def a_field(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
+    """A field, or a refusal."""
+    if not isinstance(given, xr.DataArray):
+        raise CubeError(
+            f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
+        )
+    return given, {}
+
+
+def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
+    """A cube, or a refusal."""
+    if not is_cube(given):
+        raise CubeError(
+            f"{name} needs a cube, a Dataset over time, y and x (`wavefield.cube`, `wavefield.open_cube`),"
+            f" got {described(given)}"
+        )
+    return given, {}

@@ -1,0 +1,48 @@
+"""Spectra over the plane of wave vectors, from what estimators of the dispersion relation are given."""
+
+from typing import Any
+
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.water import water_of
+from wavefield.waves.estimation.inputs import Convert, described, is_cube, is_field
+from wavefield.waves.spectra.field_spectra import spectrum
+
+PLANE = {"omega", "ky", "kx"}
+
+
+def plane_of(field: str) -> Convert:
+    """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's."""
+
+    def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
+        stated: dict[str, Any] = {}
+        if isinstance(given, xr.DataArray) and set(given.dims) == PLANE:
+            return given, stated
+        if is_cube(given):
+            if field not in given:
+                raise CubeError(f"the cube has no {field!r}, of whose spectrum {name} is made")
+            depth, gamma = water_of(given.attrs)
+            stated = {"depth": depth, "gamma": gamma}
+            given = spectrum(given[field]).compute()
+        elif is_field(given):
+            given = spectrum(given).compute()
+        if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
+            return given["E"], stated | ({"dof": float(given["dof"])} if "dof" in given else {})
+        raise CubeError(
+            f"{name} needs a spectrum over omega, ky and kx (`wavefield.spectrum`), a cube, or a field over"
+            f" time, y and x, got {described(given)}"
+        )
+
+    return convert
+
+
+def a_dataset_with(variables: tuple[str, ...], source: str) -> Convert:
+    """Converter that lets Datasets with some variables pass, the results of `source`."""
+
+    def convert(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
+        if not isinstance(given, xr.Dataset) or not {*variables} <= {*given.variables}:
+            raise CubeError(f"{name} needs the result of wavefield.{source}, got {described(given)}")
+        return given, {}
+
+    return convert
