@@ -58,7 +58,8 @@ def fit_dispersion(
         Spectrum (omega, ky, kx), best of w, which shows the relation most clearly, or the result of
         `spectrum`; of a field (time, y, x) or of the w of a cube it is computed.
     depth : float
-        Depth of the water, m; by default that of the cube, or deep. It is kept fixed: waves this short do not determine it.
+        Depth of the water, m; by default that of the cube, or deep. It is kept fixed: waves this
+        short do not determine it.
     gamma : float
         Surface tension over density, m3/s2, to start from and for the theory of ``ridge_error``.
     settings : FitSettings, optional
