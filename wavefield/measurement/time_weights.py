@@ -72,11 +72,11 @@ def uneven_weights(times: Float, frames: Sequence[int], smooth: bool = False) ->
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
     value, rate = np.zeros((2, 6))
-    wanted = np.eye(len(used))
-    value[used], rate[used] = np.linalg.solve(powers, wanted[0]), np.linalg.solve(powers, wanted[1])
+    unit = np.eye(len(used))
+    value[used], rate[used] = np.linalg.solve(powers, unit[0]), np.linalg.solve(powers, unit[1])
     if smooth:
         even = place_weights(6)[1]
-        return value, even + np.linalg.pinv(powers[:5]) @ (wanted[1, :5] - powers[:5] @ even)
+        return value, even + np.linalg.pinv(powers[:5]) @ (unit[1, :5] - powers[:5] @ even)
     return value, rate
 
 
