@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rendering import camera_at
+from scipy.spatial.transform import Rotation
 from sea_pictures import photograph, sea_rig, texture
 
 from wavefield.calibration.relative_pose import level_on_water, match_features, place_second
@@ -103,3 +104,36 @@ def test_images_that_share_nothing_are_refused(sea):
     one, other = (photograph(left, texture(seed), 0.0, seed) for seed in (50, 60))
     with pytest.raises(RigError, match="features match between both cameras"):
         place_second(left, right, match_features(one, other), 2.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rig_of_other_images_is_reported_as_that(sea, seed):
+    cameras, matches, _ = sea
+    (first, one), (second, other) = cameras.items()
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_rotvec(np.radians(rng.uniform(4.0, 8.0, 3) * rng.choice([-1, 1], 3))).as_matrix()
+    rig = Rig({first: one, second: replace(other, rotation=turn @ other.R, translation=turn @ other.T)})
+    with pytest.raises(RigError, match=r"does not match the images: \d{3,} features.*by \d+\.?\d* px"):
+        level_on_water(rig, [{(first, second): pixels} for pixels in matches])
+
+
+def test_images_without_common_features_are_not_blamed_on_the_rig(sea):
+    cameras, _, _ = sea
+    rng = np.random.default_rng(0)
+    noise = [{tuple(cameras): tuple(rng.uniform(0, 500, (2, 60, 2)))} for _ in range(4)]
+    with pytest.raises(RigError, match="features match"):
+        level_on_water(Rig(cameras), [{pair: (a, b + 4000) for pair, (a, b) in one.items()} for one in noise])
+
+
+def test_a_rig_in_the_frame_of_a_camera_is_to_be_levelled():
+    from wavefield.pipeline.magnitudes import refuse_own_frame
+
+    cameras = sea_rig()
+    refuse_own_frame(Rig(cameras), "rig.yaml")
+    first = next(iter(cameras.values()))
+    own = {
+        name: replace(c, rotation=c.R @ first.R.T, translation=c.T - c.R @ first.R.T @ first.T)
+        for name, c in cameras.items()
+    }
+    with pytest.raises(RigError, match="wavefield rig level"):
+        refuse_own_frame(Rig(own), "stereo.yaml")

@@ -1,12 +1,18 @@
 """The range of displacements is found from the images, before anything is measured."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from wavefield import matching
-from wavefield.measurement import Settings
-from wavefield.measurement.first_guess import FirstGuess, first_guess, shifts, wide_enough
+from wavefield.grid import Grid
+from wavefield.matching.patch_shifts import shifts
+from wavefield.measurement import GridGeometry, Settings
+from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
+from wavefield.measurement.searched import search_widened
+from wavefield.tank import paper_rig
 
 USUAL = (-16.0, 16.0)
 
@@ -80,3 +86,24 @@ def test_real_texture_is_measured_however_far_it_moves(shared, shift):
     inside[:6], inside[-6:] = False, False
     assert match.valid[inside].mean() > 0.98
     assert np.sqrt(np.mean((match.u - shift)[inside & match.valid] ** 2)) < 0.02
+
+
+def test_a_measurement_without_a_stated_range_finds_it_in_its_frames():
+    rig = paper_rig(0.5, crop=0.4)
+    grid = Grid(x=(-0.1, 0.1), y=(-0.08, 0.08), step=0.01)
+    geometry = GridGeometry(rig, grid)
+    width, height = rig["cam1"].size
+
+    def step(dx, dy):
+        first = {name: photograph(k) for k, name in enumerate(rig)}
+        second = {name: moved(image, dx, dy) for name, image in first.items()}
+        return tuple({n: image[:height, :width] for n, image in one.items()} for one in (first, second))
+
+    far, near = [step(50, -30)], [step(3, 2)]
+    found = search_widened(far, geometry)
+    assert found.settings.piv.search_x[1] > 60
+    assert found.settings.piv.search_y[0] < -40
+    assert search_widened(near, geometry) is geometry
+    stated = Settings(piv=replace(Settings().piv, search_x=(-20.0, 20.0)), z_range=(-0.05, 0.05))
+    own = GridGeometry(rig, grid, stated)
+    assert search_widened(far, own) is own

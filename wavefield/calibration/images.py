@@ -20,7 +20,7 @@ from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.solve import calibrate
 from wavefield.calibration.target import Target
-from wavefield.errors import CalibrationError, FrameError
+from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.images import read_image
 from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
@@ -40,15 +40,23 @@ class TargetRig:
     mesh: float  # Of the target, m
 
 
-def _find_in_file(path: Path, target: Target) -> TargetPoints | str:
+def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
     """Find the target in one image; a sentence where it cannot be found."""
     try:
         if path.suffix.lower() in TABLES:
-            return read_points(path)
+            return read_points(path, size)
         return find_target(read_image(path), target)
     except (CalibrationError, FrameError) as error:
         sentence = str(error)
         return sentence if str(path) in sentence else f"{path}: {sentence}"
+
+
+def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
+    """Width and height of the images of each camera, px; none where there are no images yet."""
+    try:
+        return {name: (one.shape[1], one.shape[0]) for name, one in experiment.open_frames().items()}
+    except (ExperimentError, FrameError):
+        return {}
 
 
 def worker_context() -> BaseContext:
@@ -133,9 +141,11 @@ def calibrate_experiment(
     jobs = [(camera, pose, path) for camera, by_pose in images.items() for pose, path in by_pose.items()]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes = []
+    frame_sizes = _frame_sizes(experiment) if any(p.suffix.lower() in TABLES for _, _, p in jobs) else {}
     workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
     with ProcessPoolExecutor(workers, mp_context=worker_context(), initializer=_start_worker) as pool:
-        found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs))
+        sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
+        found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs), sizes)
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
             if isinstance(points, str):
                 notes.append(points)

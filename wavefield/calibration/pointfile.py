@@ -35,7 +35,10 @@ def read_points(path: str | Path, size: tuple[int, int] | None = None, std: floa
     lines = _lines(path)
     size = _stated_size(lines, path) or size
     if size is None:
-        raise CalibrationError(f"{path} does not state the image's size; add a line like '# size 1024 1024'")
+        raise CalibrationError(
+            f"{path} does not state the image's size, and there are no images of its camera; add a line like "
+            "'# size 1024 1024'"
+        )
     data, placed = _table(lines, path, std)
     node = np.rint(data[:, :2]).astype(np.int64)
     if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):

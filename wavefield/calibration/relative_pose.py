@@ -153,6 +153,32 @@ def _too_few(count: int) -> str:
     )
 
 
+def _unlike_rig(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> str:
+    """A sentence where features match but their sight lines do not meet: the rig is of other images."""
+    for pair in {pair for by_pair in matches for pair in by_pair}:
+        found = [by_pair[pair] for by_pair in matches if pair in by_pair]
+        a, b = (np.concatenate([pixels[side] for pixels in found]) for side in (0, 1))
+        if len(a) < MIN_MATCHES:
+            continue
+        # wrong matches alone have no geometry in common
+        _, inliers = cv2.findFundamentalMat(a, b, cv2.FM_RANSAC, MAX_EPIPOLAR_ERROR, 0.999)
+        true = np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
+        if true.sum() < max(MIN_MATCHES, 0.5 * len(a)):
+            continue
+        one, other = pair
+        distance = epipolar_distance(rig[one], rig[other], *a[true].T, *b[true].T)
+        error = float(np.nanmedian(np.abs(distance)))
+        if error < MAX_EPIPOLAR_ERROR:
+            continue
+        return (
+            f"the rig does not match the images: {true.sum()} features of {one} and {other} match, but they "
+            f"miss their epipolar lines by {error:.3g} px (median; {MAX_EPIPOLAR_ERROR:g} at most); take the "
+            "rig of these images, check which camera is which, or state --distance to recompute the second "
+            "camera's pose"
+        )
+    return ""
+
+
 def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
     """Where sight lines of matches (n, 2) meet in front of both cameras, (m, 3), m, in the rig's frame."""
     a, b = matches
@@ -185,7 +211,7 @@ def level_on_water(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]
     ]
     points = np.concatenate([none, *surfaces])
     if len(points) < MIN_MATCHES:
-        raise RigError(_too_few(len(points)))
+        raise RigError(_unlike_rig(rig, matches) or _too_few(len(points)))
     levelled, plane = level(rig, *points.T)
     up = _up(rig, levelled)
     own = [_up(rig, level(rig, *surface.T)[0]) for surface in surfaces if len(surface) >= MIN_MATCHES]

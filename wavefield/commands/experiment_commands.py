@@ -109,7 +109,8 @@ def _report(
 
         prepared = prepare(experiment, rig, workflow)
         click.echo(_pairs_table(prepared))
-        click.echo(f"  clocks, by more instants: {sentence(synchrony_of(prepared)[0])}")
+        delays = sentence(synchrony_of(prepared)[0], 1 / prepared.experiment.frame_rate)
+        click.echo(f"  clocks, by more instants: {delays}")
 
 
 def _reader(prepared: PreparedRun) -> Callable[[str, int], Any]:

@@ -33,7 +33,8 @@ from wavefield.matching.matching_kernels import (
     unweighted_sums,
     work_space,
 )
-from wavefield.matching.matching_settings import MatchSettings
+from wavefield.matching.matching_settings import MatchSettings, Range
+from wavefield.matching.patch_shifts import confirmed, shifts, widened
 from wavefield.matching.prepared import Level, PreparedImage, level_count, prepare
 from wavefield.matching.search import search
 
@@ -65,8 +66,9 @@ def match(
     a, b : (h, w) array, or PreparedImage
         The two images; prepare an image that is used in several matches once.
     settings : MatchSettings, optional
-        Default `MatchSettings.piv()`; where most blocks are then invalid, as with few and weak particles,
-        windows of 64 px that accept a correlation of 0.15, if at least twice as many blocks are valid.
+        Default `MatchSettings.piv()`; where most blocks are then invalid, as of large displacements or of few
+        and weak particles, the range of displacements that large patches show, or windows of 64 px that
+        accept a correlation of 0.15, if more than twice as many blocks are valid.
     mask : (h, w) bool, optional
         True where pixels of both images may be used; for images that are not prepared.
     initial : Displacement, or (u, v), optional
@@ -128,8 +130,26 @@ def _match_with_defaults(
     valid_fraction = _valid_fraction(found)
     if valid_fraction >= MIN_VALID_FRACTION:
         return found
+    further = _further_range(a, b) if initial is None else None
+    if further is not None:
+        far = match(a, b, MatchSettings.piv(search_x=further[0], search_y=further[1]))
+        if _valid_fraction(far) > MIN_VALID_RATIO * valid_fraction:
+            return far
     wide = match(a, b, MatchSettings.piv(**WIDE_WINDOWS), initial=initial)
     return wide if _valid_fraction(wide) > MIN_VALID_RATIO * valid_fraction else found
+
+
+def _further_range(a: PreparedImage, b: PreparedImage) -> tuple[Range, Range] | None:
+    """Ranges along x and y that include the motion of large patches; None if the usual ones suffice."""
+    moved = confirmed(shifts(a.levels[0].image, b.levels[0].image)[:, :2])
+    if not len(moved):
+        return None
+    low, high = moved.min(axis=0), moved.max(axis=0)
+    usual = MatchSettings().search_x
+    assert usual is not None
+    if low.min() >= usual[0] and high.max() <= usual[1]:
+        return None
+    return widened((float(low[0]), float(high[0]))), widened((float(low[1]), float(high[1])))
 
 
 def _valid_fraction(found: Displacement) -> float:

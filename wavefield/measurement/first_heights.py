@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.first_guess import shifts
+from wavefield.matching.patch_shifts import shifts
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.rectify import rectify

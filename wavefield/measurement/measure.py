@@ -17,6 +17,7 @@ from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.masked import masked_nodes
 from wavefield.measurement.midtime import frames_used, slope
 from wavefield.measurement.model import Model
+from wavefield.measurement.searched import search_widened
 from wavefield.measurement.step_estimate import StepEstimate, Surfaces, estimate_step
 from wavefield.measurement.temporal_truncation import TemporalTruncation, typical_size
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
@@ -24,6 +25,8 @@ from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
+
+SEARCHED_STEPS = 2  # of those learned from: the ranges to search are found in them
 
 
 @one_thread()
@@ -48,7 +51,8 @@ def measure(
         Frames per second, Hz.
     model : Model, optional
         What was learned of the record. If left out, it is learned from these frames, and another chunk of the
-        record would be weighted slightly differently.
+        record would be weighted slightly differently. Then the ranges of displacements and elevations that
+        the settings do not state are found in these frames, too.
     masks : mapping of str to sequence of n + 5 (ndarray of bool or None), optional
         Per camera, for every frame, True where its pixels do not count.
     departures : ndarray, (n + 5,), optional
@@ -81,6 +85,7 @@ def measure(
     if model is None:
         samples = [1 + k for k in sample_steps(steps + 2)]
         pairs = [_pair(frames, k) for k in samples]
+        geometry = search_widened(pairs[:SEARCHED_STEPS], geometry)
         record = learn(pairs, geometry, [_pair(masks, k) for k in samples] if masks else None)
         if record is None:
             return out

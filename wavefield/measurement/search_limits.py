@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.first_guess import beyond, confirmed, shifts
+from wavefield.matching.patch_shifts import confirmed, shifts
+from wavefield.measurement.first_guess import beyond
 from wavefield.measurement.first_heights import first_heights
 from wavefield.measurement.frame import ready, usable
 from wavefield.measurement.geometry import GridGeometry

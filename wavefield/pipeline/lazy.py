@@ -26,9 +26,12 @@ from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annot
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, Model, Settings
 
+    Known = tuple[GridGeometry, Model | None]
+
 # One task measures a chunk and one more per variable hands it on: with fewer steps per chunk the graph of a
 # long series would grow beyond one task for five steps.
 STEPS_PER_TASK = 72
+SEARCHED_STEPS = 2  # sample steps in which the ranges to search are found
 
 
 @dataclass(frozen=True)
@@ -161,7 +164,6 @@ def reconstruct(
     tasks = [
         measure(
             make_chunk(sources, *edge, departures),
-            geometry,
             known,
             frame_rate,
             dask_key_name=f"measure-{token}-{k}",
@@ -172,7 +174,7 @@ def reconstruct(
         name: (TABLE[name].dims, _assemble(name, tasks, token, edges, grid.shape))
         for name in (*CUBE_FIELDS, "frame_status")
     }
-    once: Any = dask.delayed(_from_record, pure=False)(geometry, known)
+    once: Any = dask.delayed(_from_record, pure=False)(known)
     gain, axes = _gain(once, geometry)
     path_frames = da.from_delayed(once["path_frames"], (), np.uint8)
     level = da.from_delayed(once["z_level_std"], (), np.float64)
@@ -205,27 +207,34 @@ def _gain(
 
 def _known(
     pairs: Sequence[Mapping[str, Any]], geometry: "GridGeometry", record: Mapping[str, Any] | None
-) -> "Model | None":
-    """What was learned from the record."""
+) -> "Known":
+    """The geometry that includes the water's motion and elevations, and what was learned from the record."""
     from wavefield.measurement import LearnedRecord, Model
+    from wavefield.measurement.searched import search_widened
 
+    if record is None:  # else the ranges are those of the settings, as in the earlier cube
+        frames = [
+            ({n: s.read(0).image for n, s in pair.items()}, {n: s.read(1).image for n, s in pair.items()})
+            for pair in pairs[:SEARCHED_STEPS]
+        ]
+        geometry = search_widened(frames, geometry)
     learned = learn_from(pairs, geometry) if record is None else record
-    return Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
+    return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 
 
-def _from_record(geometry: "GridGeometry", model: "Model | None") -> dict[str, np.ndarray]:
+def _from_record(known: "Known") -> dict[str, np.ndarray]:
     """What the cube holds once for all steps: response to waves, uncertainty of z = 0, frames of a path."""
     from wavefield.measurement.bead_tilt import level_std
     from wavefield.measurement.response import tabulated
 
+    geometry, model = known
     record = model.record if model else None
     level, frames = np.float64(level_std(geometry, record)), np.uint8(record.path_frames if record else 4)
     return tabulated(geometry, record) | {"z_level_std": np.asarray(level), "path_frames": np.asarray(frames)}
 
 
-def _measure(
-    chunk: Chunk, geometry: "GridGeometry", model: "Model | None", frame_rate: float
-) -> dict[str, np.ndarray]:
+def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> dict[str, np.ndarray]:
+    geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     return {**measured.fields, "frame_status": measured.frame_status}
 

@@ -38,6 +38,7 @@ _MAX_THICKNESS_SHARE = 0.05  # of beads or of a light sheet, likewise
 
 def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
     """Refuse cameras so far from the water, or so near, that their rig cannot be in metres."""
+    refuse_own_frame(rig, rig_file)
     distances = np.array([np.linalg.norm(_middle(camera)[1]) for camera in rig.cameras.values()])
     distance = float(np.median(distances))
     low, high = _CAMERA_DISTANCES
@@ -56,6 +57,17 @@ def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
         raise ExperimentError(
             f"{experiment.path}: water.level of {level:g} m is above {', '.join(under)}; it is in metres"
         )
+
+
+def refuse_own_frame(rig: Rig, rig_file: str) -> None:
+    """Refuse a rig in the frame of one of its cameras, where z = 0 is no water."""
+    for name, camera in rig.cameras.items():
+        if np.allclose(camera.centre, 0.0, atol=1e-9):
+            raise RigError(
+                f"{rig_file} is in the frame of {name} itself, in which z = 0 is not the water; level it "
+                "with `wavefield rig level EXPERIMENT --rig RIG -o rig.yaml`, or by a seeded record at "
+                "rest with `wavefield refine`"
+            )
 
 
 def _lens_error(camera: Camera) -> float:

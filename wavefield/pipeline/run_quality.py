@@ -74,7 +74,9 @@ def synchrony_of(
 def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
     """First estimate of the delays between cameras, at a few instants."""
     found, speed = synchrony_of(prepared, LIMITS.instants_for_first_delays)
-    return camera_delay.sentence(found), list(camera_delay.remarks(found, speed))
+    return camera_delay.sentence(found, 1 / prepared.experiment.frame_rate), list(
+        camera_delay.remarks(found, speed)
+    )
 
 
 def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:

@@ -41,6 +41,7 @@ MIN_BLOCKS = 4  # matched ones of a patch
 NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
 SIGNIFICANCE = 4.0  # standard deviations
+MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined
 
 
 @dataclass(frozen=True)
@@ -288,18 +289,20 @@ def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
         )
 
 
-def sentence(found: Mapping[str, Delay]) -> str:
-    """Delays of all cameras in a line.
+def sentence(found: Mapping[str, Delay], interval: float = np.inf) -> str:
+    """Delays of all cameras in a line; those less certain than half the interval of frames (s) are left out.
 
     Examples
     --------
     >>> sentence({"cam1": Delay(0.0, 0.0), "cam2": Delay(2e-4, 1e-5)})
     'cam2 is later than cam1 by 0.200 +- 0.010 ms'
+    >>> sentence({"cam1": Delay(0.0, 0.0), "cam2": Delay(3.6, 3.7)}, 0.05)
+    'not determined: too little moves or matches'
     """
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = [
         f"{name} is later than {first} by {1e3 * one.seconds:.3f} +- {1e3 * one.std:.3f} ms"
         for name, one in found.items()
-        if name != first
+        if name != first and one.std < MAX_STD_INTERVALS * interval
     ]
     return "; ".join(words) or "not determined: too little moves or matches"

@@ -14,13 +14,15 @@ from scipy import fft, ndimage
 
 from wavefield.errors import CubeError, ExperimentError
 from wavefield.variables import annotate
+from wavefield.water import GRAVITY
 from wavefield.waves.estimation.welch import LOWEST, Welch, omega_coords
 from wavefield.waves.estimation.windows import degrees_of_freedom, hann, interval, segment_count
 from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 LONGEST_GAP = 3  # samples that are bridged
-MAX_STD = 0.5  # m: waves in a tank are lower
+MAX_STD = 0.5  # m: higher waves are compared with their length
+MAX_STEEPNESS = 0.2  # significant height over the length of a wave of the mean period: breaking ones have 0.1
 MIN_SEGMENTS_FOR_COHERENCE = 4
 COHERENCE_LINES = 9  # over which it is averaged
 
@@ -47,7 +49,7 @@ def read_probes(
     Parameters
     ----------
     path : path-like
-        Table with a header, columns parted by commas, semicolons or tabs: a column of time (``time``,
+        Table with a header, columns parted by commas, semicolons, tabs or blanks: a column of time (``time``,
         ``t``; s or ms) and one per probe. Units are in brackets in the header, as in ``p1 [mm]``, or in a
         line ``# unit mm``; without any they are metres. Lines ``# name x y`` give positions, m.
         With `columns` lines above the header and columns that are not named are passed over, and numbers may
@@ -114,7 +116,7 @@ def read_probes(
 def _chosen(path: Path, body: list[tuple[int, str]], columns: Columns) -> list[tuple[int, str]]:
     """The table of the named columns alone, with a header of our own."""
     requested = [columns.time, *columns.probes.values()]
-    separator = max(";\t,", key=lambda mark: sum(line.count(mark) > 0 for _, line in body))
+    separator = _separator([line for _, line in body])
     cells = [(k, [cell.strip().strip('"') for cell in line.split(separator)]) for k, line in body]
     if all(isinstance(one, int) for one in requested):
         at = [int(one) - 1 for one in requested]
@@ -148,6 +150,18 @@ def _chosen(path: Path, body: list[tuple[int, str]], columns: Columns) -> list[t
         values = [row[i].replace(",", ".") if separator != "," else row[i] for i in at]
         rows.append((k, ",".join(values)))
     return rows
+
+
+def _separator(lines: list[str]) -> str | None:
+    """What parts the columns; None for blanks, between numbers that may have decimal commas."""
+    parted = max(";\t,", key=lambda mark: sum(mark in line for line in lines))
+    count = sum(parted in line for line in lines)
+    blank = sum(len(line.split()) > 1 and all(map(_is_number, line.split())) for line in lines)
+    return None if blank > 0.5 * len(lines) or not count else parted
+
+
+def _is_number(word: str) -> bool:
+    return bool(re.fullmatch(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|(?i:nan)", word))
 
 
 def _numeric(row: list[str], at: list[int]) -> bool:
@@ -200,11 +214,14 @@ def _unit_of(lines: list[str], path: Path) -> str:
     return ""
 
 
-def _header(path: Path, body: list[tuple[int, str]], unit: str) -> tuple[list[_Column], str]:
+def _header(path: Path, body: list[tuple[int, str]], unit: str) -> tuple[list[_Column], str | None]:
     if not body:
         raise ExperimentError(f"the probes {path} are empty")
     number, line = body[0]
-    separator = max(",;\t", key=line.count)
+    mark = max(",;\t", key=line.count)
+    separator = mark if mark in line else None  # blanks
+    if separator is None:  # they may also precede a unit
+        line = re.sub(r"\s+([\[(])\s*(\w+)\s*([\])])", r"\1\2\3", line)
     columns: list[_Column] = []
     for word in line.split(separator):
         match = re.fullmatch(r"(.*?)\s*(?:[\[(]\s*(\w+)\s*[\])])?", word.strip().strip('"'))
@@ -218,7 +235,7 @@ def _header(path: Path, body: list[tuple[int, str]], unit: str) -> tuple[list[_C
     return columns, separator
 
 
-def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], separator: str) -> Array:
+def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], separator: str | None) -> Array:
     rows = []
     for number, line in body:
         words = line.split(separator)
@@ -227,7 +244,8 @@ def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], sepa
                 f"{path}, line {number}: {len(words)} values, but the header names {len(columns)} columns"
             )
         try:
-            rows.append([float(word.strip() or "nan") for word in words])
+            decimal = words if separator == "," else [word.replace(",", ".") for word in words]
+            rows.append([float(word.strip() or "nan") for word in decimal])
         except ValueError as error:
             raise ExperimentError(
                 f"{path}, line {number}: {str(error).split(': ')[-1]} is no number; where there is no value "
@@ -240,13 +258,24 @@ def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], sepa
     if not rising.all():
         raise ExperimentError(f"{path}, line {body[int(np.argmin(rising)) + 1][0]}: time does not rise")
     for k, column in enumerate(columns[1:], 1):
-        values = table[:, k][np.isfinite(table[:, k])]
-        if values.size and not column.stated and float(values.std()) > MAX_STD:
+        known = np.isfinite(table[:, k])
+        values = table[known, k]
+        if values.size and not column.stated and _too_steep(table[known, 0], values):
             raise ExperimentError(
                 f"{path}: {column.name} varies by {values.std():.3g} m; if these are millimetres write "
                 f"'{column.name} [mm]' into the header or add a line '# unit mm' (m, if they are metres)"
             )
     return table
+
+
+def _too_steep(time: Array, values: Array) -> bool:
+    """Whether an elevation, metres, is too high for waves of its mean period: then it is in another unit."""
+    height = 4 * float(values.std())
+    if height <= 4 * MAX_STD:
+        return False
+    crossings = np.count_nonzero(np.diff(values > values.mean()))
+    period = 2 * float(time[-1] - time[0]) / max(crossings, 1)
+    return height > MAX_STEEPNESS * GRAVITY * period**2 / (2 * np.pi)
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
@@ -280,11 +309,23 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     """
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
-    inside, rate = _shared_time(probes["time"].values, span, duration)
-    values = np.array([_bridged(row) for row in probes["elevation"].values[:, inside]])
+    time, rate, elevation = _shared_time(probes["time"].values, probes["elevation"].values, span, duration)
+    values = np.array([_bridged(row) for row in elevation])
     usable = np.isfinite(values).all(axis=1)
     if not usable.any():
-        raise CubeError("every probe has missing values during the record: repair or leave out the probes")
+        part = max((_longest_whole(row) for row in values), key=lambda part: part.stop - part.start)
+        if part.stop - part.start < 0.9 * duration * rate:
+            raise CubeError(
+                "every probe has missing values during the record, and none is whole for one segment of "
+                f"{duration:.3g} s: repair or leave out the probes"
+            )
+        warnings.warn(
+            f"every probe has missing values during the record: spectra are of {time[part.start]:g} to "
+            f"{time[part.stop - 1]:g} s, the longest part without any",
+            stacklevel=2,
+        )
+        values = values[:, part]
+        usable = np.isfinite(values).all(axis=1)
     for name, row in zip(probes["probe"].values[~usable], values[~usable]):
         warnings.warn(
             f"probe {name} is left out: {np.isnan(row).sum()} of its {row.size} values during the record are "
@@ -328,8 +369,21 @@ def _bridged(values: Array) -> Array:
     return out
 
 
-def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[Array, float]:
-    """Samples during the record, and their rate."""
+def _longest_whole(values: Array) -> slice:
+    """The longest part of a series (n,) without missing values."""
+    known = np.concatenate([[0], np.isfinite(values).astype(int), [0]])
+    edges = np.flatnonzero(np.diff(known))
+    if not edges.size:
+        return slice(0, 0)
+    starts, stops = edges[::2], edges[1::2]
+    k = int(np.argmax(stops - starts))
+    return slice(int(starts[k]), int(stops[k]))
+
+
+def _shared_time(
+    time: Array, elevation: Array, span: tuple[float, float], duration: float
+) -> tuple[Array, float, Array]:
+    """Times during the record, their rate, and elevations (probe, n): missing where the logger paused."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
@@ -337,11 +391,26 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
             f" they share less than one segment of {duration:.3g} s; check the clock of the probes or"
             " leave them out"
         )
-    time = time[inside]
+    time, elevation = time[inside], elevation[:, inside]
+    steps = np.diff(time)
     rate = float((time.size - 1) / (time[-1] - time[0]))
-    if np.abs(np.diff(time) * rate - 1).max() > 0.01:
+    step = float(np.median(steps))
+    paused = np.flatnonzero(steps > 1.5 * step)
+    if paused.size:
+        steps_between = np.delete(steps, paused)
+        step = float(steps_between.mean())
+        rate = 1 / step
+        lost = steps[paused] / step - 1
+        count = np.maximum(np.rint(lost), 1).astype(int)
+        # a pause that is no multiple of the step is not bridged: what follows has other times
+        count[np.abs(lost - count) > 0.05] += LONGEST_GAP
+        at = np.repeat(paused + 1, count)
+        after = np.concatenate([np.arange(1, n + 1) for n in count]) * step
+        elevation = np.insert(elevation, at, np.nan, axis=1)
+        time, steps = np.insert(time, at, time[at - 1] + after), steps_between
+    if np.abs(steps * rate - 1).max() > 0.01:
         raise CubeError("the probes' time steps are unequal: resample them at a fixed rate first")
-    return inside, rate
+    return time, rate, elevation
 
 
 def _independent(coherence: Array, count: int) -> Array:

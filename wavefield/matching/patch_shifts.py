@@ -1,0 +1,117 @@
+"""Whole-pixel displacements of large patches, far beyond what matching searches."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+PATCH_PX = 64  # side of the patches that are searched for
+REACH_PX = 256
+PATCHES_ACROSS = 6  # along each side of an image
+MIN_CORRELATION = 0.25  # no more is left of particles that leave a light sheet
+MIN_CORRELATION_SMALL = 0.4  # of the smaller patches of small images, which correlate more by chance
+MAX_SECOND_BEST = 0.85  # correlation over the best, above which the match is ambiguous
+AGREEMENT_PX = 8.0  # patches that moved alike differ by less than this and a quarter of their motion
+REFINEMENT_PX = 4  # around where images of half the size have a patch
+MARGIN_PX = 12.0  # added to the range found, and a quarter of its span
+
+Float = NDArray[np.float32]
+
+
+def widened(ends: tuple[float, float]) -> tuple[float, float]:
+    """A range of displacements with a margin on either side, whole px."""
+    margin = MARGIN_PX + 0.25 * (ends[1] - ends[0])
+    return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
+
+
+def shifts(
+    a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
+) -> NDArray[np.float64]:
+    """Whole-pixel displacement of patches of one image to the next.
+
+    Normalised correlation of the patches within the reach around their place. A patch counts if its best
+    correlation exceeds 0.25 (0.4 where images are too small for patches of 64 px) and all others further than
+    3 px from it are less than 0.85 of that. Large patches are searched for in images of half the size, and
+    then within a few pixels of where they were found. Returns (n, 5): displacement along x and y, px, NaN
+    where not found, correlation, and middle (x, y) of every patch with contrast.
+    """
+    a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
+    height, width = a.shape
+    size = min(side, height // 4, width // 4)
+    if size < 16:
+        return np.zeros((0, 5))
+    rows = np.linspace(0, height - size, PATCHES_ACROSS).astype(int)
+    columns = np.linspace(0, width - size, PATCHES_ACROSS).astype(int)
+    contrast = float(a.std())
+    small_a, small_b = _half(a), _half(b)
+    out = []
+    for y in rows.tolist():
+        for x in columns.tolist():
+            patch = a[y : y + size, x : x + size]
+            if not float(patch.std()) > 0.2 * contrast:
+                continue
+            middle = x + 0.5 * (size - 1), y + 0.5 * (size - 1)
+            if size < PATCH_PX:
+                found = _found(a, b, (x, y), size, reach, MIN_CORRELATION_SMALL)
+            else:
+                found = _found(small_a, small_b, (x // 2, y // 2), size // 2, (reach[0] // 2, reach[1] // 2))
+                found = _refined(a, b, (x, y), size, found)
+            out.append((*found, *middle))
+    return np.array(out, float).reshape(-1, 5)
+
+
+def _half(image: Float) -> Float:
+    height, width = image.shape
+    small = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.float32)
+
+
+def _refined(
+    a: Float, b: Float, at: tuple[int, int], size: int, found: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """The same patch in the images of full size, near where it was found in those of half the size."""
+    if not np.isfinite(found[0]):
+        return found
+    dx, dy = (int(2 * d) for d in found[:2])
+    x, y = at[0] + dx, at[1] + dy
+    x0, y0 = max(0, x - REFINEMENT_PX), max(0, y - REFINEMENT_PX)
+    score = _scores(
+        a[at[1] : at[1] + size, at[0] : at[0] + size],
+        b[y0 : y + size + REFINEMENT_PX, x0 : x + size + REFINEMENT_PX],
+    )
+    _, best, _, (column, row) = cv2.minMaxLoc(score)
+    if not best > MIN_CORRELATION:
+        return np.nan, np.nan, float(best)
+    return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
+
+
+def _scores(patch: Float, around: Float) -> Float:
+    score = cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
+    return np.asarray(score, np.float32)
+
+
+def _found(
+    a: Float,
+    b: Float,
+    at: tuple[int, int],
+    size: int,
+    reach: tuple[int, int],
+    min_correlation: float = MIN_CORRELATION,
+) -> tuple[float, float, float]:
+    """Displacement of one patch and its correlation; NaN where it is not found or ambiguous."""
+    x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
+    patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
+    score = _scores(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
+    _, best, _, (column, row) = cv2.minMaxLoc(score)
+    rest = score.copy()
+    rest[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
+    if not best > min_correlation or rest.max() > MAX_SECOND_BEST * best:
+        return np.nan, np.nan, float(best)
+    return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
+
+
+def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacements (n, 2), px, that another patch of the same images nearly shares, (m, 2)."""
+    moved = moved[np.isfinite(moved[:, 0])]
+    apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
+    out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]
+    return out
