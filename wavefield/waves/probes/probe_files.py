@@ -274,7 +274,7 @@ def _too_steep(time: Array, values: Array) -> bool:
     if height <= 4 * MAX_STD:
         return False
     crossings = np.count_nonzero(np.diff(values > values.mean()))
-    period = 2 * float(time[-1] - time[0]) / max(crossings, 1)
+    period = 2 * float(time[-1] - time[0]) / max(int(crossings), 1)
     return height > MAX_STEEPNESS * GRAVITY * period**2 / (2 * np.pi)
 
 
