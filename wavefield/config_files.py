@@ -21,6 +21,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, Validat
 from pydantic_core import ErrorDetails
 
 from wavefield.errors import ExperimentError, WavefieldError
+from wavefield.file_access import accessing
 
 Key = str | int
 T = TypeVar("T")
@@ -195,7 +196,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with accessing(path, ExperimentError):
+            return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ExperimentError(f"{path}: no such file") from None
     except IsADirectoryError:

@@ -1,14 +1,19 @@
 """Worker processes leave nothing behind; a crash in compiled code is no lack of memory."""
 
+import logging
 import os
+import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import wavefield.compiled
+import wavefield.execution.pool
+from wavefield.errors import StoreError
 from wavefield.execution.pool import Pool
 
 WORK = """
@@ -77,8 +82,88 @@ def test_workers_that_crash_on_and_on_are_not_short_of_memory(tmp_path, cleared)
     assert len(cleared) == 1
 
 
-def test_workers_that_the_system_ends_are_short_of_memory(tmp_path, cleared):
+def test_workers_that_the_system_ends_are_short_of_memory(tmp_path, cleared, caplog):
     ((_, error),) = Pool(1).map_unordered(Crashing(tmp_path, signal.SIGKILL), [1])
     assert "SIGKILL" in str(error)
     assert "memory ran out" in str(error)
+    assert caplog.text.count("was ended by SIGKILL; another takes its place") == 3
     assert not cleared
+
+
+class Suspended:
+    """Suspends its own process, the first time or always; the marks count the times."""
+
+    def __init__(self, folder, always=False):
+        self.folder, self.always = folder, always
+
+    def __call__(self, item):
+        if self.always or not list(self.folder.iterdir()):
+            (self.folder / str(os.getpid())).touch()
+            os.kill(os.getpid(), signal.SIGSTOP)
+        return item
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr(wavefield.execution.pool, "CHECK_S", 0.05)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_worker_that_is_suspended_is_reported_and_another_does_its_work(
+    tmp_path, caplog, impatient, workers
+):
+    done = dict(Pool(workers).map_unordered(Suspended(tmp_path), [1, 2, 3]))
+    assert done == {1: 1, 2: 2, 3: 3}
+    (suspended,) = tmp_path.iterdir()
+    assert f"a worker (process {suspended.name}) was suspended by a signal" in caplog.text
+
+
+def test_work_over_which_all_workers_are_suspended_is_given_up(tmp_path, impatient):
+    ((_, error),) = Pool(1).map_unordered(Suspended(tmp_path, always=True), [1])
+    assert "was suspended by a signal" in str(error)
+    assert "3 times" in str(error)
+
+
+def continued(item):
+    """Suspended for a moment, as by a scheduler of jobs."""
+    command = f"import os, signal, time; time.sleep(0.3); os.kill({os.getpid()}, signal.SIGCONT)"
+    subprocess.Popen([sys.executable, "-c", command])
+    os.kill(os.getpid(), signal.SIGSTOP)
+    return os.getpid()
+
+
+def test_a_worker_that_goes_on_by_itself_is_left_in_peace(caplog, monkeypatch):
+    monkeypatch.setattr(wavefield.execution.pool, "CHECK_S", 0.2)
+    ((_, result),) = Pool(1).map_unordered(continued, [1])
+    assert isinstance(result, int)
+    assert not caplog.records
+
+
+def greedy(item):
+    np.empty(1 << 60, np.uint8)
+
+
+def test_an_allocation_that_fails_is_one_sentence_with_the_memory_that_is_needed():
+    ((_, error),) = Pool(1).map_unordered(greedy, [1])
+    assert isinstance(error, StoreError)
+    assert re.search(r"memory ran out: the work needs at least [\d.]+ GB per worker", str(error))
+    assert "fewer `workers`" in str(error)
+    assert "\n" not in str(error)
+
+
+def test_workers_that_the_system_ends_for_memory_are_told_from_others(tmp_path, monkeypatch):
+    counts = iter([4, 5, 5, 5])
+    monkeypatch.setattr(wavefield.execution.pool, "kills_for_memory", lambda: next(counts))
+    ((_, error),) = Pool(1).map_unordered(Crashing(tmp_path, signal.SIGKILL), [1])
+    assert "memory ran out: the system ended 3 workers" in str(error)
+    assert "GB per worker" in str(error)
+
+
+def warn(item):
+    logging.getLogger("wavefield.run").warning("of item %s", item)
+    return item
+
+
+def test_warnings_of_workers_reach_the_log_of_the_run(caplog):
+    assert dict(Pool(2).map_unordered(warn, [1, 2])) == {1: 1, 2: 2}
+    assert sorted(record.message for record in caplog.records) == ["of item 1", "of item 2"]

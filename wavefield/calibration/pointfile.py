@@ -8,6 +8,7 @@ import numpy as np
 from wavefield.atomic_write import ANY_FILE, write_text
 from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError
+from wavefield.file_access import accessing
 from wavefield.rig.lens import Array
 
 COLUMNS = ("i", "j", "X", "Y")
@@ -52,7 +53,8 @@ def read_points(path: str | Path, size: tuple[int, int] | None = None, std: floa
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text().splitlines()
+        with accessing(path, CalibrationError):
+            return path.read_text().splitlines()
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such file of target points") from None
     except (OSError, UnicodeDecodeError) as error:

@@ -105,6 +105,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         print(f"wavefield: {error}", file=sys.stderr)
         return 1
+    except MemoryError as error:
+        if debug:
+            traceback.print_exc()
+        from wavefield.execution.memory import peak_memory
+
+        taken = f"{peak_memory() / 1e9:.2g} GB"
+        print(
+            f"wavefield: memory ran out ({error}): this command needs more than the {taken} that it took; "
+            "end other programs, or use a machine with more",
+            file=sys.stderr,
+        )
+        return 1
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe has gone: nothing more to print, not even at exit
         return 1

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from wavefield.execution.memory import memory_error
 from wavefield.execution.pool import Pool
 from wavefield.execution.worker_settings import one_thread
 from wavefield.execution.workflow import Workflow
@@ -67,5 +68,5 @@ def _map_here(work: Work, items: Sequence[Any]) -> Generator[tuple[Any, Any], No
             try:
                 result: Any = work(item)
             except Exception as error:
-                result = error
+                result = memory_error(error) or error
             yield item, result

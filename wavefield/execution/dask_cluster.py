@@ -2,8 +2,10 @@
 
 import itertools
 import logging
+import math
 import queue
 import sys
+import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -35,6 +37,7 @@ Look = Callable[[], None]
 
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 _POLL_SECONDS = 2.0  # without news, after which the workers are checked
+_SILENT_SECONDS = 20.0  # without a sign of life, after which a worker is reported
 _HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
 _MOST_TOGETHER = 8  # items in a task
 _TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, so that all end together
@@ -210,6 +213,41 @@ class _Patience:
             )
 
 
+class _Silence:
+    """Reports workers of which the scheduler hears nothing, before it replaces them (`worker-ttl`)."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._seen: dict[
+            str, tuple[float, float]
+        ] = {}  # last sign of life by its clock, and when it was new here
+        self._checked = -math.inf
+        self._reported: set[str] = set()
+
+    def check(self) -> None:
+        """Log a warning, once, for each worker that has been silent for a while."""
+        now = time.monotonic()
+        if now - self._checked < _POLL_SECONDS:
+            return
+        late = now - self._checked > 5 * _POLL_SECONDS  # this process was itself suspended
+        self._checked = now
+        workers = self._client.scheduler_info()["workers"]
+        for address, worker in workers.items():
+            sign, since = self._seen.get(address, (None, now))
+            if late or worker["last_seen"] != sign:
+                self._seen[address] = worker["last_seen"], now
+                self._reported.discard(address)
+            elif now - since > _SILENT_SECONDS and address not in self._reported:
+                self._reported.add(address)
+                log.warning(
+                    "the worker %s (%s) has given no sign of life for %.0f s: it is suspended, or machine "
+                    "or network do not answer; Dask replaces it when its `worker-ttl` is over",
+                    worker.get("name", ""),
+                    address,
+                    _SILENT_SECONDS,
+                )
+
+
 def _map_on(
     client: Any, work: Callable[[Any], Any], items: Sequence[Any], workers: int, watch: Look
 ) -> Generator[tuple[Any, Any], None, None]:
@@ -218,10 +256,12 @@ def _map_on(
 
     tasks = _Tasks(client, Task(work, sys.version_info[:2], wavefield.__version__), items, workers)
     lost = StoreError("the scheduler was lost; what is done is kept: run the same command again to go on")
+    silence = _Silence(client)
     try:
         tasks.submit()
         while tasks.futures:
             watch()
+            silence.check()
             done = tasks.wait()
             gone = {future.status for future in done} - {"finished", "error"}
             if "cancelled" in gone or (gone and client.status != "running"):

@@ -20,6 +20,7 @@ import psutil
 
 from wavefield.atomic_write import write_error
 from wavefield.errors import StoreError
+from wavefield.file_access import accessing
 
 _TOUCH = 10.0  # s between signs of life
 _DEAD = 90.0  # s without one, seen from another machine
@@ -41,8 +42,9 @@ class Lock:
         """Hold the lock of a store, or refuse at once."""
         lock = cls(store)
         try:
-            store.parent.mkdir(parents=True, exist_ok=True)
-            lock._take()
+            with accessing(store, StoreError, "locking"):
+                store.parent.mkdir(parents=True, exist_ok=True)
+                lock._take()
         except OSError as error:
             raise write_error(store, error) from None
         thread = threading.Thread(target=lock._live, name="wavefield-lock", daemon=True)

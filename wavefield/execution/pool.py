@@ -1,8 +1,8 @@
 """Worker processes of this machine.
 
-They are forked from one process that has made the imports, and end with their work. One that dies is
-replaced and its item done again. Where compiled code made it crash, the cache of such code is cleared first,
-once, and new processes compile it again.
+They are forked from one process that has made the imports, and end with their work. One that dies, or that
+a signal suspends, is replaced and its item done again. Where compiled code made it crash, the cache of such
+code is cleared first, once, and new processes compile it again.
 """
 # concurrent.futures.ProcessPoolExecutor loses all work when one worker dies, hides how it died and which item
 # it was at, and leaves its workers running when the parent is killed.
@@ -17,7 +17,7 @@ import sys
 import threading
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,11 +28,14 @@ from typing import Any, Self
 
 from wavefield.errors import StoreError
 from wavefield.execution.deferred_signals import deferred_signals
+from wavefield.execution.memory import kills_for_memory, lost_for_memory, memory_error, spell_need
 from wavefield.execution.worker_settings import settle_worker
 
 MAX_DEATHS = 3  # of workers over one item: it is the item
 _WORK, _ITEM = b"w", b"i"  # what a message to a worker begins with
-MEMORY_CHECK_S = 1.0
+_RESULT, _WARNING = b"r", b"l"  # and one from it
+CHECK_S = 1.0  # between checks of the workers' memory and state
+SUSPENDED_CHECKS = 10  # in a row that find a worker suspended: one that goes on by itself is left in peace
 CRASH_SIGNALS = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT")  # of a process that runs faulty code
 
 log = logging.getLogger("wavefield.run")
@@ -44,6 +47,9 @@ class _Worker:
     connection: Connection
     index: int | None = None  # of its item
     cache_cleared: bool = False  # before it started
+    memory: int = 0  # most that was seen, bytes
+    suspended: int = 0  # checks in a row that found it so
+    ended_for: str = ""  # "memory" or "suspended", where the pool has ended it
 
 
 class Pool:
@@ -61,6 +67,7 @@ class Pool:
         self._starter: ThreadPoolExecutor | None = None
         self._started: Future[None] | None = None
         self._cache_cleared = False
+        self._memory_kills = kills_for_memory()
         # a plain fork would inherit the C library's threads and the caller's memory
         method = "forkserver" if sys.platform == "linux" else "spawn"
         self._context = multiprocessing.get_context(method)
@@ -92,7 +99,7 @@ class Pool:
                 worker.process.join(5.0)
                 if worker.process.is_alive():
                     worker.process.kill()
-                worker.process.join()
+                worker.process.join(5.0)  # one that a file system holds may not end at all
         self._workers, self._starter, self._started = [], None, None
 
     def map_unordered(
@@ -107,7 +114,13 @@ class Pool:
                 self.start()
                 assert self._started is not None
                 self._started.result()
-            yield from self._work_off(pickle.dumps(work), items)
+            # in a thread: a worker that is suspended while it sends holds up who receives
+            over = threading.Event()
+            threading.Thread(target=self._check_workers, args=(over,), daemon=True).start()
+            try:
+                yield from self._work_off(pickle.dumps(work), items)
+            finally:
+                over.set()
         finally:
             if not self._lasting or any(worker.index is not None for worker in self._workers):
                 self.stop()
@@ -134,35 +147,46 @@ class Pool:
                     worker.index = todo.popleft()
                     self._send(worker, _ITEM + pickle.dumps(items[worker.index]))
             busy = {worker.connection: worker for worker in self._workers if worker.index is not None}
-            ready = connections.wait(list(busy), MEMORY_CHECK_S if self._memory else None)
+            ready = connections.wait(list(busy))
             for worker in [busy[one] for one in busy if one in ready]:
                 index = worker.index
                 assert index is not None
                 try:
-                    result = pickle.loads(worker.connection.recv_bytes())
+                    message = worker.connection.recv_bytes()
                 except (EOFError, OSError):
                     cache_cleared = worker.cache_cleared
-                    code = self._replace(worker, work)
+                    code, error = self._replace(worker, work)
                     deaths[index] += cache_cleared or _crash(code) is None
                     if deaths[index] < MAX_DEATHS:
                         todo.appendleft(index)
                         continue
-                    result = _lost(code, self._memory)
+                    result: Any = error
+                else:
+                    if message.startswith(_WARNING):
+                        log.warning("%s", message[len(_WARNING) :].decode())
+                        continue
+                    result = pickle.loads(message[len(_RESULT) :])
                 worker.index = None
                 yield items[index], result
-            self._end_the_large(busy.values())
 
     @staticmethod
     def _send(worker: _Worker, message: bytes) -> None:
         with suppress(OSError):  # it is dead, which `_work_off` handles
             worker.connection.send_bytes(message)
 
-    def _replace(self, worker: _Worker, work: bytes) -> int | None:
-        """Replace a dead process; returns its exit code."""
+    def _replace(self, worker: _Worker, work: bytes) -> tuple[int | None, StoreError]:
+        """Replace a dead process; returns its exit code, and the error for its item if that is given up."""
         worker.connection.close()
         worker.process.join(5.0)
         code = worker.process.exitcode
         crash = _crash(code)
+        error = self._lost(worker, code)
+        if not crash:
+            log.warning(
+                "a worker (process %s) %s; another takes its place",
+                worker.process.pid,
+                _how(worker, code),
+            )
         if crash and not self._cache_cleared:
             from wavefield.compiled import clear_compiled
 
@@ -175,49 +199,72 @@ class Pool:
             )
         with deferred_signals():
             new = self._start_one()
-        worker.process, worker.connection, worker.index = new.process, new.connection, None
-        worker.cache_cleared = new.cache_cleared
-        self._send(worker, _WORK + work)
-        return code
+        self._workers[self._workers.index(worker)] = new
+        self._send(new, _WORK + work)
+        return code, error
 
-    def _end_the_large(self, workers: Iterable[_Worker]) -> None:
-        if not self._memory:
-            return
+    def _check_workers(self, over: threading.Event) -> None:
+        """End workers that take too much memory, or that were suspended and are not continued."""
         import psutil
 
-        for worker in workers:
-            with suppress(psutil.Error):
-                if psutil.Process(worker.process.pid).memory_info().rss > self._memory:
-                    worker.process.kill()
+        while not over.wait(CHECK_S):
+            for worker in [one for one in self._workers if not one.ended_for]:
+                with suppress(psutil.Error):
+                    process = psutil.Process(worker.process.pid)
+                    worker.memory = max(worker.memory, process.memory_info().rss)
+                    suspended = process.status() in (psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP)
+                    worker.suspended = worker.suspended + 1 if suspended else 0
+                    if self._memory and worker.memory > self._memory:
+                        worker.ended_for = "memory"
+                    elif worker.suspended >= SUSPENDED_CHECKS:
+                        worker.ended_for = "suspended"
+                    if worker.ended_for:
+                        process.kill()
+
+    def _lost(self, worker: _Worker, code: int | None) -> StoreError:
+        """The error for an item over which workers died, this one last."""
+        if crash := _crash(code):
+            return StoreError(
+                f"the process that worked on it crashed in compiled code ({crash}), {MAX_DEATHS} times, also "
+                "after it was compiled again: a fault of the program, of a library or of the machine's "
+                "memory; run the same command again or on another machine, and if it stays, report it"
+            )
+        need = spell_need(worker.memory)
+        if worker.ended_for == "memory" and self._memory:
+            return StoreError(
+                f"the work {need}, more than the workflow's `memory` of {self._memory / 1e9:.2g} GB: give "
+                "more `memory`, or a smaller `steps_per_block`, in the workflow"
+            )
+        if worker.ended_for:
+            return StoreError(
+                f"the process that worked on it {_how(worker, code)}, {MAX_DEATHS} times: find out what "
+                "suspends it, and run the same command again"
+            )
+        if code == -signal.SIGKILL and kills_for_memory() > self._memory_kills:
+            return lost_for_memory(worker.memory, MAX_DEATHS)
+        taken = f" (the work {need})" if worker.memory else ""
+        return StoreError(
+            f"the process that worked on it {_how(worker, code)}, {MAX_DEATHS} times: if memory ran out"
+            f"{taken}, ask for fewer `workers` or a smaller `steps_per_block` in the workflow; in a script, "
+            'call `run` below `if __name__ == "__main__":`'
+        )
+
+
+def _how(worker: _Worker, code: int | None) -> str:
+    """How a worker came to its end, for a sentence."""
+    if worker.ended_for == "memory":
+        return f"took {worker.memory / 1e9:.2g} GB, more than it may"
+    if worker.ended_for:
+        return f"was suspended by a signal for {SUSPENDED_CHECKS * CHECK_S:.0f} s"
+    if code is not None and code < 0:
+        return f"was ended by {signal.Signals(-code).name}"
+    return f"ended by itself (exit status {code})"
 
 
 def _crash(code: int | None) -> str | None:
     """Name of the signal of a process that ended by a crash in compiled code; None if it ended otherwise."""
     name = signal.Signals(-code).name if code is not None and code < 0 else None
     return name if name in CRASH_SIGNALS else None
-
-
-def _lost(code: int | None, memory: int | None) -> StoreError:
-    """The error for an item over which workers died."""
-    crash = _crash(code)
-    if crash:
-        return StoreError(
-            f"the process that worked on it crashed in compiled code ({crash}), {MAX_DEATHS} times, also "
-            "after it was compiled again: a fault of the program, of a library or of the machine's memory; "
-            "run the same command again or on another machine, and if it stays, report it"
-        )
-    if code is not None and code < 0:
-        how = f"was ended by {signal.Signals(-code).name}"
-    else:
-        how = f"ended by itself (exit status {code})"
-    from dask.utils import format_bytes
-
-    limit = f" beyond the workflow's `memory` of {format_bytes(memory)}" if memory else ""
-    return StoreError(
-        f"the process that worked on it {how}, {MAX_DEATHS} times: if memory ran out{limit}, ask for fewer "
-        "`workers` or a smaller `steps_per_block` in the workflow; in a script, call `run` below "
-        '`if __name__ == "__main__":`'
-    )
 
 
 def _start_ignoring_signals(context: Any, process: BaseProcess) -> None:
@@ -240,6 +287,8 @@ def _serve(connection: Connection) -> None:
         # locks of libraries (Blosc's) then have no name, which would remain when this process is ended
         multiprocessing.set_start_method("fork", force=True)
     settle_worker()
+    handler = _ToParent(connection)
+    logging.getLogger("wavefield").addHandler(handler)
     work = b""
     try:
         while True:
@@ -247,9 +296,25 @@ def _serve(connection: Connection) -> None:
             if message.startswith(_WORK):
                 work = message[len(_WORK) :]
             else:
-                connection.send_bytes(_attempt(work, message[len(_ITEM) :]))
+                handler.send(_RESULT + _attempt(work, message[len(_ITEM) :]))
     except (EOFError, OSError):  # the run is over
         return
+
+
+class _ToParent(logging.Handler):
+    """Sends warnings of a worker, and its results, to the run, which has the log and the terminal."""
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__(logging.WARNING)
+        self._connection, self._sending = connection, threading.Lock()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with suppress(OSError):
+            self.send(_WARNING + self.format(record).encode())
+
+    def send(self, message: bytes) -> None:
+        with self._sending:
+            self._connection.send_bytes(message)
 
 
 @functools.lru_cache(maxsize=1)
@@ -267,6 +332,8 @@ def _attempt(work: bytes, item: bytes) -> bytes:
 
 def portable(error: Exception) -> Exception:
     """An exception that can be pickled, which those of libraries often cannot."""
+    if out_of_memory := memory_error(error):
+        return out_of_memory
     error.add_note(f"in a worker process:\n{traceback.format_exc()}")
     try:
         pickle.loads(pickle.dumps(error))

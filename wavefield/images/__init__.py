@@ -13,6 +13,7 @@ import tifffile
 
 from wavefield.atomic_write import ANY_FILE, atomic
 from wavefield.errors import FrameError, StoreError
+from wavefield.file_access import accessing
 from wavefield.images.davis_image import read_buffer
 from wavefield.images.dng import read_dng
 from wavefield.images.jpeg_scan import is_damaged
@@ -41,6 +42,11 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
     array([[0, 1, 2],
            [3, 4, 5]], dtype=uint16)
     """
+    with accessing(path, FrameError):
+        return _read(path, page)
+
+
+def _read(path: str | Path, page: int) -> np.ndarray:
     ending = Path(path).suffix.lower()
     if ending == ".im7":
         return read_buffer(path, page or None)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefield.errors import StoreError
+from wavefield.file_access import accessing
 from wavefield.pipeline.chunk import Chunk, measure_chunk
 from wavefield.store.write_cube import write_chunk
 from wavefield.variables import FrameStatus
@@ -36,13 +38,14 @@ class Work:
     def __call__(self, chunk: Chunk) -> Report:
         """Measure and write."""
         measured = measure_chunk(chunk, self.geometry, self.frame_rate, self.model)
-        write_chunk(
-            self.store,
-            chunk.start,
-            measured.fields,
-            measured.frame_status,
-            measured.faults,
-            measured.shifts,
-        )
+        with accessing(self.store, StoreError, "writing"):
+            write_chunk(
+                self.store,
+                chunk.start,
+                measured.fields,
+                measured.frame_status,
+                measured.faults,
+                measured.shifts,
+            )
         failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))
         return Report(chunk.start, chunk.stop, failed, tuple(measured.messages))

@@ -1,7 +1,6 @@
 """Time, memory and disk that a run will take, measured on a few of its steps."""
 
 import shutil
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ import numpy as np
 
 from wavefield.errors import ExperimentError
 from wavefield.execution.cluster import count_workers
+from wavefield.execution.memory import peak_memory
 from wavefield.pipeline.chunk import Measured, Source, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from
 from wavefield.pipeline.prepare import PreparedRun
@@ -64,7 +64,7 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
         step_seconds=step,
         workers=workers,
         seconds=step * frames_measured / workers,
-        memory=_peak_memory() + 3 * prepared.chunk_steps * prepared.step_bytes,
+        memory=peak_memory() + 3 * prepared.chunk_steps * prepared.step_bytes,
         disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
         reading=measure_reading_speed(prepared.series, prepared.chunk_steps, step, workers),
@@ -116,16 +116,6 @@ def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
     """Bytes of measured fields after compression as in the store."""
     codec = numcodecs.Blosc(**COMPRESSION, shuffle=numcodecs.Blosc.SHUFFLE)
     return sum(len(codec.encode(np.ascontiguousarray(field))) for field in fields.values())
-
-
-def _peak_memory() -> int:
-    """Most memory that this process has used so far, bytes."""
-    try:
-        import resource
-    except ImportError:
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def spell_size(count: float) -> str:

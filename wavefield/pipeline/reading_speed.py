@@ -94,6 +94,8 @@ def _try_disk(paths: list[str]) -> float | None:
         return None
     count, spent = 0, 0.0
     for path in paths:
+        if not Path(path).is_file():  # a pipe would be waited for
+            continue
         try:
             with open(path, "rb", buffering=0) as stream:
                 os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from wavefield.atomic_write import RIG, write_text
 from wavefield.errors import RigError
+from wavefield.file_access import accessing
 from wavefield.rig.camera import Camera
 
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
@@ -19,7 +20,8 @@ UNITS = {"length": "m", "image": "px", "angle": "rad"}
 def read_rig_text(path: Path) -> str:
     """Text of a rig file."""
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
+        with accessing(path, RigError):
+            return path.read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
         raise RigError(
             f"{path}: no such rig file; make one with `wavefield calibrate` or state another program's"

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
+from wavefield.file_access import accessing
 from wavefield.series.formats import open_recording
 from wavefield.series.listing import Numbered
 from wavefield.series.rates import recordings_of
@@ -53,7 +54,8 @@ def recorded_times(images: Images, camera: str, folder: Path) -> Times:
 def read_time_stamps(path: Path, camera: str) -> Times:
     """Times of a camera's frames, (n,), s: one line per image, in order."""
     try:
-        lines = path.read_text().splitlines()
+        with accessing(path, ExperimentError):
+            lines = path.read_text().splitlines()
     except OSError as error:
         raise ExperimentError(f"time stamps of {camera}: {path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

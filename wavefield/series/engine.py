@@ -64,7 +64,7 @@ class ExperimentBackend(BackendEntrypoint):
         """Whether this is an experiment file."""
         try:
             path = Path(str(filename_or_obj))
-            return path.suffix in (".yaml", ".yml") and "cameras:" in path.read_text()
+            return path.suffix in (".yaml", ".yml") and path.is_file() and "cameras:" in path.read_text()
         except (ValueError, OSError):
             return False
 

@@ -10,6 +10,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from wavefield.config_files import PathText, load, read_yaml
 from wavefield.errors import ExperimentError, RigError
+from wavefield.file_access import accessing
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
@@ -374,7 +375,7 @@ def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, flo
 
 def _start(path: Path) -> str:
     try:
-        with path.open(errors="replace") as stream:
+        with accessing(path, ExperimentError), path.open(errors="replace") as stream:
             return stream.read(200)
     except OSError:
         return ""  # `load_rig` reports what is wrong

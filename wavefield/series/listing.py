@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
+from wavefield.file_access import accessing
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
 from wavefield.series.remote import is_remote, list_remote
@@ -109,7 +110,8 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
 def list_folder(folder: Path, camera: str) -> list[str]:
     """Names of the files in a folder, in one listing."""
     try:
-        return os.listdir(folder)
+        with accessing(folder, ExperimentError):
+            return os.listdir(folder)
     except FileNotFoundError:
         raise ExperimentError(f"images of {camera}: there is no folder {folder}") from None
     except NotADirectoryError:

@@ -12,6 +12,7 @@ import numpy as np
 import tifffile
 
 from wavefield.errors import FrameError
+from wavefield.file_access import accessing
 from wavefield.images import grey, read_image
 from wavefield.images.tiff_page import as_bright, frame_pages, refuse_page
 from wavefield.series.formats import file_of, open_recording
@@ -51,7 +52,7 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
         return read_image(entry.path)
     if entry.kind == "remote":
         return read_remote(entry.path)
-    with _lock:  # open files keep a position, which threads must not share
+    with accessing(entry.path, FrameError), _lock:  # open files keep a position, which threads must not share
         if entry.kind == "page":
             return _read_page(entry)
         if entry.kind == "video":
@@ -63,9 +64,14 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
     """Kind and number of images of a single file or store."""
-    path, ending = Path(name), Path(name).suffix.lower()
+    ending = Path(name).suffix.lower()
     if is_remote(str(name)):
         return ("zarr", _open_array(str(name)).count) if ending == ".zarr" else ("remote", 1)
+    with accessing(name, FrameError):
+        return _count_images(Path(name), ending)
+
+
+def _count_images(path: Path, ending: str) -> tuple[Kind, int]:
     if file_of(path) is not None:
         recording = open_recording(path)
         recording.close()

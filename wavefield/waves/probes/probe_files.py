@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from wavefield.errors import CubeError, ExperimentError
+from wavefield.file_access import accessing
 from wavefield.variables import annotate
 from wavefield.water import GRAVITY
 from wavefield.waves.estimation.welch import LOWEST, Welch, omega_coords
@@ -83,7 +84,8 @@ def read_probes(
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        with accessing(path, ExperimentError):
+            lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise ExperimentError(f"cannot read the probes {path}: {error.strerror}") from None
     except UnicodeDecodeError:
