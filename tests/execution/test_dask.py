@@ -4,6 +4,7 @@ import logging
 import os
 import stat
 import sys
+from types import SimpleNamespace
 
 import dask
 import distributed  # noqa: F401  its defaults join the configuration
@@ -268,3 +269,45 @@ def test_a_folder_for_logs_that_cannot_be_written_is_named(tmp_path):
         pytest.raises(ExperimentError, match="the jobs' logs cannot be written"),
     ):
         list(mapped(abs, [1]))
+
+
+class FakeClient:
+    """Two workers, of which one is suspended from the third sign on."""
+
+    def __init__(self):
+        self.signs = 0
+
+    def scheduler_info(self):
+        self.signs += 1
+        return {
+            "workers": {
+                "tcp://a": {"name": "a", "last_seen": self.signs},
+                "tcp://b": {"name": "b", "last_seen": min(self.signs, 3)},
+            }
+        }
+
+
+def reported_at(monkeypatch, caplog, leap=0.0):
+    """Seconds after which a worker is reported; the run itself is suspended once for so long."""
+    clock = [100.0]
+    monkeypatch.setattr(dask_cluster, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    silence = dask_cluster._Silence(FakeClient())
+    reports = []
+    for poll in range(60):
+        silence.check()
+        if caplog.records:
+            reports.append((clock[0], caplog.records[0].message))
+            caplog.clear()
+        clock[0] += 1.0 + (leap if poll == 20 else 0.0)
+    return reports
+
+
+def test_a_worker_without_a_sign_of_life_is_reported_once_within_half_a_minute(monkeypatch, caplog):
+    ((when, message),) = reported_at(monkeypatch, caplog)
+    assert "tcp://b" in message
+    assert 0 < when - (100 + 2 * dask_cluster._SIGNS_SECONDS) <= 30
+
+
+def test_after_the_run_itself_was_suspended_workers_have_time_for_a_sign(monkeypatch, caplog):
+    ((when, _),) = reported_at(monkeypatch, caplog, leap=1000.0)
+    assert when > 1100 + dask_cluster._SILENT_SECONDS

@@ -37,7 +37,8 @@ Look = Callable[[], None]
 
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 _POLL_SECONDS = 2.0  # without news, after which the workers are checked
-_SILENT_SECONDS = 20.0  # without a sign of life, after which a worker is reported
+_SILENT_SECONDS = 16.0  # without a sign of life, after which a worker is reported
+_SIGNS_SECONDS = 8.0  # between checks of them, which take long messages where workers are many
 _HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
 _MOST_TOGETHER = 8  # items in a task
 _TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, so that all end together
@@ -227,17 +228,18 @@ class _Silence:
     def check(self) -> None:
         """Log a warning, once, for each worker that has been silent for a while."""
         now = time.monotonic()
-        if now - self._checked < _POLL_SECONDS:
+        if now - self._checked < _SIGNS_SECONDS:
             return
-        late = now - self._checked > 5 * _POLL_SECONDS  # this process was itself suspended
+        late = now - self._checked > 3 * _SIGNS_SECONDS  # this process was itself suspended
         self._checked = now
-        workers = self._client.scheduler_info()["workers"]
+        with deferred_signals():
+            workers = self._client.scheduler_info()["workers"]
         for address, worker in workers.items():
             sign, since = self._seen.get(address, (None, now))
             if late or worker["last_seen"] != sign:
                 self._seen[address] = worker["last_seen"], now
                 self._reported.discard(address)
-            elif now - since > _SILENT_SECONDS and address not in self._reported:
+            elif now - since >= _SILENT_SECONDS and address not in self._reported:
                 self._reported.add(address)
                 log.warning(
                     "the worker %s (%s) has given no sign of life for %.0f s: it is suspended, or machine "
