@@ -46,7 +46,7 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
         return _read(path, page)
 
 
-def _read(path: str | Path, page: int) -> np.ndarray:
+def _read(path: str | Path, page: int | None) -> np.ndarray:
     ending = Path(path).suffix.lower()
     if ending == ".im7":
         return read_buffer(path, page or None)
