@@ -170,7 +170,7 @@ TABLE = [
     ("a mask of another size", mask(np.zeros((9, 9), np.uint8)), ["run", EXP], 1, "mask of cam1: .*m.png is 9 x 9 px, but"),
     ("a mask of everything", mask(None), ["run", EXP], 1, "mask of cam1: it covers the whole image; .*invert"),
     ("a mask that is no image", write_mask, ["run", EXP], 1, "mask of cam1: .*m.png"),
-    ("a mask beside the image", note("rig:", "mask: {cam1: {polygon: [[9000, 1], [9001, 1], [9001, 3]]}}\nrig:"), ["run", EXP], 1, "mask of cam1: .*lies outside the image"),
+    ("a mask beside the image", note("rig:", "mask: {cam1: {polygon: [[9000, 1], [9001, 1], [9001, 3]]}}\nrig:"), ["run", EXP], 1, "mask of cam1: .*is outside the image"),
     ("a mask with crossed sides", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9], [9, 0], [0, 9]]}}\nrig:"), ["run", EXP], 1, "line 10: mask.cam1.* corners 1 and 3 cross"),
     ("a mask of two corners", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9]]}}\nrig:"), ["run", EXP], 1, "three corners"),
     ("a mask of two kinds", note("rig:", "mask: {cam1: {image: a.png, polygon: [[0, 0], [9, 9], [9, 0]]}}\nrig:"), ["run", EXP], 1, "give one of polygon"),

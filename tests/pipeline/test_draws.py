@@ -1,6 +1,6 @@
 """No folder of bad frames and no number of a wrong magnitude ends in an unforeseen error or as sound.
 
-More draws by hand: ``WAVEFIELD_DRAWS=2000 pytest tests/cubes/test_draws.py``.
+More draws by hand: ``WAVEFIELD_DRAWS=2000 pytest tests/pipeline/test_draws.py``.
 """
 
 import os
@@ -16,6 +16,7 @@ from wavefield.pipeline import check
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "60"))
 PARTS = 6
+WORST = (5021, 5064)  # a sensor tilted by 8000 rad, half of a grid: these once ended in an unforeseen error
 
 
 def outcome(path):
@@ -58,7 +59,7 @@ def test_bad_frames_end_in_a_sentence_or_a_remark(draw, part):
 
 @pytest.mark.parametrize("part", range(PARTS))
 def test_numbers_of_the_wrong_magnitude_end_in_a_sentence_or_a_result(draw, part):
-    for seed in range(part, DRAWS, PARTS):
+    for seed in [*range(part, DRAWS, PARTS), *WORST[part::PARTS]]:
         folder, chance = draw(seed)
         words = spoil_magnitudes(folder, chance)
         try:
