@@ -18,7 +18,7 @@ CHECKSUMS = "checksums.json"  # in a store: what its files must be
 
 
 @dataclass(frozen=True)
-class Product:
+class OwnFile:
     """A kind of file or folder that this program writes."""
 
     name: str  # With its article, such as "a wave store"
@@ -60,12 +60,12 @@ def files_named(pattern: str, recognize: Callable[[Path], bool]) -> Callable[[Pa
 
 
 # written where a caller names it, or read and saved again: replaced whatever it holds
-ANY_FILE = Product("a file", lambda path: True)
-NEW_FILE = Product("a file to be replaced", lambda path: False)
+ANY_FILE = OwnFile("a file", lambda path: True)
+NEW_FILE = OwnFile("a file to be replaced", lambda path: False)
 _PAGE = marked(b'<meta name="generator" content="wavefield', start=b"<!doctype html>")
 _PAGE_BEFORE = marked(b":root { --ink: #1b1f24; --soft: #4d5661;", start=b"<!doctype html>")
-PAGE = Product("a page", lambda path: _PAGE(path) or _PAGE_BEFORE(path))
-RIG = Product(
+PAGE = OwnFile("a page", lambda path: _PAGE(path) or _PAGE_BEFORE(path))
+RIG = OwnFile(
     "a rig file",
     lambda path: marked(b"\ncameras:", start=b"units: {")(path) and b"\nprovenance:" in path.read_bytes(),
 )
@@ -80,7 +80,7 @@ def file_names(folder: Path) -> list[str]:
     return sorted(out)
 
 
-def check_replaceable(path: Path, product: Product) -> None:
+def check_replaceable(path: Path, product: OwnFile) -> None:
     """Refuse to replace what is not a product of the same kind."""
     if path.is_symlink():
         raise StoreError(
@@ -115,7 +115,7 @@ def refuse_input(path: Path, *inputs: object) -> None:
 
 
 @contextmanager
-def atomic(path: str | Path, product: Product) -> Iterator[Path]:
+def atomic(path: str | Path, product: OwnFile) -> Iterator[Path]:
     """Write a file or a folder under another name, and let it take its place when it is finished.
 
     A folder cannot be replaced in one go: the old one is kept next to it as ``.NAME.xxxxxxxx.old`` until the
@@ -180,13 +180,13 @@ def make_durable(paths: Iterable[Path]) -> None:
             os.close(number)
 
 
-def write_text(path: str | Path, text: str, product: Product) -> None:
+def write_text(path: str | Path, text: str, product: OwnFile) -> None:
     """Write a text file (UTF-8), completely or not at all."""
     with atomic(path, product) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
-def check_writable(path: str | Path, product: Product) -> None:
+def check_writable(path: str | Path, product: OwnFile) -> None:
     """Make sure that a file or a folder can be written, before the work that ends in it."""
     path = Path(path)
     try:

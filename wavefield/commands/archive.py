@@ -131,7 +131,7 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
 
     FILES is one file, or camera=file for each camera.
     """
-    from wavefield.atomic_write import NEW_FILE, Product, check_replaceable, refuse_input
+    from wavefield.atomic_write import NEW_FILE, OwnFile, check_replaceable, refuse_input
     from wavefield.rig import formats
 
     named = dict(entry.split("=", 1) for entry in files if "=" in entry)
@@ -149,7 +149,7 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
         return
     refuse_input(output, *(named.values() or files))
     if to == "uvmat":
-        check_replaceable(output, Product("a folder", lambda path: True, folder=True))
+        check_replaceable(output, OwnFile("a folder", lambda path: True, folder=True))
         for name in loaded.cameras:
             check_replaceable(output / f"{name}.xml", NEW_FILE)
         output.mkdir(parents=True, exist_ok=True)

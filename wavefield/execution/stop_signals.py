@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from wavefield.atomic_write import Product, check_replaceable, write_error
+from wavefield.atomic_write import OwnFile, check_replaceable, write_error
 
 log = logging.getLogger("wavefield.run")
 
@@ -55,7 +55,7 @@ def _is_log(path: Path) -> bool:
     return not line or re.match(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ ", line) is not None
 
 
-LOG = Product("a log", _is_log)
+LOG = OwnFile("a log", _is_log)
 
 
 def log_path(store: Path) -> Path:

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
-from wavefield.atomic_write import PAGE, Product, atomic, marked, write_text
+from wavefield.atomic_write import PAGE, OwnFile, atomic, marked, write_text
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.numbers import FlatSurface, numbers
 from wavefield.calibration.observations import Observations
@@ -17,8 +17,8 @@ from wavefield.calibration.result import Calibration
 from wavefield.reports import calibration_pictures as pictures
 from wavefield.reports.calibration_page import CalibrationPicture, calibration_page
 
-NUMBERS = Product("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
-PICTURE = Product("a picture of a calibration", marked(b"Software\0wavefield", start=b"\x89PNG"))
+NUMBERS = OwnFile("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
+PICTURE = OwnFile("a picture of a calibration", marked(b"Software\0wavefield", start=b"\x89PNG"))
 _LENS_TERMS = {
     "cx": "_px", "cy": "_px", "k1": "", "k2": "", "p1": "", "p2": "", "k3": "", "tau_x": "_rad",
     "tau_y": "_rad",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefield.atomic_write import Product, atomic, check_writable, files_named, marked, write_text
+from wavefield.atomic_write import OwnFile, atomic, check_writable, files_named, marked, write_text
 from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import cube_recipe, open_cube
@@ -42,17 +42,17 @@ def _has_attribute(name: str) -> Callable[[Path], bool]:
 
 _MARK = b"written by wavefield"
 PRODUCTS = {
-    "netcdf": Product("a NetCDF export of a cube", _has_attribute("recipe_hash")),
-    "matlab": Product("a MATLAB export of a cube", marked(_MARK, start=b"MATLAB 7.3")),
-    "paraview": Product("a ParaView export of a cube", marked(_MARK, start=b"<?xml")),
-    "vtkhdf": Product("a VTKHDF export of a cube", _has_attribute("written_by_wavefield")),
-    "uvmat": Product(
+    "netcdf": OwnFile("a NetCDF export of a cube", _has_attribute("recipe_hash")),
+    "matlab": OwnFile("a MATLAB export of a cube", marked(_MARK, start=b"MATLAB 7.3")),
+    "paraview": OwnFile("a ParaView export of a cube", marked(_MARK, start=b"<?xml")),
+    "vtkhdf": OwnFile("a VTKHDF export of a cube", _has_attribute("written_by_wavefield")),
+    "uvmat": OwnFile(
         "a UVMAT export of a cube",
         files_named(r".*_\d+\.nc", marked(b"wavefield", start=b"CDF")),
         folder=True,
     ),
 }
-_STEPS = Product(
+_STEPS = OwnFile(
     "a folder of exported steps", files_named(r"step_\d+\.vts", marked(_MARK, start=b"<?xml")), folder=True
 )
 

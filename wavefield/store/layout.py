@@ -10,14 +10,14 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from wavefield.atomic_write import Product, atomic
+from wavefield.atomic_write import OwnFile, atomic
 from wavefield.store.metadata import keep_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, find, register
 
 # variables whose chunks have a checksum; those after frame_fault since the ledger has one
 WATCHED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
-CUBE = Product("a cube", lambda path: False, folder=True)  # never replaced
+CUBE = OwnFile("a cube", lambda path: False, folder=True)  # never replaced
 
 register(
     Variable(

@@ -17,7 +17,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from wavefield.atomic_write import Product, atomic, write_error, zarr_store
+from wavefield.atomic_write import OwnFile, atomic, write_error, zarr_store
 from wavefield.errors import StoreError
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING, StoreLayout
@@ -26,7 +26,7 @@ from wavefield.variables import CUBE_FIELDS, TABLE
 
 _NODES = 2000  # of a preview: every fourth of 150 x 200, either way
 _VALUES = 32_000_000  # of one variable: 64 MB; longer records are thinned more
-PREVIEW = Product("a preview", zarr_store("thinned preview of ", "of", "every", "scales"), folder=True)
+PREVIEW = OwnFile("a preview", zarr_store("thinned preview of ", "of", "every", "scales"), folder=True)
 
 
 @dataclass(frozen=True)

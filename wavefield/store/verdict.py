@@ -7,14 +7,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from wavefield.atomic_write import Product, marked, write_text
+from wavefield.atomic_write import OwnFile, marked, write_text
 from wavefield.errors import StoreError
 from wavefield.store.store_paths import beside
 
 Weight = Literal["note", "remark", "grave"]
 Numbers = Mapping[str, Mapping[str, list[float]]]
 WORDS = {"note": "sound", "remark": "sound with remarks", "grave": "not to be trusted"}
-VERDICT = Product("a verdict", marked(b'"verdict": "', start=b"{"))
+VERDICT = OwnFile("a verdict", marked(b'"verdict": "', start=b"{"))
 _RANK = {"note": 0, "remark": 1, "grave": 2}
 
 

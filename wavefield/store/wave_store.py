@@ -10,10 +10,10 @@ import xarray as xr
 import zarr
 from zarr.storage import MemoryStore
 
-from wavefield.atomic_write import CHECKSUMS, Product, atomic, file_names, zarr_store
+from wavefield.atomic_write import CHECKSUMS, OwnFile, atomic, file_names, zarr_store
 from wavefield.errors import StoreError
 
-WAVES = Product("a wave store", zarr_store("waves of ", "wavefield_version", "segment"), folder=True)
+WAVES = OwnFile("a wave store", zarr_store("waves of ", "wavefield_version", "segment"), folder=True)
 
 
 def write_waves(tree: xr.DataTree, path: str | Path) -> None:
