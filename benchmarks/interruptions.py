@@ -3,7 +3,7 @@
 A run of a small tank whose first chunk is stored is continued, and at a random moment of it two faults are
 inflicted, one shortly after the other: the run or one of its workers killed or suspended, the run asked to
 stop, the disk full for a while. Then the same command is given until it ends well, and every array of its
-cube is compared with that of an undisturbed run. Full disks need the right to mount a small file system.
+cube is compared with that of an uninterrupted run. Full disks need the right to mount a small file system.
 """
 
 import argparse
@@ -211,7 +211,7 @@ def main(words: Sequence[str]) -> int:
         print_row("    with an error that was not foreseen, a hang or a difference", "0", str(failures))
         for name in FAULTS:
             print_row(f"    {name}", "", f"{faults[name]} times")
-        print_row("an undisturbed continuation", "", f"{seconds:.1f} s")
+        print_row("an uninterrupted continuation", "", f"{seconds:.1f} s")
     return 0 if not failures else 1
 
 

@@ -147,7 +147,7 @@ def test_every_sharp_real_chessboard_is_found(shared):
     [
         ({"kind": "ropes", "mesh": 0.1}, "target.kind should be 'strings', 'chessboard'"),
         ({"kind": "strings"}, "mesh is missing"),
-        ({"kind": "strings", "mesh": -1}, "target.mesh should be greater than 0, not -1"),
+        ({"kind": "strings", "mesh": -1}, "target.mesh should be greater than 0.00005, not -1"),
         ({"kind": "strings", "mesh": "ten"}, "target.mesh should be a valid number"),
         (
             {"kind": "strings", "mesh": 0.1, "colour": "white"},

@@ -60,7 +60,7 @@ def test_settings_that_measure_more_of_poor_images_are_proposed(tmp_path):
     assert better > plain + 0.3
     found = check(tmp_path / "sea" / "experiment.yaml")
     assert f"only {100 * plain:.0f} % measured; with `settings: {{preset: sheet}}`" in str(found)
-    assert f"{100 * better:.0f} %" in found.advice
+    assert f"{100 * better:.0f} %" in found.sentences["advice"]
 
 
 def test_images_that_no_settings_can_measure_are_reported_with_the_cause(tmp_path):
@@ -77,4 +77,4 @@ def test_presets_are_named_where_another_is_asked_for():
 def test_small_images_are_reported_as_too_small_for_a_search_of_elevations():
     from wavefield.measurement.first_heights import FirstHeights
 
-    assert "too small for a look" in FirstHeights((0.0, 0.0), 0, 0, (-0.05, 0.05)).sentence
+    assert "too small to find its range" in FirstHeights((0.0, 0.0), 0, 0, (-0.05, 0.05)).sentence

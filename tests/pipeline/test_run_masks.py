@@ -4,9 +4,7 @@ import json
 
 import numpy as np
 import pytest
-import xarray as xr
-import zarr
-from cube_cases import HERE, different
+from cube_cases import HERE
 
 from wavefield.errors import StoreError
 from wavefield.pipeline import open_cube, run
@@ -41,15 +39,3 @@ def test_another_mask_is_another_recipe(masked, tmp_path):
     masked.write_text(masked.read_text().replace("radius: 0.015", "radius: 0.01"))
     with pytest.raises(StoreError, match=r"mask\.water"):
         run(masked, out=out, workflow=HERE)
-
-
-def test_a_cube_of_8_bit_quality_opens_as_ever(reference, tmp_path):
-    cube = xr.open_zarr(reference, chunks=None).load()
-    old = cube.assign(quality=cube.quality.astype(np.uint8))
-    old.quality.encoding = {}
-    old.quality.attrs["flag_masks"] = [int(q) for q in Quality if q < 256]
-    old.drop_encoding().to_zarr(tmp_path / "old.zarr", zarr_format=3, consolidated=False)
-    assert zarr.open_group(tmp_path / "old.zarr")["quality"].dtype == np.uint8
-    again = open_cube(tmp_path / "old.zarr")
-    np.testing.assert_array_equal(again.quality.values, cube.quality.values)
-    assert different(reference, again.assign(quality=again.quality.astype(np.uint16))) == []
