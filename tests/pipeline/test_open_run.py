@@ -64,3 +64,10 @@ def test_waves_of_another_frame_rate_do_not_belong_to_the_cube(measured, tmp_pat
     found = wf.open_run(tmp_path / "cube.zarr")
     assert found.waves is None
     assert "another frame rate" in found.reason("waves")
+
+
+def test_an_experiment_is_named_from_the_current_folder(reference, tank, monkeypatch):
+    monkeypatch.chdir(tank.parent.parent)
+    found = wf.open_run(reference, experiment=tank.relative_to(tank.parent.parent)).experiment
+    assert found is not None
+    assert found.path.samefile(tank)

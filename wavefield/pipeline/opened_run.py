@@ -282,6 +282,6 @@ def open_run(
         cube,
         store,
         Path(waves) if waves is not None else beside(store, "waves", ".zarr"),
-        store.parent / experiment if experiment is not None else None,
+        Path(experiment) if experiment is not None else None,
         Path(truth) if truth is not None else None,
     )
