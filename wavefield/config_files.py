@@ -75,14 +75,14 @@ class ConfigSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
-def load(kind: type[T], path: Path, data: Mapping[str, Any] | None = None) -> T:
+def load(kind: type[T], path: Path, data: Mapping[str, object] | None = None) -> T:
     """Read and check a YAML file."""
     return make(kind, read_yaml(path) if data is None else data, path=path)
 
 
 def make(
     kind: type[T],
-    data: Mapping[str, Any],
+    data: Mapping[str, object],
     *,
     path: Path | None = None,
     location: Sequence[Key] = (),

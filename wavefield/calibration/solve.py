@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +34,7 @@ def calibrate(
     model: str | Sequence[str] = "auto",
     target_std: float = 0.0,
     camera_distance: Mapping[str, float] | None = None,
-    provenance: Mapping[str, Any] | None = None,
+    provenance: Mapping[str, object] | None = None,
 ) -> Calibration:
     """Calibrate a rig from views of a plane target.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -92,7 +92,7 @@ class Target:
                 )
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], path: Path | None = None) -> "Target":
+    def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> "Target":
         """A target from the `target:` block of an experiment file.
 
         Parameters

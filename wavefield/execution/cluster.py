@@ -62,7 +62,7 @@ def open_cluster(
             yield map_unordered
 
 
-def _map_here(work: Work, items: Sequence[Any]) -> Generator[tuple[Any, Any], None, None]:
+def _map_here(work: Work, items: Sequence[object]) -> Generator[tuple[Any, Any], None, None]:
     with one_thread():
         for item in items:
             try:

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import wavefield
 from wavefield.errors import ExperimentError, StoreError, WavefieldError
@@ -28,6 +28,9 @@ from wavefield.execution.dask_settings import (
 )
 from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.pool import portable
+
+if TYPE_CHECKING:  # seconds to import
+    from distributed import Client
 from wavefield.execution.slurm_queue import QueueWatch
 from wavefield.execution.worker_settings import settle_worker
 from wavefield.execution.workflow import Workflow
@@ -52,7 +55,7 @@ class Task:
     python: tuple[int, ...]  # Major and minor version of the client's Python
     version: str  # Of the client's wavefield
 
-    def __call__(self, items: Sequence[Any]) -> list[Any]:
+    def __call__(self, items: Sequence[object]) -> list[Any]:
         """Do the work for some items."""
         here, client = sys.version_info[:2], f"Python {_dotted(self.python)}, wavefield {self.version}"
         if (here, wavefield.__version__) != (self.python, self.version):
@@ -85,7 +88,7 @@ def open_dask_cluster(
     with ExitStack() as stack:
 
         def map_unordered(
-            work: Callable[[Any], Any], items: Sequence[Any]
+            work: Callable[[Any], Any], items: Sequence[object]
         ) -> Generator[tuple[Any, Any], None, None]:
             # the workers end with their work, while the caller still guards the store
             with nullcontext() if lasting else stack:
@@ -200,7 +203,7 @@ def _deploy(workflow: Workflow, settings: dict[str, Any]) -> Any:
 class _Patience:
     """Says, once, that a scheduler has no workers."""
 
-    def __init__(self, client: Any, address: str) -> None:
+    def __init__(self, client: "Client", address: str) -> None:
         self._client, self._address, self._reported = client, address, False
 
     def __call__(self) -> None:
@@ -217,7 +220,7 @@ class _Patience:
 class _Silence:
     """Reports workers of which the scheduler hears nothing, before it replaces them (`worker-ttl`)."""
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: "Client") -> None:
         self._client = client
         self._seen: dict[
             str, tuple[float, float]
@@ -251,7 +254,7 @@ class _Silence:
 
 
 def _map_on(
-    client: Any, work: Callable[[Any], Any], items: Sequence[Any], workers: int, watch: Look
+    client: "Client", work: Callable[[Any], Any], items: Sequence[object], workers: int, watch: Look
 ) -> Generator[tuple[Any, Any], None, None]:
     """Map work over items, so that the scheduler never holds more than a few tasks for each worker."""
     from distributed import CancelledError
@@ -287,7 +290,7 @@ class _Tasks:
     What ended while the last results were fetched is fetched at once, and as much submitted at once.
     """
 
-    def __init__(self, client: Any, task: Task, items: Sequence[Any], workers: int) -> None:
+    def __init__(self, client: "Client", task: Task, items: Sequence[object], workers: int) -> None:
         self._client, self._task, self._items = client, task, items
         self._workers = max(workers, 1)
         self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -351,7 +354,7 @@ class _Tasks:
         return out
 
 
-def _understood(result: Any) -> Any:
+def _understood(result: object) -> Any:
     """Dask's error for a task that never ran, as a sentence."""
     from distributed import KilledWorker
 

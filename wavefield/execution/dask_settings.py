@@ -116,7 +116,7 @@ def _write_secret(path: Path, text: str) -> str:
 
 
 @contextmanager
-def configured(configuration: dict[str, Any]) -> Iterator[None]:
+def configured(configuration: dict[str, object]) -> Iterator[None]:
     """Use a configuration of Dask for a while; the environment, which its nannies change, is restored."""
     import distributed  # noqa: F401  its defaults join the configuration on import: before that is put aside
 
@@ -132,7 +132,7 @@ def configured(configuration: dict[str, Any]) -> Iterator[None]:
         os.environ.update(environment)
 
 
-def _replace(configuration: dict[str, Any]) -> None:
+def _replace(configuration: dict[str, object]) -> None:
     with dask.config.config_lock:
         dask.config.config.clear()
         dask.config.config.update(configuration)

@@ -94,7 +94,7 @@ class Lock:
             raise
         return True
 
-    def _remove_dead(self, held: dict[str, Any]) -> None:
+    def _remove_dead(self, held: dict[str, object]) -> None:
         right = self.path.with_name(f"{self.path.name}.{held.get('token', 'empty')}")
         if not self._create(right):
             raise StoreError(
@@ -179,7 +179,7 @@ def _age(path: Path) -> float:
         now.unlink(missing_ok=True)
 
 
-def _words(held: dict[str, Any]) -> str:
+def _words(held: dict[str, object]) -> str:
     if "host" not in held:
         return "it has just begun"
     return f"process {held['pid']} of {held['host']}"

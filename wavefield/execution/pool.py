@@ -103,7 +103,7 @@ class Pool:
         self._workers, self._starter, self._started = [], None, None
 
     def map_unordered(
-        self, work: Callable[[Any], Any], items: Sequence[Any]
+        self, work: Callable[[Any], object], items: Sequence[object]
     ) -> Generator[tuple[Any, Any], None, None]:
         """Do work for every item; yields (item, result or exception) as they are done.
 
@@ -137,7 +137,7 @@ class Pool:
         there.close()
         return _Worker(process, here, cache_cleared=self._cache_cleared)
 
-    def _work_off(self, work: bytes, items: Sequence[Any]) -> Generator[tuple[Any, Any], None, None]:
+    def _work_off(self, work: bytes, items: Sequence[object]) -> Generator[tuple[Any, Any], None, None]:
         todo, deaths = deque(range(len(items))), Counter[int]()
         for worker in self._workers:
             self._send(worker, _WORK + work)

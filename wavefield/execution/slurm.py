@@ -30,7 +30,7 @@ def import_jobqueue() -> None:
         signal.signal(signal.SIGINT, interrupt)
 
 
-def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> Any:
+def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, object]) -> Any:
     """A `dask_jobqueue.SLURMCluster` without jobs so far; ``job_script()`` shows what it will submit."""
     import_jobqueue()
     from dask_jobqueue import SLURMCluster
@@ -81,7 +81,7 @@ def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> A
     return Cluster(**keywords)
 
 
-def _keywords(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> dict[str, Any]:
+def _keywords(workflow: Workflow, logs: Path, settings: dict[str, object]) -> dict[str, Any]:
     """Keywords of SLURMCluster: ours, then the workflow's."""
     given = workflow.slurm
     keywords: dict[str, Any] = {
@@ -114,7 +114,7 @@ def environment_lines(settings: dict[str, Any]) -> list[str]:
     return lines + list(_exports(settings["distributed"], "DASK_DISTRIBUTED"))
 
 
-def _exports(settings: dict[str, Any], prefix: str) -> Iterator[str]:
+def _exports(settings: dict[str, object], prefix: str) -> Iterator[str]:
     """Lines of a job script that give its workers a section of the configuration."""
     for name, value in settings.items():
         variable = f"{prefix}__{name.upper().replace('-', '_')}"

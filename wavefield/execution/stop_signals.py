@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from wavefield.atomic_write import OwnFile, check_replaceable, write_error
 
@@ -34,7 +33,7 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
         if hasattr(signal, name)
     }
 
-    def stop(number: int, frame: Any) -> None:
+    def stop(number: int, frame: object) -> None:
         raise Stopped(reasons[signal.Signals(number).name])
 
     before = {name: signal.signal(getattr(signal, name), stop) for name in reasons}

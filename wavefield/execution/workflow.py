@@ -90,7 +90,7 @@ class Workflow(ConfigSection):
 
     @field_validator("workers")
     @classmethod
-    def _some(cls, value: Any) -> Any:
+    def _some(cls, value: object) -> Any:
         if isinstance(value, int) and value < 1:
             raise ValueError("workers must be 1 or more, or auto")
         return value
@@ -110,7 +110,7 @@ class Workflow(ConfigSection):
 
     @field_validator("time_limit", mode="before")
     @classmethod
-    def _duration(cls, value: Any) -> Any:
+    def _duration(cls, value: object) -> Any:
         if value is not None:
             parse_duration(str(value))
             return str(value)

@@ -1,7 +1,5 @@
 """Distributions of the elevation and of the displacements, and of their errors where the truth is known."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -23,7 +21,7 @@ _DISPLACEMENTS = {"u": "dx = u dt", "v": "dy = v dt", "w": "dz = w dt"}
 
 
 def _draw_density(
-    axes: Axes, values: np.ndarray, unit: str, name: str, style: dict[str, Any], span: float
+    axes: Axes, values: np.ndarray, unit: str, name: str, style: dict[str, object], span: float
 ) -> float:
     """Draw the density of values within `span` of their mean; gives their standard deviation."""
     finite = values[np.isfinite(values)]

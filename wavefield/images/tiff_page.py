@@ -28,7 +28,7 @@ def frame_pages(tiff: tifffile.TiffFile) -> Sequence[int]:
     return [k for k in range(len(pages)) if _is_frame(pages[k])]
 
 
-def _is_frame(page: Any) -> bool:
+def _is_frame(page: tifffile.TiffPage) -> bool:
     return not (page.is_reduced or page.is_mask)
 
 

@@ -188,7 +188,7 @@ class Settings:
         return out
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], path: Path | None = None) -> Settings:
+    def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> Settings:
         """Inverse of `to_dict`; what is left out keeps its default.
 
         Parameters
@@ -222,7 +222,7 @@ class Settings:
         return make(cls, values, path=path, location=("settings",))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (tuple, list)):

@@ -156,7 +156,7 @@ def binned(camera: Camera, count: int) -> Camera:
 
 
 def double(
-    image: NDArray[Any], space: Callable[[tuple[int, int], Any], NDArray[Any]] = np.empty
+    image: NDArray[Any], space: Callable[[tuple[int, int], np.typing.DTypeLike], NDArray[Any]] = np.empty
 ) -> NDArray[Any]:
     """Sample an image on a grid twice as fine, both images of a match equally smoothed.
 
@@ -181,7 +181,7 @@ class _Space(threading.local):
 
     memory: NDArray[Any] = np.empty(0, np.uint8)
 
-    def __call__(self, shape: tuple[int, int], dtype: Any) -> NDArray[Any]:
+    def __call__(self, shape: tuple[int, int], dtype: np.typing.DTypeLike) -> NDArray[Any]:
         size = shape[0] * shape[1] * np.dtype(dtype).itemsize
         if self.memory.size < size:
             self.memory = np.empty(size, np.uint8)

@@ -129,7 +129,7 @@ class _InOrder:
     map_unordered: MapUnordered
     folder: Path
 
-    def __call__(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+    def __call__(self, work: Callable[[Any], object], items: Sequence[object]) -> Iterator[Any]:
         waiting: dict[int, Path] = {}
         requested = 0
         if not items:

@@ -275,7 +275,7 @@ def _named(progress: ProgressFunction | None, run: str) -> ProgressFunction | No
     return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
 
 
-def check_drivers(catalog: Path, part: Any) -> None:
+def check_drivers(catalog: Path, part: object) -> None:
     """Refuse a part of a catalog that would have intake import anything but its own drivers."""
     if isinstance(part, str) and re.match(r"{?(import|func|pickle64)[(]", part.strip()):
         raise ExperimentError(f"{catalog}: {part!r} would run code; a catalog can only name intake's drivers")

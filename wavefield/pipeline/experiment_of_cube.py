@@ -41,18 +41,18 @@ def _relative(path: Path, home: Path) -> str:
         return str(path)
 
 
-def _named(store: Path, attributes: Mapping[str, Any], name: str) -> Path:
+def _named(store: Path, attributes: Mapping[str, object], name: str) -> Path:
     """Path that an attribute gives, relative to the folder of the store."""
     home = store.absolute().parent.resolve()
     return Path(os.path.normpath(home / str(attributes.get(name, ""))))
 
 
-def experiment_path(store: Path, attributes: Mapping[str, Any]) -> Path:
+def experiment_path(store: Path, attributes: Mapping[str, object]) -> Path:
     """Where the experiment file of a cube is expected."""
     return _named(store, attributes, "experiment_file")
 
 
-def load_experiment(store: Path, attributes: Mapping[str, Any], given: Path | None = None) -> Experiment:
+def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
     """Read the experiment of a cube: the given one; else that beside it, or that it names, if it fits."""
     named, folder = experiment_path(store, attributes), _named(store, attributes, "image_folder")
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
@@ -72,7 +72,7 @@ def load_experiment(store: Path, attributes: Mapping[str, Any], given: Path | No
     return Experiment.load(named, images)
 
 
-def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, Any]) -> None:
+def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
     """Refuse an experiment of other images: by their names, and by first frames that are there."""
     recipe = json.loads(str(attributes.get("recipe", "{}")))
     for camera, names in recipe.get("images", {}).items():

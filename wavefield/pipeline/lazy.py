@@ -81,7 +81,7 @@ def reconstruct(
     settings: "Settings | None" = None,
     *,
     steps_per_task: int = STEPS_PER_TASK,
-    record: Mapping[str, Any] | None = None,
+    record: Mapping[str, object] | None = None,
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
@@ -206,7 +206,7 @@ def _gain(
 
 
 def _known(
-    pairs: Sequence[Mapping[str, Any]], geometry: "GridGeometry", record: Mapping[str, Any] | None
+    pairs: Sequence[Mapping[str, Any]], geometry: "GridGeometry", record: Mapping[str, object] | None
 ) -> "Known":
     """The geometry that includes the water's motion and elevations, and what was learned from the record."""
     from wavefield.measurement import LearnedRecord, Model

@@ -6,9 +6,9 @@ None uses what the uncertainties were computed from, so that all can show where 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.quality.frame_jitter import FrameJitter, frame_jitter, step_factor
@@ -83,7 +83,7 @@ def discontinuous(continuities: Array) -> NDArray[np.intp]:
     return np.flatnonzero(found & (np.abs(continuities - 1.0) > RECORD_LIMITS.discontinuity))
 
 
-def continuities_of(cube: Any) -> Array:
+def continuities_of(cube: xr.Dataset) -> Array:
     """Continuity of every step of a cube (n,), read chunk by chunk; NaN for two steps at either end."""
     count, chunk = cube.sizes["time"], max(cube.w.chunksizes.get("time", (64,))[0], 1)
     out = np.full(count, np.nan)
@@ -98,7 +98,7 @@ def continuities_of(cube: Any) -> Array:
     return out
 
 
-def jitter_of(cube: Any, continuities: Array) -> tuple[FrameJitter, float] | None:
+def jitter_of(cube: xr.Dataset, continuities: Array) -> tuple[FrameJitter, float] | None:
     """Jitter of a cube's frame times, and the largest error by it over its standard uncertainty.
 
     Of some steps in a row in the middle of the record, without those around discontinuous

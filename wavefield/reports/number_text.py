@@ -15,7 +15,7 @@ def rms_of(values: xr.DataArray | np.ndarray) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def median_of(values: Any) -> float:
+def median_of(values: object) -> float:
     """Median of the finite values; NaN if there are none."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
@@ -29,7 +29,7 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
     return f"{value:.{digits}g}{' ' + unit if unit else ''}"
 
 
-def without_folders(value: Any, folder: str = "") -> Any:
+def without_folders(value: object, folder: str = "") -> Any:
     """Names of files without the folders of the machine that holds them: a page is for others to read.
 
     Examples

@@ -65,7 +65,7 @@ class Rig:
     def __len__(self) -> int:
         return len(self.cameras)
 
-    def moved(self, axes: ArrayLike, origin: ArrayLike, **provenance: Any) -> "Rig":
+    def moved(self, axes: ArrayLike, origin: ArrayLike, **provenance: object) -> "Rig":
         """Re-express the rig in another physical frame.
 
         Parameters

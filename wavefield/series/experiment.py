@@ -322,7 +322,7 @@ class Experiment(RecordSection):
                 )
         return with_water_level(rig, self.water.level) if self.water.level else rig
 
-    def choose_grid(self, rig: Rig, settings: Mapping[str, Any] | None = None) -> Grid:
+    def choose_grid(self, rig: Rig, settings: Mapping[str, object] | None = None) -> Grid:
         """The grid of the file, or the largest that all cameras see.
 
         Parameters

@@ -89,7 +89,7 @@ def create_store(
     x: np.ndarray,
     y: np.ndarray,
     layout: StoreLayout,
-    attributes: Mapping[str, Any],
+    attributes: Mapping[str, object],
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
     """Make an empty store: metadata, coordinates, attributes. It appears complete or not at all.

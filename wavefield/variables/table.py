@@ -85,7 +85,7 @@ def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
     return out
 
 
-def _one(array: Any, row: Variable) -> Any:
+def _one(array: "xr.DataArray", row: Variable) -> Any:
     if set(array.dims) != set(row.dims):
         raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
     kind = np.dtype(row.dtype).kind
@@ -103,12 +103,12 @@ def _one(array: Any, row: Variable) -> Any:
     return (_lazy(array) * scale).assign_attrs(array.attrs | {"units": row.units})
 
 
-def _lazy(array: Any) -> Any:
+def _lazy(array: "xr.DataArray") -> Any:
     # arrays on disk stay there until their chunks are read
     return array if array.chunks is not None or array._in_memory else array.chunk({array.dims[0]: _PIECE})
 
 
-def _clocked(coordinate: Any, row: Variable) -> Any:
+def _clocked(coordinate: "xr.DataArray", row: Variable) -> Any:
     scale = factor(str(coordinate.attrs.get("units", row.units)), row.units)
     if scale is None:
         raise CubeError(
@@ -119,7 +119,7 @@ def _clocked(coordinate: Any, row: Variable) -> Any:
     return (coordinate * scale).assign_attrs(coordinate.attrs | {"units": row.units})
 
 
-def validate(dataset: Any, *names: str) -> "xr.Dataset":
+def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
     """Check that a dataset holds variables as the table has them; the door of every room.
 
     Examples

@@ -89,7 +89,7 @@ def registered() -> list[Product]:
 
 
 def compute_ready(
-    waiting: list[Product], values: dict[str, Any], each: Callable[..., Iterable[Any]] | None = None
+    waiting: list[Product], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
     """Compute waiting products whose inputs are among the values, and add them; gives the notes of each."""
     notes: dict[str, Sequence[str]] = {}
@@ -106,7 +106,7 @@ def compute_ready(
     return notes
 
 
-def _computed(job: tuple[Callable[..., Any], Sequence[Any], str]) -> Noted:
+def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:

@@ -226,7 +226,7 @@ def _analyze(
     )
 
 
-def _attributes(given: Mapping[str, Any], welch: Welch) -> dict[str, Any]:
+def _attributes(given: Mapping[str, xr.Dataset], welch: Welch) -> dict[str, Any]:
     cube, complete, record = given["cube"], given["complete_cube"], welch.record
     depth, gain = given["depth"], given["gain"]
     return {

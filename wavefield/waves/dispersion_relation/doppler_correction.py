@@ -31,7 +31,7 @@ SLOWEST, FASTEST = 0.5, 1.5  # of the free frequency: the limits of free waves
 _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m
 
 
-def intrinsic_frequency(omega: Any, doppler_shift: Array, sigma: Array, dt: float) -> Array:
+def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
     """Frequency omega - k . U in the frame of the water, kept off zero and within reach of free waves.
 
     With all frequencies in rad/s; doppler_shift k . U.

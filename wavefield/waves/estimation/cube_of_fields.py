@@ -23,7 +23,7 @@ def cube(
     velocity: Literal["instantaneous", "displacement"],
     z_t: xr.DataArray | None = None,
     depth: float | None = None,
-    **attrs: Any,
+    **attrs: object,
 ) -> xr.Dataset:
     """Make a cube of labelled fields, of another program or a model, for every estimator of this package.
 
@@ -106,7 +106,7 @@ def cube(
     return annotate(out.assign_coords(path_frames=np.uint8(frames))).assign_attrs(stated)
 
 
-def _seconds(name: str, field: Any) -> xr.DataArray:
+def _seconds(name: str, field: object) -> xr.DataArray:
     """A field whose time is in seconds; of dates, since the first."""
     if not isinstance(field, xr.DataArray):
         raise CubeError(f"{name!r} is a {type(field).__name__}: give a DataArray over time, y and x")
@@ -121,7 +121,7 @@ def _rate(z: xr.DataArray) -> xr.DataArray:
     """Derivative of z in time, m/s; NaN at nodes that are never measured."""
     t = z["time"].values.astype(float)
 
-    def derive(values: Any) -> Any:
+    def derive(values: np.ndarray) -> Any:
         flat = values.reshape(-1, t.size).T
         out = np.full(flat.shape, np.nan, values.dtype)
         there = np.isfinite(flat)

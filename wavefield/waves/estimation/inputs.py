@@ -29,7 +29,7 @@ def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
         first = next(iter(signature.parameters))
 
         @functools.wraps(estimator)
-        def call(*args: Any, **options: Any) -> Any:
+        def call(*args: object, **options: object) -> Any:
             bound = signature.bind(*args, **options)
             bound.arguments[first], stated = convert(bound.arguments[first], estimator.__name__)
             for name, value in stated.items():
@@ -42,7 +42,7 @@ def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
     return decorate
 
 
-def described(given: Any) -> str:
+def described(given: object) -> str:
     """What was given, for messages."""
     if isinstance(given, xr.DataArray):
         return f"a variable over {', '.join(map(str, given.dims)) or 'nothing'}"
@@ -52,17 +52,17 @@ def described(given: Any) -> str:
     return f"a {type(given).__name__}"
 
 
-def is_field(given: Any) -> bool:
+def is_field(given: object) -> bool:
     """Whether something is a variable over time, y and x."""
     return isinstance(given, xr.DataArray) and set(given.dims) == set(CUBE_DIMS)
 
 
-def is_cube(given: Any) -> bool:
+def is_cube(given: object) -> bool:
     """Whether something is a Dataset with the axes of a cube."""
     return isinstance(given, xr.Dataset) and set(CUBE_DIMS) <= set(given.dims)
 
 
-def a_field(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
+def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
     """A field, or a refusal."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(

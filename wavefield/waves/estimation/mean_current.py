@@ -28,7 +28,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
     return dask.delayed(_mean_and_uncertainty, pure=False)(means)
 
 
-def _mean_of_step(block: Any) -> float:
+def _mean_of_step(block: object) -> float:
     values = np.asarray(block, np.float64)
     measured = values[np.isfinite(values)]
     return float(measured.mean()) if measured.size else np.nan

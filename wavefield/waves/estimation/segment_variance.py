@@ -49,7 +49,9 @@ def keep_lines(power: Array, first: int) -> dict[str, Array]:
     return {f"f from {first:012d}": folded[None]}
 
 
-def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
+def freedom(
+    sums: Mapping[str, np.ndarray], name: str, welch: Welch, gaussian: bool = True
+) -> dict[str, Array]:
     """Degrees of freedom of E(k, omega), of E(omega) and of E(k).
 
     Twice the squared mean over the variance of the mean of K segments: c_0 / K times their correlation, 1 + 2
@@ -96,7 +98,7 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     }
 
 
-def cell_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> float:
+def cell_freedom(sums: Mapping[str, object], name: str, welch: Welch) -> float:
     """Degrees of freedom of a single cell of the strongest lines: twice the independent segments."""
     if welch.count < MIN_SEGMENTS_FOR_CORRELATION:
         return welch.dof
@@ -108,7 +110,7 @@ def cell_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> float:
     return float(np.clip(2 * welch.count * independent / actual, 2.0, welch.dof)) if actual > 0 else welch.dof
 
 
-def _series(sums: Mapping[str, Any], name: str) -> tuple[Array, Array]:
+def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
     """First steps of the segments, and their powers (segments, rings, lines)."""
     start = f"{name} from "
     names = sorted(key for key in sums if key.startswith(start))
@@ -185,7 +187,7 @@ def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
     return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
 
 
-def _cell_dof(sums: Mapping[str, Any], welch: Welch) -> float:
+def _cell_dof(sums: Mapping[str, object], welch: Welch) -> float:
     return cell_freedom(sums, "w", welch)
 
 

@@ -4,7 +4,7 @@ Half segments and segments are fixed by the record alone, and the sums run in th
 depend on how the data are chunked.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from itertools import count, pairwise
 from typing import Any, NamedTuple
@@ -23,6 +23,9 @@ from wavefield.waves.estimation.windows import choose_segment, hann, segment_cou
 STEPS_AT_ONCE = 4  # transformed in space: they fit the cache
 CELLS = 128  # cells transformed in time at once: so do their segments
 CHAIN_LENGTH = 8  # segments in a row that are summed one after the other
+
+Sums = dict[str, np.ndarray]  # by name, of one half segment or of many
+Transform = Callable[..., Sums]  # of the blocks of half a segment
 
 
 def segment_length(record: Record, segment: int | None) -> int:
@@ -45,14 +48,14 @@ def count_segments(record: Record, segment: int) -> int:
     return sum(segment_count(b - a, segment) for a, b in record.runs)
 
 
-def _values(part: Any) -> np.ndarray:
+def _values(part: object) -> np.ndarray:
     block = np.asarray(part)
     return block if block.dtype.kind == "f" else block.astype(np.float64)
 
 
 def _prepared(
-    make: Callable[..., dict[str, Any]], pieces: Sequence[Any], missing: np.ndarray, inner: slice, first: int
-) -> dict[str, Any]:
+    make: Transform, pieces: Sequence[object], missing: np.ndarray, inner: slice, first: int
+) -> Sums:
     return make([np.ascontiguousarray(fill(_values(part), missing)[inner]) for part in pieces], first)
 
 
@@ -76,7 +79,7 @@ def _task(
     a: int,
     b: int,
     run: tuple[int, int],
-    make: Callable[..., dict[str, Any]],
+    make: Transform,
 ) -> Any:
     area, missing, inner = _span(record, a, b, run)
     pieces = [piece(array, *area) for array in arrays]
@@ -153,7 +156,7 @@ def chains(record: Record, segment: int) -> list[list[Link]]:
 
 
 def half_segments(
-    arrays: Sequence[xr.DataArray], record: Record, half: int, make: Callable[..., dict[str, Any]]
+    arrays: Sequence[xr.DataArray], record: Record, half: int, make: Transform
 ) -> list[list[Any]]:
     """Tasks, by run, that turn half segments of a record into what ``make(blocks, first step)`` gives."""
     return [
@@ -166,8 +169,8 @@ def sum_segments(
     arrays: Sequence[xr.DataArray],
     record: Record,
     half: int,
-    make: Callable[..., dict[str, Any]],
-    combine: Callable[..., dict[str, Any]],
+    make: Transform,
+    combine: Transform,
 ) -> Any:
     """Delayed sum over all segments of ``combine(first, second, begin=step)`` of halves from `make`."""
     task = delayed(combine, pure=False)
@@ -181,9 +184,7 @@ def sum_segments(
     )
 
 
-def pieces(
-    arrays: Sequence[xr.DataArray], record: Record, length: int, make: Callable[..., dict[str, Any]]
-) -> list[Any]:
+def pieces(arrays: Sequence[xr.DataArray], record: Record, length: int, make: Transform) -> list[Any]:
     """Tasks as of `half_segments`, over every step of all runs; the last of a run may be shorter."""
     return [
         _task(arrays, record, a, min(a + length, run[1]), run, make)
@@ -192,12 +193,12 @@ def pieces(
     ]
 
 
-def in_order(parts: Sequence[Any]) -> Any:
+def in_order(parts: Sequence[object]) -> Any:
     """Sum delayed dictionaries of arrays one after the other, in their order."""
     return reduce(delayed(add, pure=False), parts)
 
 
-def add(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+def add(a: Sums, b: Sums) -> Sums:
     """Sum two dictionaries of arrays, name by name; what only one of them has is kept."""
     return {**a, **b} | {name: a[name] + b[name] for name in a if name in b}
 
@@ -237,7 +238,7 @@ def slabs(cells: int) -> Iterator[slice]:
 class TimeTransform:
     """Transforms segments in time, slab by slab, in work space of its own: it is made once and used again."""
 
-    def __init__(self, half: int, dtype: Any, names: int = 1) -> None:
+    def __init__(self, half: int, dtype: np.dtype, names: int = 1) -> None:
         dtype = np.dtype(dtype)
         self.half, self.real = half, dtype.type(0).real.dtype
         self.window = hann(2 * half).astype(self.real)

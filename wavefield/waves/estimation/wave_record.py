@@ -71,7 +71,7 @@ class Record:
         return sum(b - a for a, b in self.runs if b - a >= shortest)
 
 
-def _spacing(array: Any, name: str) -> float:
+def _spacing(array: xr.DataArray | xr.Dataset, name: str) -> float:
     values = np.asarray(array[name].values, float)
     if values.size < 2:
         raise CubeError(f"the cube has {values.size} {name}: at least two are needed")
@@ -95,7 +95,7 @@ def _spacing(array: Any, name: str) -> float:
     return step
 
 
-def check_axes(array: Any) -> tuple[float, float, float]:
+def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
     """Steps dt, dy, dx of the axes of a cube, which are evenly spaced."""
     for name in CUBE_DIMS:
         if name not in array.dims:
@@ -123,7 +123,7 @@ class _Stored:
     def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
         self.variable, self.area = variable, area
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+    def __array__(self, dtype: np.typing.DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
         steps, rows, columns = self.area
         part = self.variable.isel(time=steps, y=rows, x=columns).transpose(*CUBE_DIMS)
         return np.asarray(part.values, dtype)
@@ -141,7 +141,7 @@ def all_finite(block: np.ndarray) -> bool:
     return bool(np.isfinite(block.sum(dtype=np.float64)))
 
 
-def _finite(pieces: list[Any]) -> np.ndarray | None:
+def _finite(pieces: list[object]) -> np.ndarray | None:
     """Packed mask of the nodes that have values in all variables; None where nothing is missing."""
     mask = None
     for part in pieces:  # one at a time: memory
@@ -172,7 +172,9 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
     return _finite([piece(array, slice(*steps)) for array in arrays])
 
 
-def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | None = None) -> Record:
+def find_record(
+    cube: xr.DataArray | xr.Dataset, longest_bridge: int = LONGEST_BRIDGE, each: Each | None = None
+) -> Record:
     """Find the largest full rectangle of nodes and the runs of valid steps of a cube.
 
     The values are read once (a lazy cube is computed for it); only a mask of them is held.
@@ -241,7 +243,7 @@ class _ValidNodes:
                 yield slice(a, b), bits.reshape(b - a, ny, nx).astype(bool)
 
 
-def _measured(cube: Any, steps: int) -> np.ndarray:
+def _measured(cube: object, steps: int) -> np.ndarray:
     """Steps that were measured according to the ledger; all without one."""
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
@@ -319,7 +321,7 @@ def _without_masked(
     return rectangle, barred
 
 
-def whole_record(array: Any) -> Record:
+def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
     """Take every node and step of an array that has nothing missing, without reading its values.
 
     Parameters

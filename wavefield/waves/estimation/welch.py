@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -51,7 +52,11 @@ class Welch:
 
     @classmethod
     def of(
-        cls, fields: Any, segment: int | None = None, record: Record | None = None, dk: float | None = None
+        cls,
+        fields: xr.DataArray | xr.Dataset,
+        segment: int | None = None,
+        record: Record | None = None,
+        dk: float | None = None,
     ) -> "Welch":
         """Lay segments over fields.
 
@@ -167,7 +172,7 @@ class Welch:
         }
 
 
-def frames_of(fields: Any) -> int:
+def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     """Frames that the velocities of a cube come from: 6 or 4 along paths, 1 of an instant, else 2."""
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
@@ -191,7 +196,7 @@ def frames_of_meaning(*stated: str) -> int:
     return MEANINGS[stated[0]]
 
 
-def with_velocity(cube: Any, meaning: str | None) -> tuple[Any, str]:
+def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
     """A cube that states what its velocities are, and a note where neither it nor the argument does."""
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
     stated = "path_frames" in cube.coords or any(
@@ -212,19 +217,19 @@ def with_velocity(cube: Any, meaning: str | None) -> tuple[Any, str]:
     return cube.assign_coords(path_frames=np.uint8(frames)), ""
 
 
-def along_paths(fields: Any) -> bool:
+def along_paths(fields: xr.DataArray | xr.Dataset) -> bool:
     """Whether the velocities of a cube are those at mid-time; of a lazy one nothing is computed."""
     return "path_frames" in fields.coords or frames_of(fields) != 2
 
 
-def frames_of_z(fields: Any) -> int:
+def frames_of_z(fields: xr.DataArray | xr.Dataset) -> int:
     """Frames that the elevations of a cube come from: 6, or 4 where it does not say."""
     if not hasattr(fields, "data_vars"):
         return int(fields.attrs.get("frames", 4)) if fields.name == "z" else 4
     return int(fields["z"].attrs.get("frames", 4)) if "z" in fields else 4
 
 
-def moves_with_flow(fields: Any) -> bool:
+def moves_with_flow(fields: xr.DataArray | xr.Dataset) -> bool:
     """Whether the elevations of a cube are interpolated in time in a frame that moves with the mean flow."""
     return hasattr(fields, "data_vars") and "z" in fields and bool(fields["z"].attrs.get("moving", 0))
 

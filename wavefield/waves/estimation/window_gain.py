@@ -36,7 +36,7 @@ def _pair(measured: Array, exact: Array) -> dict[str, Array]:
 
 
 def _sums(
-    near: Array, path: Array, first: dict[str, Any], second: dict[str, Any], begin: int
+    near: Array, path: Array, first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> dict[str, Array]:
     """Powers and products per cell over the band around the dispersion relation, at both signs of omega."""
     out = {name: np.zeros(near.shape[0]) for name in ("true", "measured", "cross", "quadrature")}

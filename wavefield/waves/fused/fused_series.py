@@ -40,7 +40,7 @@ class _Filter:
     water: tuple[float, float]  # depth, surface tension over density
     noise: float  # variance of z over that of dz
 
-    def __call__(self, pieces: list[Any], steps: Array, first: int, missing: Array) -> Array:
+    def __call__(self, pieces: list[object], steps: Array, first: int, missing: Array) -> Array:
         """Elevation (n / 2, ny, nx) from z, z_t and w from the step `first` on, for steps (3 n / 2,)."""
         segment, dt, flows = self.segment, self.distances[0], any(self.current)
         z, z_t, w = (fill(np.asarray(part), missing) for part in pieces)

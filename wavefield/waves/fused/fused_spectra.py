@@ -365,7 +365,7 @@ def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> fl
 def fused_spectra(
     cube: xr.Dataset,
     *,
-    gain: Any = None,
+    gain: xr.Dataset | None = None,
     depth: float | None = None,
     current: tuple[float, float] | None = None,
     segment: int | None = None,

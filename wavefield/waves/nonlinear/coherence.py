@@ -19,7 +19,7 @@ NAMES = ("rise", "w", "nl")
 PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 
-def significance_level(samples: Any, chance: float = 0.05) -> Any:
+def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any:
     """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1)).
 
     Examples

@@ -161,7 +161,9 @@ def _mean_of_frames(z: xr.DataArray, z_t: xr.DataArray, dt: float) -> xr.DataArr
     return mean.fillna(mean.shift(time=1) + (dt / 2) * (z_t + before)).fillna(z)
 
 
-def frame_elevations(z: Any, z_t_before: Any, z_t_after: Any, z_t: Any, dt: float) -> tuple[Any, Any]:
+def frame_elevations(
+    z: xr.DataArray, z_t_before: xr.DataArray, z_t_after: xr.DataArray, z_t: xr.DataArray, dt: float
+) -> tuple[Any, Any]:
     """Elevations of the two frames of a step, exact, from z and z_t of the step and its neighbours' z_t.
 
     z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before).

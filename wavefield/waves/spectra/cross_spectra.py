@@ -30,11 +30,11 @@ _MEASURED = {"z_t": "z"}  # the response to differences of elevations is that to
 
 
 def label(
-    sums: Mapping[str, Any],
+    sums: Mapping[str, Array],
     names: Sequence[str],
     pairs: Sequence[tuple[str, str]],
     welch: Welch,
-    freedom: Mapping[str, Any] | None = None,
+    freedom: Mapping[str, Mapping[str, Array]] | None = None,
 ) -> xr.Dataset:
     """Labelled spectra from the sums of `sum_segment` over all segments."""
     factor = welch.ring_density

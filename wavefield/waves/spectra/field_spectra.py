@@ -144,7 +144,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     return finish(out, field)
 
 
-def plane_density(values: Any, name: str, units: str, welch: Welch) -> xr.Dataset:
+def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
     """Labelled E(ky, kx, omega) of a field from values (omega, ky, kx)."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}

@@ -233,7 +233,7 @@ class _ErrorSurvey:
         return _survey_errors(self.read(*item), self.scales[item[0]])
 
 
-def _survey_errors(block: Any, scale: tuple[float, float]) -> dict[str, Array]:
+def _survey_errors(block: object, scale: tuple[float, float]) -> dict[str, Array]:
     values = np.asarray(block).ravel()
     return survey({"e": values[np.isfinite(values)][None, None]}, {"e": scale})
 
