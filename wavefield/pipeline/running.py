@@ -38,7 +38,7 @@ from wavefield.store.metadata import mark_complete, restore_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import measured_rate, open_group, read_layout
 from wavefield.store.recipe import check_recipe
-from wavefield.store.relabel import relabel
+from wavefield.store.relabel import relabel, state_jitter
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import VERDICT, read_verdict
 from wavefield.store.verify import suspicious
@@ -157,7 +157,10 @@ def process(
     found = status(path)
     if found.complete:
         store_pair_statistics(prepared, path)
-    assess_run(prepared, found).save(path)
+    verdict = assess_run(prepared, found)
+    jitter = [one.values for one in verdict.remarks if (one.subject, one.kind) == ("record", "jitter")]
+    state_jitter(path, jitter[0] if jitter else {})
+    verdict.save(path)
     if found.complete:
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
     return status(path)

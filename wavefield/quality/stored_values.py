@@ -5,6 +5,7 @@ None uses what the uncertainties were computed from, so that all can show where 
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefield.quality.frame_jitter import FrameJitter, frame_jitter, step_factor
 from wavefield.quality.quality_limits import RECORD_LIMITS
-from wavefield.store.read import open_cube
+from wavefield.store.read import open_without_jitter
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -102,7 +103,7 @@ def jitter_of(cube: xr.Dataset, continuities: Array) -> tuple[FrameJitter, float
     """Jitter of a cube's frame times, and the largest error by it over its standard uncertainty.
 
     Of some steps in a row in the middle of the record, without those around discontinuous
-    ones; None where no jitter shows.
+    ones; None where no jitter shows. That velocities are of another moment is a part of their relative error.
     """
     count = cube.sizes["time"]
     first = max((count - JITTER_STEPS) // 2, 0)
@@ -123,9 +124,18 @@ def jitter_of(cube: xr.Dataset, continuities: Array) -> tuple[FrameJitter, float
         return None
     sizes = [float(np.sqrt(np.mean(np.square(one[measured])))) for one in np.moveaxis(velocity, 1, 0)]
     stds = [float(np.median(part[f"{name}_std"].values[measured])) for name in (*names, "z")]
-    late = jitter.intervals / float(cube.attrs["frame_rate"])
-    errors = [*(jitter.velocity * size for size in sizes), ELEVATION_NOISE * late * sizes[2]]
+    late = ELEVATION_NOISE * jitter.intervals
+    jitter = replace(jitter, velocity=float(np.hypot(jitter.velocity, late * _turn(velocity, measured))))
+    errors = [*(jitter.velocity * size for size in sizes), late / float(cube.attrs["frame_rate"]) * sizes[2]]
     return jitter, max(error / std for error, std in zip(errors, stds) if std > 0)
+
+
+def _turn(velocity: Array, measured: Mask) -> float:
+    """By what fraction velocities (n, 3, ny, nx) change from step to step, rms."""
+    both = (measured[1:] & measured[:-1])[:, None]
+    change = np.where(both, np.diff(velocity, axis=0), 0.0)
+    size = np.where(both, velocity[1:], 0.0)
+    return float(np.linalg.norm(change) / max(np.linalg.norm(size), 1e-12))
 
 
 def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> Iterator[Remark]:
@@ -133,7 +143,7 @@ def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> It
 
     ``first`` is the number of the first frame.
     """
-    cube = open_cube(store)
+    cube = open_without_jitter(store)
     names = ["z", "z_t", "u", "v", "w", "u_std", "v_std", "w_std"]
     part = cube[[*names, "quality"]].isel(time=list(steps)).load()
     measured = part.quality.values & int(Quality.MEASURED) != 0
@@ -172,9 +182,14 @@ def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> It
             "record",
             "jitter",
             "remark" if shown[1] > RECORD_LIMITS.jitter else "note",
-            f"the times of the frames depart by {late:.2g} ms rms from those that they are measured at:"
-            f" values are off by {shown[1]:.1f} standard uncertainties",
+            f"the times of the frames depart by {late:.2g} ms rms from those that they are measured"
+            f" at: values are off by {shown[1]:.1f} standard uncertainties without it (the stated ones contain it)",
             f"at most {RECORD_LIMITS.jitter} standard uncertainties",
             "state the cameras' time stamps (`times`), or trigger the cameras by a steadier clock",
-            {"jitter_ms": late, "over_std": shown[1]},
+            {
+                "jitter_ms": late,
+                "over_std": shown[1],
+                "elevation_jitter": ELEVATION_NOISE * shown[0].intervals,
+                "velocity_jitter": shown[0].velocity,
+            },
         )

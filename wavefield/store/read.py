@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
+import numpy as np
 import zarr
 
 from wavefield.errors import StoreError
@@ -17,6 +18,9 @@ if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
 
 Chunks = dict[str, int] | int | Literal["auto"] | None
+# Jitter of the frame times that a run found when it ended, and no time stamps state: std of the moment of z,
+# frame intervals, and relative error of velocities
+JITTER = ("elevation_jitter", "velocity_jitter")
 
 
 def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
@@ -70,6 +74,8 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     -------
     Dataset
         The variables of `wavefield.variables`, attributes with the recipe; steps not yet measured are NaN.
+        Where the run found jitter of the frame times that no time stamps state, the standard uncertainties
+        contain it (`with_jitter`).
 
     Raises
     ------
@@ -97,11 +103,38 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     >>> missing
     True
     """
+    return with_jitter(open_without_jitter(path, chunks))
+
+
+def open_without_jitter(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
+    """As `open_cube`, with the uncertainties as they were measured, step by step."""
     cube = open_stored(path, chunks).drop_vars(["checksum", "stored_bytes"], errors="ignore")
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked
             cube[name] = cube[name].astype("float32")
     return cube
+
+
+def with_jitter(cube: "xr.Dataset") -> "xr.Dataset":
+    """Add the jitter of the frame times that a cube's attributes state to its standard uncertainties.
+
+    It makes the velocities of a step too large or too small by one factor, and gives its elevation at another
+    moment.
+    """
+    import xarray as xr
+
+    late, factor = (float(cube.attrs.get(name, 0.0)) for name in JITTER)
+    if not late > 0:
+        return cube
+    parts = {name: factor * cube[name] for name in ("u", "v", "w")}
+    parts["z"] = late / float(cube.attrs["frame_rate"]) * cube["z_t"]
+    total = {
+        f"{name}_std": xr.apply_ufunc(
+            np.hypot, cube[f"{name}_std"], part, dask="allowed", keep_attrs="override"
+        )
+        for name, part in parts.items()
+    }
+    return cube.assign(total)
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":

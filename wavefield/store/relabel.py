@@ -18,7 +18,7 @@ from wavefield.atomic_write import write_error
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, gather_metadata
 from wavefield.store.metadata import ARCHIVE, keep_metadata
-from wavefield.store.read import measured_rate, open_group
+from wavefield.store.read import JITTER, measured_rate, open_group
 from wavefield.store.recipe import Recipe, differences
 from wavefield.variables import CUBE_FIELDS, TABLE
 
@@ -47,6 +47,22 @@ def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> lis
     except OSError as error:
         raise write_error(path, error) from None
     return changed
+
+
+def state_jitter(path: Path, found: Mapping[str, float]) -> None:
+    """State jitter of the frame times, if any was found, in a cube's attributes (`with_jitter`)."""
+    new = {name: found[name] for name in JITTER if name in found}
+    group = open_group(path)
+    if {name: group.attrs[name] for name in JITTER if name in group.attrs} == new:
+        return
+    try:
+        group = open_group(path, "r+")
+        kept = {name: value for name, value in group.attrs.asdict().items() if name not in JITTER}
+        group.attrs.put(kept | new)
+        gather_metadata(path)
+        keep_metadata(path)
+    except OSError as error:
+        raise write_error(path, error) from None
 
 
 def _gathered(path: Path) -> bool:
