@@ -126,7 +126,8 @@ def jitter_of(cube: xr.Dataset, continuities: Array) -> tuple[FrameJitter, float
     stds = [float(np.median(part[f"{name}_std"].values[measured])) for name in (*names, "z")]
     late = ELEVATION_NOISE * jitter.intervals
     jitter = replace(jitter, velocity=float(np.hypot(jitter.velocity, late * _turn(velocity, measured))))
-    errors = [*(jitter.velocity * size for size in sizes), late / float(cube.attrs["frame_rate"]) * sizes[2]]
+    errors = [jitter.velocity * size for size in sizes]
+    errors.append(late / float(cube.attrs["frame_rate"]) * sizes[2])
     return jitter, max(error / std for error, std in zip(errors, stds) if std > 0)
 
 
@@ -182,8 +183,9 @@ def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> It
             "record",
             "jitter",
             "remark" if shown[1] > RECORD_LIMITS.jitter else "note",
-            f"the times of the frames depart by {late:.2g} ms rms from those that they are measured"
-            f" at: values are off by {shown[1]:.1f} standard uncertainties without it (the stated ones contain it)",
+            f"the times of the frames depart by {late:.2g} ms rms from those that they are measured at:"
+            f" values are off by {shown[1]:.1f} of the standard uncertainties without it, which the stated"
+            " ones contain",
             f"at most {RECORD_LIMITS.jitter} standard uncertainties",
             "state the cameras' time stamps (`times`), or trigger the cameras by a steadier clock",
             {
