@@ -136,7 +136,7 @@ def _turn(velocity: Array, measured: Mask) -> float:
     both = (measured[1:] & measured[:-1])[:, None]
     change = np.where(both, np.diff(velocity, axis=0), 0.0)
     size = np.where(both, velocity[1:], 0.0)
-    return float(np.linalg.norm(change) / max(np.linalg.norm(size), 1e-12))
+    return float(np.linalg.norm(change)) / max(float(np.linalg.norm(size)), 1e-12)
 
 
 def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> Iterator[Remark]:
