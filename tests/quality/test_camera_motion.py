@@ -9,7 +9,7 @@ import zarr
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.quality.camera_delay import Delay, Sample, delays, regress, remarks
+from wavefield.quality.camera_delay import Delay, Sample, Synchrony, delays, regress, remarks
 from wavefield.quality.camera_motion import camera_jitter, camera_motion, jump, knocks, shaking
 from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
 from wavefield.tank import Scene, Tank
@@ -97,10 +97,10 @@ def test_a_delay_is_found_whatever_the_cameras_shake():
 
 def test_a_delay_that_matters_is_a_remark_and_a_small_one_a_note():
     found = {"cam1": Delay(0.0, 0.0), "cam2": Delay(2e-4, 1e-5), "cam3": Delay(-5e-5, 4e-5)}
-    (note,) = remarks(found, 100.0)
+    (note,) = remarks(Synchrony(found, 100.0))
     assert (note.subject, note.kind, note.weight) == ("cam2", "delayed", "note")
     assert "taken 0.200 ms later than the others' (+- 0.010 ms)" in str(note)
-    (remark,) = remarks({"cam2": Delay(-2e-3, 1e-5)}, 100.0)
+    (remark,) = remarks(Synchrony({"cam2": Delay(-2e-3, 1e-5)}, 100.0))
     assert remark.weight == "remark"
     assert "earlier" in str(remark)
 
@@ -110,10 +110,27 @@ def test_a_delay_is_seen_in_images_by_check_without_bias():
     drawn = [tank.render(k) for k in range(8)]
     grid = Grid((-0.2, 0.2), (-0.15, 0.15), 0.01)
     matcher = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
-    found, _ = delays(
+    found = delays(
         GridGeometry(tank.rig, grid, Settings()), None, matcher, (2, 3, 4, 5), tank.scene.frame_rate
     )
-    late = found["cam2"]
+    late = found.delays["cam2"]
     assert late.seconds == pytest.approx(2e-3, abs=3 * late.std)
     assert late.std < 2e-4
-    assert next(iter(remarks(found, 100.0))).subject == "cam2"
+    assert [remark.subject for remark in remarks(found)] == ["cam2"], "and no rolling shutter"
+
+
+def test_a_rolling_shutter_is_seen_in_images_unless_it_is_stated():
+    scene = Scene.load("demo").with_(rig={"crop": 0.35})
+    rows = max(camera.size[1] for camera in Tank(scene).rig.cameras.values())
+    fault = {"row_time": 10e-3 / rows}
+    tank = Tank(scene.with_(faults=dict.fromkeys(("cam1", "cam2", "cam3"), fault)))
+    drawn = [tank.render(k) for k in range(8)]
+    grid, rate = Grid((-0.2, 0.2), (-0.15, 0.15), 0.01), tank.scene.frame_rate
+    matcher = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
+    stated = tuple((name, fault["row_time"] * rate) for name in tank.rig)
+    for settings, kinds in ((Settings(), ["rolling shutter"]), (Settings(row_delays=stated), [])):
+        found = delays(GridGeometry(tank.rig, grid, settings), None, matcher, (2, 3, 4, 5), rate)
+        assert [remark.kind for remark in remarks(found) if remark.weight == "remark"] == kinds, found
+        left = 0.0 if settings.row_delays else fault["row_time"]
+        assert found.row_time.seconds == pytest.approx(left, abs=3.5 * found.row_time.std)
+        assert found.row_time.std < 0.2 * fault["row_time"]

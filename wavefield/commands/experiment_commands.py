@@ -109,7 +109,7 @@ def _report(
 
         prepared = prepare(experiment, rig, workflow)
         click.echo(_pairs_table(prepared))
-        delays = sentence(synchrony_of(prepared)[0], 1 / prepared.experiment.frame_rate)
+        delays = sentence(synchrony_of(prepared).delays, 1 / prepared.experiment.frame_rate)
         click.echo(f"  clocks, by more instants: {delays}")
 
 

@@ -13,6 +13,7 @@ from wavefield.measurement.flow import CameraFlow, Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.paths import five, read_path
+from wavefield.measurement.rolling_shutter import middle_row, row_delay
 from wavefield.measurement.sight import Sight
 from wavefield.measurement.time_weights import noise_of_displacements, noise_weights
 from wavefield.measurement.uneven_paths import displacement_weights, read_uneven_path
@@ -107,7 +108,12 @@ def displacements_at_nodes(
         path = [None if f is None else f.get(name) for f in steps]
         rows = slice(2 * n, 2 * n + 2)
         jacobian[rows] = at[2:].reshape(2, 3, *shape)
-        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, times)
+        delay = row_delay(name, geometry)
+        when = times if times is not None or not delay else np.arange(6) - 2.5
+        late: Float | float = delay * (Y - middle_row(sight)) if delay else 0.0
+        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, when, -late)
+        if delay:  # what moves down is seen later in the next frame
+            found[:2] /= 1.0 + delay * found[1]
         moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
         axes[n] = sight.camera.R[2] / (sight.camera.R[2] @ middle + sight.camera.T[2])
         here = path[len(path) // 2]
@@ -122,7 +128,12 @@ def displacements_at_nodes(
 
 
 def _along_path(
-    path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, times: Float | None
+    path: Sequence[CameraFlow | None],
+    sight: Sight,
+    X: Float,
+    Y: Float,
+    times: Float | None,
+    at_time: Float | float = 0.0,
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
     """Path of one camera at given pixels (`read_path`), blocks read, variances by noise and by the prior."""
     here = path[len(path) // 2]
@@ -132,13 +143,14 @@ def _along_path(
     if times is None:
         d, block = read_path(splines, valid, sight.lattice, X, Y)
     else:
-        d, block = read_uneven_path(splines, valid, sight.lattice, X, Y, times)
+        at_time = np.nan_to_num(at_time)
+        d, block = read_uneven_path(splines, valid, sight.lattice, X, Y, times, at_time)
     each = {
         at: _at_blocks(flow.noise, np.maximum(block[at], 0)) for at, flow in zip(range(5), five(path)) if flow
     }
     places, noise = _places_read(block), each[2]
     if times is not None:
-        weights = noise_of_displacements(displacement_weights(times, block)[1])
+        weights = noise_of_displacements(displacement_weights(times, block, at_time)[1])
         return (
             d,
             block,

@@ -83,6 +83,10 @@ class Settings:
         Mismatch that is never rejected, px of the rectified images.
     min_valid : float
         Smallest share of the common view that a frame must measure; below, it counts as missing.
+    row_delays : tuple of (str, float)
+        For cameras with a rolling shutter, name and frame intervals by which a row is read later than the one
+        above it, negative if earlier; a frame's time is that of its middle row. `run` makes them of the
+        experiment's ``row_time``.
     vibration : {"leave", "correct"}
         Whether each frame of each camera is turned back by its epipolar error (constant, tilt, roll) before
         it is measured; the cube stores by how much (``camera_shift``).
@@ -110,6 +114,7 @@ class Settings:
     eps_limit: float = 3.0
     eps_floor: float = 0.3
     min_valid: float = 0.2
+    row_delays: tuple[tuple[str, float], ...] = ()
     vibration: Literal["leave", "correct"] = "leave"
     stereo: matching.MatchSettings = _STEREO
     piv: matching.MatchSettings = _PIV
@@ -122,6 +127,7 @@ class Settings:
             if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
                 raise ExperimentError(f"surface: pairs: {pair!r} is not a pair of two cameras")
         object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
+        object.__setattr__(self, "row_delays", tuple((str(a), float(b)) for a, b in self.row_delays if b))
         object.__setattr__(self, "velocity_cameras", tuple(str(name) for name in self.velocity_cameras))
         if len(self.velocity_cameras) == 1 or len(set(self.velocity_cameras)) < len(self.velocity_cameras):
             raise ExperimentError(
@@ -185,6 +191,8 @@ class Settings:
             Names to numbers, strings, lists and, for the two matchings, dicts.
         """
         out: dict[str, Any] = _plain(asdict(self))
+        if not self.row_delays:  # recipes from before there were any have none
+            del out["row_delays"]
         return out
 
     @classmethod

@@ -27,7 +27,12 @@ class MidTime:
 
 
 def at_mid_time(
-    surfaces: Surfaces, motion: Motion, x: Float, y: Float, times: Float | None = None
+    surfaces: Surfaces,
+    motion: Motion,
+    x: Float,
+    y: Float,
+    times: Float | None = None,
+    late: Float | None = None,
 ) -> MidTime:
     """Surface at mid-time at nodes x, y (ny, nx), metres, from six frames.
 
@@ -41,7 +46,8 @@ def at_mid_time(
     a polynomial of fifth degree through six frames; without one of the outermost (9 (z_0 + z_1) - z_-1 - z_2)
     / 16, a cubic through four. Where one neighbour is missing it is a parabola, (3 z_0 + 6 z_1 - z_2) / 8;
     where both are, the mean. Where the times t_n of the frames are uneven, given in intervals from mid-time,
-    it is the polynomial of the same degree through the same frames.
+    it is the polynomial of the same degree through the same frames. Where frames show the nodes later than at
+    their own times, by `late` (ny, nx), intervals, it is taken so much before mid-time.
 
     The rise follows the water itself. With c its displacement over the step and b the bend of its path, it is
     at x_0 = x - c/2 + b in the first frame and at x_1 = x + c/2 + b in the second, and stays on the surface:
@@ -56,18 +62,21 @@ def at_mid_time(
     weights = ELEVATION_WEIGHTS[frames_used(surfaces)]
     if surfaces[4] is None:
         weights = weights[::-1]
-    moments = np.arange(6) - 2.5
+    moments, even = np.arange(6) - 2.5, times is None
     if times is not None:
+        moments = times
+    at: Float | float = 0.0 if late is None else -late
+    if late is not None or not even:
         used = np.flatnonzero(weights).tolist()
-        moments, weights = times, uneven_weights(times, used)[0].astype(np.float32)
+        weights = uneven_weights(moments, used, at=at)[0].astype(np.float32)
     measured = np.isfinite(motion.chord).all(axis=0)
     dx, dy = (float(np.median(part[measured])) if measured.any() else 0.0 for part in motion.chord[:2])
     if times is not None:
         dx, dy = dx / float(times[3] - times[2]), dy / float(times[3] - times[2])
     z: Float = np.zeros(x.shape, np.float32)
     for t, surface, weight in zip(moments.tolist(), surfaces, weights, strict=True):
-        if surface is not None and weight:
-            z += weight * surface.read(x + t * dx, y + t * dy)
+        if surface is not None and np.any(weight):
+            z += weight * surface.read(x + (t - at) * dx, y + (t - at) * dy)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
     elsewhere = dx, dy, 0.0, 0.0, 0.0
     cx, cy, bx, by, excess = (np.where(measured, part, mean) for part, mean in zip(parts, elsewhere))

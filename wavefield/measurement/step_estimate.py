@@ -14,8 +14,9 @@ from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Instant
 from wavefield.measurement.learned_record import LearnedRecord
-from wavefield.measurement.midtime import MidTime, at_mid_time
+from wavefield.measurement.midtime import MidTime, at_mid_time, slope
 from wavefield.measurement.model import Model
+from wavefield.measurement.rolling_shutter import common_lateness, elevation_errors
 from wavefield.measurement.velocity import Motion, Regions, motion_of_all_cameras, velocity
 from wavefield.variables import AROUND, Quality
 from wavefield.water import GRAVITY
@@ -91,15 +92,32 @@ def _estimate(
     motion = motion_of_all_cameras(moves, np.float32(0.5) * (first.z + second.z), geometry, record, times)
     if motion is None:
         return None
-    height = at_mid_time(surfaces, motion, geometry.x, geometry.y, times).z
+    height = _surface_at_mid_time(surfaces, motion, geometry, times).z
     motion = velocity(moves, height, geometry, record, regions, jitter_px, times)
     if motion is None:
         return None
-    mid_time = at_mid_time(surfaces, motion, geometry.x, geometry.y, times)
+    mid_time = _surface_at_mid_time(surfaces, motion, geometry, times)
     mid_time = replace(mid_time, std=np.hypot(mid_time.std, np.float32(_SIX_FRAME_NOISE * level_std)))
     if geometry.settings.sheet_thickness is not None:  # it does not rise
         mid_time = replace(mid_time, rise=np.zeros_like(mid_time.rise))
     return StepEstimate(surfaces, height, motion, mid_time)
+
+
+def _surface_at_mid_time(
+    surfaces: Surfaces, motion: Motion, geometry: GridGeometry, times: Float | None
+) -> MidTime:
+    """Surface at mid-time, at the moments at which rolling shutters show it."""
+    first, second = surfaces[AROUND : AROUND + 2]
+    assert first is not None
+    assert second is not None
+    late = common_lateness(np.float32(0.5) * (first.z + second.z), geometry)
+    found = at_mid_time(surfaces, motion, geometry.x, geometry.y, times, late)
+    if late is None:
+        return found
+    measured = np.isfinite(motion.d).all(axis=0)
+    error, (x, y) = elevation_errors(found.z, np.where(measured, motion.d, 0.0), geometry)
+    z_y, z_x = (slope(found.z, geometry.grid.step, axis) for axis in (0, 1))
+    return replace(found, z=(found.z + x * z_x + y * z_y - error).astype(np.float32))
 
 
 def _level_jitter(

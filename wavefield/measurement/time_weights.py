@@ -56,10 +56,13 @@ def noise_weights(frames: int) -> tuple[float, ...]:
     return tuple(float(part) for part in out[len(half) - 1 :])
 
 
-def uneven_weights(times: Float, frames: Sequence[int], smooth: bool = False) -> tuple[Float, Float]:
-    """Weights of six frames in a value at mid-time and in its rate, each (6,), by those of ``frames`` alone.
+def uneven_weights(
+    times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
+) -> tuple[Float, Float]:
+    """Weights of six frames in a value at a time and in its rate, each (6,), by those of ``frames`` alone.
 
-    Of the polynomial through these frames, with times (6,), intervals from mid-time. With ``smooth`` the rate
+    Of the polynomial through these frames, with times (6,), intervals from mid-time. The value is that at
+    mid-time or at other times S, intervals: weights are then (6,) + S. With ``smooth`` the rate
     is exact for the fourth degree only, by the weights next to those of evenly spaced paths, which let less
     noise pass.
 
@@ -71,13 +74,16 @@ def uneven_weights(times: Float, frames: Sequence[int], smooth: bool = False) ->
     """
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
-    value, rate = np.zeros((2, 6))
-    unit = np.eye(len(used))
-    value[used], rate[used] = np.linalg.solve(powers, unit[0]), np.linalg.solve(powers, unit[1])
+    shape, count = np.shape(at), len(used)
+    now = np.vander(np.ravel(at), count, increasing=True).T
+    change = np.zeros_like(now)
+    change[1:] = now[:-1] * np.arange(1, count)[:, None]
+    value, rate = np.zeros((2, 6, now.shape[1]))
+    value[used], rate[used] = np.linalg.solve(powers, now), np.linalg.solve(powers, change)
     if smooth:
         even = place_weights(6)[1]
-        return value, even + np.linalg.pinv(powers[:5]) @ (unit[1, :5] - powers[:5] @ even)
-    return value, rate
+        rate = even[:, None] + np.linalg.pinv(powers[:5]) @ (change[:5] - (powers[:5] @ even)[:, None])
+    return value.reshape(6, *shape), rate.reshape(6, *shape)
 
 
 def noise_of_displacements(weights: Float) -> Float:

@@ -19,23 +19,30 @@ Mask = NDArray[np.bool_]
 _ITERATIONS = 6  # each leaves the gradient of the displacement, at most a third, of the error in px
 
 
-def displacement_weights(times: Float, block: NDArray[np.int64]) -> tuple[Float, Float]:
+def displacement_weights(
+    times: Float, block: NDArray[np.int64], at: Float | float = 0.0
+) -> tuple[Float, Float]:
     """Weights of five displacements along a path, each (5,) + S.
 
     Their sums are the way from the first frame of the step to the place at mid-time, and the displacement per
     interval at mid-time. With the times of six frames, intervals from mid-time, and the blocks read (5,) + S.
+    In place of mid-time another time may be given for all or each of S, intervals.
     """
     before, after = block[1] >= 0, block[3] >= 0
     case = before + 2 * after + ((block[0] >= 0) & (block[4] >= 0))
     used = [(2, 3), (1, 2, 3), (2, 3, 4), (1, 2, 3, 4), (0, 1, 2, 3, 4, 5)]
-    way, moved = np.empty((2, 5, 5))
+    way, moved = np.empty((2, 5, *case.shape))
     for n, frames in enumerate(used):
-        value, rate = uneven_weights(times, frames, smooth=len(frames) == 6)
+        here = case == n
+        if not here.any():
+            continue
+        when = at if np.ndim(at) == 0 else np.asarray(at)[here]
+        value, rate = uneven_weights(times, frames, len(frames) == 6, when)
         if len(frames) == 6:  # the place is that of a cubic, as at even times
-            value = uneven_weights(times, used[3])[0]
-        later = [np.cumsum(weights[::-1])[::-1][1:] for weights in (value, rate)]
-        way[n], moved[n] = later[0] - [1, 1, 0, 0, 0], later[1]
-    return np.moveaxis(way[case], -1, 0), np.moveaxis(moved[case], -1, 0)
+            value = uneven_weights(times, used[3], at=when)[0]
+        later = [np.cumsum(weights[::-1], axis=0)[::-1][1:].reshape(5, -1) for weights in (value, rate)]
+        way[:, here], moved[:, here] = later[0] - [[1], [1], [0], [0], [0]], later[1]
+    return way, moved
 
 
 def read_uneven_path(
@@ -45,14 +52,15 @@ def read_uneven_path(
     X: Float,
     Y: Float,
     times: Float,
+    at_time: Float | float = 0.0,
 ) -> tuple[Float, NDArray[np.int64]]:
     """As `read_path`, with the times (6,) of the six frames, intervals from mid-time.
 
     The path is the polynomial through the same places; displacements are per interval, that over the step is
-    the step's own.
+    the step's own. What is at X, Y is so at mid-time, or at a time for all or each of S, intervals.
     """
     first, block = read_path(splines, valid, lattice, X, Y)
-    way, weights = displacement_weights(times, block)
+    way, weights = displacement_weights(times, block, at_time)
     at = np.stack([X, Y]).astype(np.float64)
     seen = np.isfinite(first[0])
     fields = five(splines)

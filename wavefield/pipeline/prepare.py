@@ -229,6 +229,10 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
         data["pairs"] = experiment.surface.pairs
     if experiment.velocity:
         data["velocity_cameras"] = experiment.velocity.cameras
+    if delays := [
+        (n, c.row_time * experiment.frame_rate) for n, c in experiment.cameras.items() if c.row_time
+    ]:
+        data["row_delays"] = delays
     for more in (experiment.settings, workflow.settings):
         for name, value in more.items():
             nested = isinstance(value, Mapping) and isinstance(data.get(name), Mapping)

@@ -13,7 +13,7 @@ from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality import camera_delay, camera_motion
-from wavefield.quality.camera_delay import Delay
+from wavefield.quality.camera_delay import Synchrony
 from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
 from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
 from wavefield.quality.patch_matching import PatchMatcher
@@ -53,9 +53,7 @@ def compare_cameras(prepared: PreparedRun) -> CameraFaults:
         return find_camera_faults(_patch_matcher(prepared), count, frames, threads_here(prepared.workflow))
 
 
-def synchrony_of(
-    prepared: PreparedRun, instants: int = LIMITS.instants_for_delays
-) -> tuple[dict[str, Delay], float]:
+def synchrony_of(prepared: PreparedRun, instants: int = LIMITS.instants_for_delays) -> Synchrony:
     """Whether the cameras take their frames at the same moment."""
     count = prepared.steps + 1
     frames = sorted({min(max(k, 2), count - 3) for k in evenly_spaced(count, instants)}) if count >= 5 else []
@@ -73,10 +71,9 @@ def synchrony_of(
 
 def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
     """First estimate of the delays between cameras, at a few instants."""
-    found, speed = synchrony_of(prepared, LIMITS.instants_for_first_delays)
-    return camera_delay.sentence(found, 1 / prepared.experiment.frame_rate), list(
-        camera_delay.remarks(found, speed)
-    )
+    found = synchrony_of(prepared, LIMITS.instants_for_first_delays)
+    words = camera_delay.sentence(found.delays, 1 / prepared.experiment.frame_rate)
+    return words, list(camera_delay.remarks(found))
 
 
 def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
@@ -114,7 +111,7 @@ def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark
     instants = min(
         LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6)
     )  # of a short record, not most of its cost
-    yield from camera_delay.remarks(*synchrony_of(prepared, instants))
+    yield from camera_delay.remarks(synchrony_of(prepared, instants))
     first = next(iter(prepared.series.values())).first
     yield from camera_motion.remarks(
         status.store, prepared.geometry, prepared.record, _patch_matcher(prepared), first

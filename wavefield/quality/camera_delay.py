@@ -6,14 +6,17 @@ velocity across the sight lines, patch by patch: one regression over some instan
 has moved or shakes misses by something low-order in space (constant, tilt, roll), which every instant has of
 its own and which is taken out.
 
+The rows of a rolling shutter are read one after the other: the delay then grows with the difference between
+the rows in which two cameras show a place.
+
 Miss and velocity must be of the same resolution, or tau is too large: both are means over one patch, and the
 velocity is that of five frames (of three it is 7 % low for 2 Hz waves at 20 frames per second).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +38,7 @@ from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
+    from wavefield.rig import Camera
 
 MIN_PATCHES = 12  # of an instant
 MIN_BLOCKS = 4  # matched ones of a patch
@@ -60,6 +64,16 @@ class Sample:
     velocity: Array  # (m,): Of the beads across the sight lines, px per frame
     low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
     speed: float = 0.0  # Of the beads in all directions, rms, px per frame
+    rows: Array | None = None  # (m,): By how many rows from the middle the second camera shows it lower
+
+
+class Synchrony(NamedTuple):
+    """Whether the cameras, and the rows of their images, are read at the same moment."""
+
+    delays: dict[str, Delay]  # Of each camera's frames behind those of most
+    speed: float = 0.0  # Of the beads, px/s
+    row_time: Delay | None = None  # Of each row behind the one above it, beyond what is stated
+    rows: int = 0  # Of the highest image
 
 
 def prepared(
@@ -108,7 +122,16 @@ def sample(
         [np.ones(known.sum()), scaled(patch_matcher.x[known]), scaled(patch_matcher.y[known])], axis=-1
     )
     speed = float(np.sqrt((dx**2 + dy**2).mean())) / geometry.pixel
-    return Sample(miss / geometry.pixel, (q * dx - p * dy) / geometry.pixel, low, speed)
+    velocity = (q * dx - p * dy) / geometry.pixel
+    places = patch_matcher.x[known], patch_matcher.y[known]
+    first, second = (_rows_below_middle(geometry.rig[name], *places) for name in pair)
+    stated = dict(geometry.settings.row_delays)
+    late = stated.get(pair[1], 0.0) * second - stated.get(pair[0], 0.0) * first
+    return Sample(miss / geometry.pixel - late * velocity, velocity, low, speed, second - first)
+
+
+def _rows_below_middle(camera: "Camera", x: Array, y: Array) -> Array:
+    return np.asarray(camera.project(x, y, 0.0)[1] - 0.5 * (camera.size[1] - 1))
 
 
 def _furthest(geometry: "GridGeometry", name: str) -> int:
@@ -200,6 +223,16 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
     return delay, float(np.sqrt((scores**2).sum() * count / (count - 1))) / power
 
 
+def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
+    """By how much each row is read later than the one above it, alike in both cameras, in frames."""
+    other = [
+        replace(s, velocity=s.velocity * s.rows, low=np.column_stack([s.low, s.velocity]))
+        for s in samples
+        if s.rows is not None
+    ]
+    return regress(other)
+
+
 def _quarters(one: Sample) -> NDArray[np.intp]:
     return np.asarray((one.low[:, 1] > 0) + 2 * (one.low[:, 2] > 0), np.intp)
 
@@ -233,10 +266,11 @@ def delays(
     frames: Sequence[int],
     rate: float,
     threads: int = 1,
-) -> tuple[dict[str, Delay], float]:
-    """By how much each camera's frames are taken later than those of most."""
+) -> Synchrony:
+    """By how much each camera's frames are taken later than those of most, and rows than those above."""
     names = list(geometry.surface_cameras)
     rows, values, spreads = [], [], []
+    row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
     widths = dict(record.beads) if record else _widths(geometry, patch_matcher, frames)
 
@@ -250,12 +284,14 @@ def delays(
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
         found = regress(samples)
+        if (row_time := row_time_of(samples)) is not None:
+            row_times.append(row_time)
         if found is not None:
             rows.append([float(name == b) - float(name == a) for name in names])
             values.append(found[0] / rate)
             spreads.append(max(found[1] / rate, 1e-7))
     if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
-        return {}, 0.0
+        return Synchrony({})
     design = np.array(rows) / np.array(spreads)[:, None]
     # only differences are measured: the median of the cameras, or the first of two, is the reference
     design = np.vstack([design, np.eye(len(names))[:1] * 1e9])
@@ -268,11 +304,44 @@ def delays(
         difference = np.eye(len(names))[k] - np.eye(len(names))[usual]
         variance = float(difference @ inverse @ difference)
         out[name] = Delay(float(difference @ best), float(np.sqrt(max(variance, 0.0))))
-    return out, rate * float(np.median(speeds))
+    height = max(geometry.rig[name].size[1] for name in names)
+    return Synchrony(out, rate * float(np.median(speeds)), _mean(row_times, rate), height)
 
 
-def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
-    """Remarks on delays."""
+def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None:
+    """Weighted mean of several pairs' row times, given in frames."""
+    if not row_times:
+        return None
+    values, stds = np.array(row_times).T
+    weights = 1.0 / np.maximum(stds, 1e-12) ** 2
+    return Delay(float(values @ weights / weights.sum() / rate), float(1.0 / np.sqrt(weights.sum()) / rate))
+
+
+def remarks(found: Synchrony) -> Iterator[Remark]:
+    """Remarks on delays and rolling shutters."""
+    yield from _on_delays(found.delays, found.speed)
+    one = found.row_time
+    if one is None or abs(one.seconds) < SIGNIFICANCE * one.std:
+        return
+    late = abs(one.seconds) * found.rows
+    off = 0.5 * late * found.speed
+    if off < CAMERA_LIMITS.delay_motion:
+        return
+    yield Remark(
+        "cameras",
+        "rolling shutter",
+        "remark",
+        f"the rows of an image seem to be read one after the other, the last {1e3 * late:.2g} ms "
+        f"{'after' if one.seconds > 0 else 'before'} the first (+- {1e3 * one.std * found.rows:.2g} ms): the "
+        f"water moves {off:.2f} px from the middle to the edge",
+        f"{CAMERA_LIMITS.delay_motion} px at most",
+        f"state the time from row to row for each camera (`row_time: {one.seconds:.2g}`, or what its data "
+        "sheet gives), or use a global shutter",
+        {"row_time": one.seconds, "std": one.std, "px": off},
+    )
+
+
+def _on_delays(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
     for name, one in found.items():
         if abs(one.seconds) < max(SIGNIFICANCE * one.std, CAMERA_LIMITS.delay):
             continue

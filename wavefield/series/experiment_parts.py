@@ -22,6 +22,13 @@ class CameraSection(ConfigSection):
         description="file of time stamps, one line per image, seconds; `recorded`: those in a recording, "
         "where all cameras' clocks are one",
     )
+    row_time: float = Field(
+        default=0.0,
+        ge=-1e-2,
+        le=1e-2,
+        examples=["8e-6"],
+        description="rolling shutter: s by which each row of an image is later than the one above it",
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -1,0 +1,94 @@
+"""Rolling shutters: paths and elevations are those of mid-time, whichever row shows them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_paths import LATTICE, MIDDLE, turned
+
+from wavefield.errors import ExperimentError
+from wavefield.grid import Grid
+from wavefield.measurement import GridGeometry, Settings
+from wavefield.measurement.rolling_shutter import common_lateness, elevation_errors, lateness
+from wavefield.measurement.time_weights import uneven_weights
+from wavefield.measurement.uneven_paths import read_uneven_path
+from wavefield.series import Experiment
+from wavefield.tank import Scene
+
+EVEN = np.arange(6) - 2.5
+USED = {2: (2, 3), 3: (1, 2, 3), 4: (1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
+
+
+@given(st.sampled_from([2, 3, 4, 6]), st.lists(st.floats(-0.4, 0.4), min_size=1, max_size=4), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_weights_at_other_times_are_exact_for_polynomials(frames, at, smooth):
+    smooth, at = smooth and frames == 6, np.array(at)
+    value, rate = uneven_weights(EVEN, USED[frames], smooth, at)
+    for degree in range(frames):
+        np.testing.assert_allclose(EVEN**degree @ value, at**degree, atol=1e-9)
+        if degree < frames - smooth:
+            np.testing.assert_allclose(EVEN**degree @ rate, degree * at ** max(degree - 1, 0), atol=1e-8)
+
+
+@pytest.mark.parametrize("places", [4, 6])
+def test_a_path_is_read_at_the_moment_that_is_asked_for(places):
+    angle, there = 0.1, {4: "01110", 6: "11111"}[places]
+    splines = [turned(angle) if q == "1" else None for q in there]
+    everywhere = [np.ones(LATTICE.shape, bool) if q == "1" else None for q in there]
+    X, Y = np.meshgrid(np.linspace(110.0, 190.0, 5), np.linspace(110.0, 190.0, 5))
+    at = 0.003 * (Y - MIDDLE)
+    d, _ = read_uneven_path(splines, everywhere, LATTICE, X, Y, EVEN, at)
+    exact = angle * np.stack([-(Y - MIDDLE), X - MIDDLE])
+    assert np.abs(d[:2] - exact).max() < 5e-4 * np.abs(exact).max()
+
+
+ROWS = {"cam1": 3e-4, "cam2": -2e-4, "cam3": 5e-4}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_differs_between_the_cameras_is_taken_off_the_elevation(seed):
+    rig = Scene.load("demo").with_(rig={"crop": 0.4}).build_rig()
+    geometry = GridGeometry(
+        rig, Grid((-0.2, 0.2), (-0.15, 0.15), 0.05), Settings(row_delays=tuple(ROWS.items()))
+    )
+    z0, d = 0.01, np.random.default_rng(seed).normal(0, 6e-3, 3)
+    z = np.full(geometry.x.shape, z0)
+    late, mean = lateness(z, geometry), common_lateness(z, geometry)
+    seen = {}
+    for name, tau in late.items():  # where a camera shows what is at a node on the plane z = 0
+        at = [v + (tau - mean) * step for v, step in zip((geometry.x, geometry.y, z), d)]
+        seen[name] = (
+            np.stack(rig[name].apparent(*at)) if hasattr(rig[name], "apparent") else _apparent(rig[name], *at)
+        )
+    a = geometry.reference
+    parallax = {n: np.stack(rig[n].sight_line(geometry.x, geometry.y, z)) for n in late}
+    along = sum(-((parallax[b] - parallax[a]) * (seen[b] - seen[a])).sum(0) for _, b in geometry.pairs)
+    found = along / sum(np.square(parallax[b] - parallax[a]).sum(0) for _, b in geometry.pairs)
+    moved = np.broadcast_to(d[:, None, None], (3, *z.shape))
+    error, place = elevation_errors(z, moved, geometry)
+    assert np.abs(error).max() > 2e-6
+    np.testing.assert_allclose(found - z0, error, atol=0.03 * np.abs(error).max() + 1e-8)
+    label = seen[a] + parallax[a] * found
+    np.testing.assert_allclose(label - [geometry.x, geometry.y], place, atol=0.03 * np.abs(place).max())
+
+
+def _apparent(camera, x, y, z):
+    Dx, Dy = camera.sight_line(x, y, z)
+    return np.stack([x - Dx * z, y - Dy * z])
+
+
+def test_the_row_time_of_a_camera_belongs_to_settings_and_recipe(tmp_path):
+    from wavefield.execution.workflow import Workflow
+    from wavefield.pipeline.prepare import make_settings
+
+    path = tmp_path / "experiment.yaml"
+    text = "name: a\nframe_rate: 25\nrig: rig.yaml\ncameras:\n  left: {images: a/*.tif, row_time: 1.0e-5}\n"
+    text += "  right: b/*.tif\n"
+    path.write_text(text)
+    settings = make_settings(Experiment.load(path), Workflow())
+    assert settings.row_delays == (("left", pytest.approx(2.5e-4)),)
+    assert Settings.from_dict(settings.to_dict()) == settings
+    assert "row_delays" not in Settings().to_dict(), "recipes of other cubes stay as they are"
+    path.write_text(text.replace("1.0e-5", "fast"))
+    with pytest.raises(ExperimentError, match="row_time"):
+        Experiment.load(path)
