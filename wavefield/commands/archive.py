@@ -1,5 +1,7 @@
 """`wavefield export`, `catalog` and `rig`: to and from other programs."""
 
+import shutil
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -80,7 +82,17 @@ def add(catalog: Path, experiment: Path) -> None:
     click.echo(f"{catalog} now has {name}.")
 
 
-_SAVERS = ("wavefield", "uvmat", "vic3d", "opencv")
+_PROGRAMS = (
+    "wavefield",
+    "uvmat",
+    "vic3d",
+    "dice",
+    "opencv",
+    "openptv",
+    "myptv",
+    "metashape",
+    "colmap",
+)
 
 
 class _Files(click.Group):
@@ -117,19 +129,25 @@ Examples:
   wavefield rig convert cal.xml -o rig.yaml                     # from VIC-3D or OpenCV
   wavefield rig convert cam1=a.xml cam2=b.xml --size 1024x1024 -o rig.yaml    # from UVMAT, a file per camera
   wavefield rig convert rig.yaml --to opencv -o rig_opencv.yaml
+  wavefield rig convert rig.yaml --to colmap -o model/          # a folder
 """
 )
 @click.argument("files", nargs=-1, required=True)
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write (UVMAT: a folder).")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="File or folder to write.")
 @click.option(
-    "--to", type=click.Choice(_SAVERS), default="wavefield", show_default=True, help="Format to write."
+    "--to",
+    type=click.Choice(_PROGRAMS),
+    default="wavefield",
+    show_default=True,
+    help="Whose format to write.",
 )
 @click.option("--size", multiple=True, help="Image size where the file does not state it: WxH or camera=WxH.")
 @click.option("--unit", default="m", show_default=True, help="Unit of length of OpenCV's files.")
 def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str) -> None:
-    """Show a rig, or convert one from or to UVMAT, VIC-3D and OpenCV (from DaVis, too).
+    """Show a rig, or convert one from or to another program's.
 
-    FILES is one file, or camera=file for each camera.
+    FILES is one file or folder, or camera=file for each camera: of wavefield, UVMAT, VIC-3D, DICe, DaVis,
+    OpenCV, Kalibr, MATLAB, WASS, OpenPTV, MyPTV, Metashape or COLMAP.
     """
     from wavefield.atomic_write import NEW_FILE, OwnFile, check_replaceable, refuse_input
     from wavefield.rig import formats
@@ -148,18 +166,25 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
             )
         return
     refuse_input(output, *(named.values() or files))
-    if to == "uvmat":
-        check_replaceable(output, OwnFile("a folder", lambda path: True, folder=True))
-        for name in loaded.cameras:
-            check_replaceable(output / f"{name}.xml", NEW_FILE)
-        output.mkdir(parents=True, exist_ok=True)
-        for name, camera in loaded.cameras.items():
-            formats.save_uvmat(camera, output / f"{name}.xml")
-    elif to == "wavefield":
+    if to == "wavefield":
         loaded.save(output)
+    elif to in formats.FOLDERS:
+        check_replaceable(output, OwnFile("a folder", lambda path: True, folder=True))
+        with tempfile.TemporaryDirectory() as scratch:
+            formats.save_rig(loaded, scratch, to)
+            written = {
+                path: output / path.relative_to(scratch)
+                for path in Path(scratch).rglob("*")
+                if path.is_file()
+            }
+            for new in written.values():
+                check_replaceable(new, NEW_FILE)
+            for path, new in written.items():
+                new.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, new)
     else:
         check_replaceable(output, NEW_FILE)
-        (formats.save_vic if to == "vic3d" else formats.save_opencv)(loaded, output)
+        formats.save_rig(loaded, output, to)
     click.echo(f"Wrote {output} with {', '.join(loaded)}.")
 
 

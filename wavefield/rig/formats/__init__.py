@@ -1,27 +1,47 @@
-"""Calibrations of other programs: UVMAT, VIC-3D, DaVis, OpenCV, Kalibr, MATLAB (Bouguet's too), WASS.
+"""Calibrations of other programs: UVMAT, VIC-3D, DaVis, OpenCV, Kalibr, MATLAB (Bouguet's too), WASS, DICe,
+OpenPTV, MyPTV, Metashape and COLMAP.
 
 All lengths become metres, all pixel coordinates (column, row) with centres at integers.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import cv2
 import yaml
 
 from wavefield.errors import RigError
+from wavefield.rig.formats.agisoft import load_agisoft, save_agisoft
+from wavefield.rig.formats.colmap import is_colmap, load_colmap, save_colmap
 from wavefield.rig.formats.common import LENGTHS, ImportOptions, Size
 from wavefield.rig.formats.davis_rig import load_davis
+from wavefield.rig.formats.dice import is_dice_text, is_dice_xml, load_dice_text, load_dice_xml, save_dice
 from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr
 from wavefield.rig.formats.matlab_rig import load_matlab
+from wavefield.rig.formats.myptv import is_myptv, load_myptv, save_myptv
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
+from wavefield.rig.formats.openptv import is_openptv, load_openptv, save_openptv
 from wavefield.rig.formats.uvmat_rig import load_uvmat, save_uvmat
 from wavefield.rig.formats.vic import load_vic, save_vic
 from wavefield.rig.formats.wass import load_wass
 from wavefield.rig.rig import Rig, read_rig_text
 
-__all__ = ["LENGTHS", "load_rig", "save_opencv", "save_uvmat", "save_vic"]
+__all__ = [
+    "LENGTHS",
+    "load_rig",
+    "save_agisoft",
+    "save_colmap",
+    "save_dice",
+    "save_myptv",
+    "save_opencv",
+    "save_openptv",
+    "save_rig",
+    "save_uvmat",
+    "save_vic",
+]
+
+FOLDERS = ("uvmat", "myptv", "openptv", "colmap")  # programs that have a folder, or a file per camera
 
 
 _BROKEN = (
@@ -47,14 +67,14 @@ def load_rig(
     Parameters
     ----------
     path : path, or mapping of camera name to path
-        One file (a folder of WASS), or one file per camera (UVMAT writes one per camera).
+        One file, a folder (WASS, OpenPTV, COLMAP), or one file per camera (UVMAT, MyPTV).
     sizes : mapping of str to (width, height), optional
         Image size per camera, px; UVMAT's files and OpenCV's stereo files do not store it.
     names : sequence of str, optional
         Names for the cameras, in the file's order; cam1, cam2, ... if left out.
     unit : str, default "m"
-        Unit of length in files that do not state it (OpenCV, MATLAB: that of the target's mesh), or a number
-        of metres (WASS: the distance between the cameras).
+        Unit of length in files that do not state it (OpenCV, MATLAB, MyPTV: that of the target), or a number
+        of metres (WASS: the distance between the cameras; COLMAP, Metashape: the length of one unit).
 
     Returns
     -------
@@ -100,7 +120,9 @@ def load_rig(
 
 def _load(path: Path, options: ImportOptions) -> Rig:
     if path.is_dir():
-        return load_wass(path, options)
+        if is_openptv(path):
+            return load_openptv(path, options)
+        return load_colmap(path, options) if is_colmap(path) else load_wass(path, options)
     if path.suffix == ".mat" and path.exists():
         return load_matlab(path, options)
     text = read_rig_text(path)
@@ -108,6 +130,10 @@ def _load(path: Path, options: ImportOptions) -> Rig:
         return _load_xml(path, options)
     if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
         return load_opencv(path, options)
+    if is_myptv(text):
+        return load_myptv(text, path, options)
+    if is_dice_text(text):
+        return load_dice_text(text, path, options)
     data = yaml.safe_load(text)
     return load_kalibr(data, path, options) if is_kalibr(data) else Rig.load(path)
 
@@ -118,8 +144,33 @@ def _load_xml(path: Path, options: ImportOptions) -> Rig:
         return load_uvmat(root, path, options)
     if root.tag == "opencv_storage":
         return load_opencv(path, options)
+    if is_dice_xml(root):
+        return load_dice_xml(root, path, options)
+    if root.find("chunk/sensors") is not None:
+        return load_agisoft(root, path, options)
     if root.find("calibration") is not None:
         return load_vic(root, path, options)
     if root.find(".//CoordinateMapper") is not None:
         return load_davis(root, path, options)
-    raise RigError(f"its outermost element is <{root.tag}>: neither UVMAT's, VIC-3D's, DaVis' nor OpenCV's")
+    raise RigError(f"its outermost element is <{root.tag}>, which no program that is read writes")
+
+
+def save_rig(rig: Rig, path: str | Path, program: str) -> None:
+    """Write a rig as another program has it; for `FOLDERS`, into a folder that exists."""
+    path = Path(path)
+    if program == "uvmat":
+        for name, camera in rig.cameras.items():
+            save_uvmat(camera, path / f"{name}.xml")
+    elif program == "myptv":
+        for name, camera in rig.cameras.items():
+            save_myptv(name, camera, path / name)
+    else:
+        savers: dict[str, Callable[[Rig, Path], None]] = {
+            "openptv": save_openptv,
+            "colmap": save_colmap,
+            "vic3d": save_vic,
+            "dice": save_dice,
+            "metashape": save_agisoft,
+            "opencv": save_opencv,
+        }
+        savers[program](rig, path)

@@ -1,0 +1,172 @@
+"""DICe, Sandia's image correlation: the parameter list of a camera system, and the older text of two cameras.
+
+Lengths in millimetres. Where a file says so, the second camera is placed from the first.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from wavefield.errors import RigError
+from wavefield.rig.camera import Camera
+from wavefield.rig.formats.common import FIRST_CAMERA, NO_WORLD_POSE, ImportOptions, Size, turned_about_axes
+from wavefield.rig.lens import Array
+from wavefield.rig.rig import Rig
+
+MM = 1e-3
+FORMAT = "DICe_xml_camera_system_file"
+RELATIVE = "extrinsics_relative_camera_to_camera"
+_TEXT = ("CX", "CY", "FX", "FY", "FS", "K1", "K2", "K3")
+_POSE = ("ALPHA", "BETA", "GAMMA", "TX", "TY", "TZ")
+_OPENCV_ONLY = ("K4", "K5", "K6", "S1", "S2", "S3", "S4")
+
+Parameters = dict[str, str]
+
+
+def is_dice_xml(root: ET.Element) -> bool:
+    """Whether an XML file is a camera system of DICe."""
+    return root.tag == "ParameterList" and root.find("ParameterList") is not None
+
+
+def load_dice_xml(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
+    """Read cam_sys.xml."""
+    relative = _parameters(root).get(RELATIVE, "false").lower() in ("true", "1")
+    cameras = []
+    for element in root.findall("ParameterList"):
+        parameters = _parameters(element)
+        matrix = element.find("ParameterList")  # rows of the rotation, in place of angles
+        turn = None
+        if matrix is not None:
+            rows = _parameters(matrix)
+            turn = np.array([_braces(rows[f"ROW {row}"]) for row in range(3)])
+        cameras.append(_camera(parameters, turn, parameters.get("LENS_DISTORTION_MODEL", "NONE")))
+    own = [_parameters(e).get("CAMERA_ID", "") for e in root.findall("ParameterList")]
+    return _rig(cameras, own, relative, path, options)
+
+
+def is_dice_text(text: str) -> bool:
+    """Whether a text holds one number a line, as many as DICe's calibration of two cameras."""
+    values = _values(text)
+    return values is not None and len(values) in (24, 30)
+
+
+def load_dice_text(text: str, path: Path, options: ImportOptions) -> Rig:
+    """Read cal.txt: both lenses, then the second camera from the first, then height and width."""
+    values = _values(text) or []
+    height, width = values[-2:]
+    outer = values[16:-2]
+    size = {"IMAGE_HEIGHT_WIDTH": f"{{ {height}, {width} }}"}
+    lenses = [
+        {name: repr(v) for name, v in zip(_TEXT, values[8 * n : 8 * n + 8], strict=True)} | size
+        for n in (0, 1)
+    ]
+    angles = ("ALPHA", "BETA", "GAMMA") if len(outer) == 6 else ()
+    numbers = outer if angles else outer[9:]
+    second = {name: repr(v) for name, v in zip((*angles, "TX", "TY", "TZ"), numbers, strict=True)}
+    turn = None if angles else np.array(outer[:9]).reshape(3, 3)
+    model = "K1R1_K2R2_K3R3"
+    cameras = [_camera(lenses[0], None, model), _camera(lenses[1] | second, turn, model)]
+    return _rig(cameras, [], True, path, options)
+
+
+def save_dice(rig: Rig, path: str | Path) -> None:
+    """Write a rig as DICe's camera system."""
+    root = ET.Element("ParameterList")
+
+    def add(parent: ET.Element, name: str, kind: str, value: object) -> None:
+        ET.SubElement(parent, "Parameter", name=name, type=kind, value=str(value))
+
+    add(root, "xml_file_format", "string", FORMAT)
+    add(root, "system_type_3D", "string", "OPENCV")
+    add(root, RELATIVE, "bool", "false")
+    for number, (name, camera) in enumerate(rig.cameras.items()):
+        element = ET.SubElement(root, "ParameterList", name=f"CAMERA {number}")
+        add(element, "CAMERA_ID", "string", name)
+        terms = {
+            "CX": camera.cx, "CY": camera.cy, "FX": camera.fx, "FY": camera.fy, "FS": camera.skew,
+            "K1": camera.k1, "K2": camera.k2, "K3": camera.k3, "P1": camera.p1, "P2": camera.p2,
+            "T1": camera.tau_x, "T2": camera.tau_y,
+        }  # fmt: skip
+        terms |= dict(zip(("TX", "TY", "TZ"), (camera.T / MM).tolist(), strict=True))
+        for key, value in terms.items():
+            add(element, key, "double", repr(float(value)))
+        add(element, "LENS_DISTORTION_MODEL", "string", "OPENCV_LENS_DISTORTION")
+        add(element, "IMAGE_HEIGHT_WIDTH", "string", f"{{ {camera.size[1]}, {camera.size[0]} }}")
+        matrix = ET.SubElement(element, "ParameterList", name="rotation_3x3_matrix")
+        for row, numbers in enumerate(camera.R.tolist()):
+            add(matrix, f"ROW {row}", "string", f"{{ {', '.join(map(repr, numbers))} }}")
+    ET.indent(root, " ")
+    ET.ElementTree(root).write(path, encoding="utf-8")
+
+
+def _parameters(element: ET.Element) -> Parameters:
+    return {e.attrib["name"]: e.attrib.get("value", "") for e in element.findall("Parameter")}
+
+
+def _braces(text: str) -> list[float]:
+    return [float(v) for v in text.strip(" {}").split(",")]
+
+
+def _values(text: str) -> list[float] | None:
+    lines = [line.split("#")[0].split() for line in text.splitlines()]
+    try:
+        return [float(words[0]) for words in lines if words] if all(len(w) < 2 for w in lines) else None
+    except ValueError:
+        return None
+
+
+def _camera(parameters: Parameters, turn: Array | None, model: str) -> tuple[Camera, bool]:
+    """A camera of a file, and whether it has a pose."""
+
+    def value(name: str) -> float:
+        return float(parameters.get(name, 0.0))
+
+    extra = [name for name in _OPENCV_ONLY if value(name)]
+    if extra:
+        raise RigError(f"its lens has {', '.join(extra)}: calibrate with the terms K1 to K3, P1, P2, T1, T2")
+    fx, fy, skew = value("FX"), value("FY"), value("FS")
+    k = [value("K1"), value("K2"), value("K3")]
+    model = re.sub(r"_(LENS_DISTORTION|DIS)$", "", model)
+    if model == "K1R1_K2R2_K3R3" and k[1] == 0.0:  # the first term is a scale, the third our k1
+        scale = 1.0 + k[0]
+        fx, fy, skew, k = scale * fx, scale * fy, scale * skew, [k[2] / scale, 0.0, 0.0]
+    elif model not in ("NONE", "NO", "OPENCV", "VIC3D", "K1R3_K2R5_K3R7") and any(k):
+        raise RigError(f"its lens model is {model}: calibrate with OPENCV_LENS_DISTORTION")
+    placed = turn is not None or any(
+        name in parameters for name in ("ALPHA", "BETA", "GAMMA", "TX", "TY", "TZ")
+    )
+    if turn is None:
+        turn = turned_about_axes(*np.radians([value("ALPHA"), value("BETA"), value("GAMMA")]).tolist())
+    T = MM * np.array([value("TX"), value("TY"), value("TZ")])
+    size: Size = (0, 0)
+    if "IMAGE_HEIGHT_WIDTH" in parameters:
+        height, width = _braces(parameters["IMAGE_HEIGHT_WIDTH"])
+        size = (int(width), int(height))
+    camera = Camera(
+        fx, fy, value("CX"), value("CY"), turn, T, size, k[0], k[1], value("P1"), value("P2"), k[2],
+        value("T1"), value("T2"), skew,
+    )  # fmt: skip
+    return camera, placed
+
+
+def _rig(
+    cameras: list[tuple[Camera, bool]], own: list[str], relative: bool, path: Path, options: ImportOptions
+) -> Rig:
+    if not cameras:
+        raise RigError("it holds no camera")
+    names = options.named(len(cameras), own if own and all(own) and len(set(own)) == len(own) else None)
+    R, T = FIRST_CAMERA
+    out: dict[str, Camera] = {}
+    for name, (camera, _) in zip(names, cameras, strict=True):
+        turn, shift = (camera.R @ R, camera.R @ T + camera.T) if relative else (camera.R, camera.T)
+        if relative and not out:
+            R, T = camera.R, camera.T
+        size = options.size(name, "this DICe file", camera.size if any(camera.size) else None)
+        out[name] = replace(camera, rotation=turn, translation=shift, size=size)
+    note = {"program": "DICe", "file": path.name, "unit": "mm"}
+    if not cameras[0][1]:
+        note["left_out"] = NO_WORLD_POSE
+    return Rig(out, {"imported": note})
