@@ -20,6 +20,8 @@ from wavefield.waves.spectra.plane_input import plane_of
 Array = NDArray[Any]
 
 HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2  # of the ring around the relation: relative to k, and in cells
+BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
+UNIFORM_STD = np.pi / np.sqrt(3)  # rad, of a direction of which nothing is known
 _HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
 _HANN_VARIANCE = 4 / 7  # of these five, cells squared
 _LINE_VARIANCE = 1 / 3  # of the power that a Hann window leaves of one wave, cells squared
@@ -128,6 +130,16 @@ def _freedom(levels: Array, covariances: Array) -> Array:
     return np.asarray(2 / np.maximum(own + covariances.sum() / total**2, 1e-12))
 
 
+def _harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
+    """Standard uncertainties of the first harmonic of D along its direction and across it."""
+    total = max(levels.sum(), 1e-300)
+    turned = np.exp(1j * theta)
+    first = (levels * turned).sum() / total
+    by_level = (turned - first) / total * np.exp(-1j * np.angle(first))
+    along, across = (float(part @ covariances @ part) for part in (by_level.real, by_level.imag))
+    return np.sqrt(max(along, 0.0)), np.sqrt(max(across, 0.0))
+
+
 @takes(plane_of("w"))
 def directions(
     density: xr.DataArray,
@@ -168,7 +180,8 @@ def directions(
     Dataset
         ``D`` (frequency, theta): density over the direction of propagation, its integral over theta is 1;
         ``dof``, ``low``, ``high`` (frequency, theta); ``energy`` (frequency), their spectrum per Hz;
-        ``direction``, ``spread`` (frequency): mean direction and directional spread, rad; ``r1``, ``r2``
+        ``direction``, ``spread`` (frequency): mean direction and directional spread, rad, and
+        ``direction_std``, ``spread_std``, their standard uncertainties; ``r1``, ``r2``
         (frequency), moduli of the first two harmonics; ``isotropy`` (frequency): 1 - the larger of them,
         1 for an isotropic sea, 0 for a single direction.
 
@@ -200,6 +213,7 @@ def directions(
     cell_along = np.hypot(cells[0] * np.sin(angle), cells[1] * np.cos(angle))  # along the wave vector
     centres = wavenumber(2 * np.pi * frequency, depth, gamma)
     levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
+    stds = np.full((2, frequency.size), np.nan)
     for i, (f, centre) in enumerate(zip(frequency, centres)):
         band = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
         if not band.size:
@@ -214,12 +228,20 @@ def directions(
             off = (radius - on_line[:, None]) / cell_along
             weight = shares.sum(axis=0) * energy.reshape(band.size, -1)
             covariances = _covariances(shares, energy, dof / _correlation_across(weight, off))
-            degrees[i] = _freedom(levels[i], covariances * np.outer(to_level, to_level))
-    return _label(frequency, centres, levels, degrees, cells)
+            covariances *= np.outer(to_level, to_level)
+            degrees[i] = _freedom(levels[i], covariances)
+            theta = (np.arange(sectors) + 0.5) * plane.width
+            stds[:, i] = _harmonic_stds(levels[i], covariances, theta)
+    return _label(frequency, centres, levels, degrees, cells, stds)
 
 
 def _label(
-    frequency: Array, centres: Array, levels: Array, degrees: Array, cells: tuple[float, float]
+    frequency: Array,
+    centres: Array,
+    levels: Array,
+    degrees: Array,
+    cells: tuple[float, float],
+    stds: Array,
 ) -> xr.Dataset:
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
@@ -231,6 +253,10 @@ def _label(
     # variance of a component of k: window 1/3 and cell 1/12, in cells; across the mean direction
     across = np.hypot(cells[0] * np.cos(mean), cells[1] * np.sin(mean)) / np.asarray(centres)
     blur = 5 / 12 * across**2 + width**2 / 12
+    spread = np.sqrt(np.maximum(2 * (1 - np.abs(first)) - blur, 0))
+    along, across = stds
+    # what r1 is too large by, on average, by chance; and an uncertain resolution
+    along = np.sqrt(along**2 + (across**2 / (2 * np.abs(first))) ** 2 + (BLUR_UNCERTAINTY * blur / 2) ** 2)
     low, high = interval(degrees)
     dims = ("frequency", "theta")
     out = xr.Dataset(
@@ -241,7 +267,12 @@ def _label(
             "high": (dims, high),
             "energy": ("frequency", 2 * np.pi * total[:, 0]),
             "direction": ("frequency", mean % (2 * np.pi)),
-            "spread": ("frequency", np.sqrt(np.maximum(2 * (1 - np.abs(first)) - blur, 0))),
+            "spread": ("frequency", spread),
+            "direction_std": (
+                "frequency",
+                np.minimum(across / np.maximum(np.abs(first), 1e-9), UNIFORM_STD),
+            ),
+            "spread_std": ("frequency", along / np.sqrt(spread**2 + along)),
             "r1": ("frequency", np.abs(first)),
             "r2": ("frequency", np.abs(second)),
             "isotropy": ("frequency", 1 - np.maximum(np.abs(first), np.abs(second))),
@@ -263,7 +294,7 @@ def direction_group(
     current = used.velocity
     lines = density["omega"].values / (2 * np.pi)
     out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
-    out = out[["D", "dof", "low", "high", "direction", "spread"]]
+    out = out[["D", "dof", "low", "high", "direction", "direction_std", "spread", "spread_std"]]
     out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")})
     out = out.assign_coords(frequency=2 * np.pi * out["frequency"]).rename(frequency="omega_map")
     highest = min(0.9 * lines[-1], dispersion(0.7 * float(density["kx"].max()), depth, gamma) / (2 * np.pi))

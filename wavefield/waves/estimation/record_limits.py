@@ -81,8 +81,9 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
     periods = seconds * float(statistics["peak_frequency"])
     if periods >= MIN_PERIODS:
         return Noted(statistics, [])
+    gone = [f"{name}{end}" for name in ("peak_frequency", "peak_k", "steepness") for end in ("", "_std")]
     return Noted(
-        statistics.drop_vars(["peak_frequency", "peak_k", "steepness"]),
+        statistics.drop_vars(gone, errors="ignore"),
         [
             f"No spectral peak, no steepness: the record lasts {seconds:.3g} s, {periods:.2g} periods of its "
             "strongest wave (of ten)."

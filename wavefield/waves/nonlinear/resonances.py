@@ -400,18 +400,33 @@ def resonances(
 def _excess_by_mismatch(
     quartets: _Groups, measured: _Coherences, null: list[_Coherences], max_mismatch: int
 ) -> dict[str, Any]:
-    rows = []
-    for mismatch in range(-max_mismatch, max_mismatch + 1):
+    """Mean squared coherence less that of the surrogates, by mismatch, with its standard uncertainty.
+
+    Quartets share waves: their mean varies more than that of as many independent values, by one factor for
+    all mismatches, which the surrogates' means at all of them determine.
+    """
+    classes = np.arange(-max_mismatch, max_mismatch + 1)
+    rows = np.full((classes.size, 3), np.nan)
+    alone, varied = np.full(classes.size, np.nan), np.full(classes.size, np.nan)
+    for i, mismatch in enumerate(classes):
         chosen = quartets.mismatch == mismatch
+        rows[i, 2] = chosen.sum()
         if not chosen.any():
-            rows.append((np.nan, np.nan, 0))
             continue
-        # quartets share waves: the standard error of the mean is that of the surrogates' means
-        means = np.array([one.squared[chosen].mean() for one in null])
-        std = means.std(ddof=1) if means.size > 1 else np.nan
-        rows.append((measured.squared[chosen].mean() - means.mean(), std, chosen.sum()))
+        values = np.array([one.squared[chosen] for one in null])
+        means = values.mean(axis=1)
+        rows[i, 0] = measured.squared[chosen].mean() - means.mean()
+        if len(null) > 1:
+            alone[i] = values.var(axis=0, ddof=1).sum() / chosen.sum() ** 2
+            varied[i] = means.var(ddof=1)
+    usable = alone > 0
+    if usable.any():
+        shared = (varied[usable] / alone[usable]).mean()
+        rows[:, 1] = np.sqrt(
+            alone * shared * (1 + 1 / len(null))
+        )  # the mean of the surrogates varies as well
     names = "coherence_excess", "coherence_excess_std", "quartets"
-    return {name: ("mismatch", column) for name, column in zip(names, np.array(rows).T)}
+    return {name: ("mismatch", column) for name, column in zip(names, rows.T)}
 
 
 def _listed(kind: str, best: _Coherences, p: Array, significant: Array) -> dict[str, Any]:

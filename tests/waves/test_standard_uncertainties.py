@@ -1,0 +1,92 @@
+"""Standard uncertainties of what is quoted of a sea, judged on independent random seas."""
+
+import numpy as np
+import pytest
+from independent_seas import Sea, still_frequency
+
+import wavefield as wf
+from wavefield.waves import ResonanceSettings
+from wavefield.waves.surface.statistics_errors import difference_gain, peak_std
+
+
+@pytest.fixture(scope="module")
+def seas():
+    """Errors over standard uncertainties of 6 seas, by quantity."""
+    out = {"Hs": [], "slope": [], "direction": [], "drift": []}
+    for seed in range(6):
+        heading, s = 2.5 * seed, 5.0
+        sea = Sea(
+            directions=((heading, s, 1.0),),
+            lowest=1.3,
+            highest=3.6,
+            slope=4.0,
+            shape=(512, 20, 24),
+            dx=0.04,
+            waves=1500,
+            seed=seed,
+        )
+        kx, ky, a = sea.components()
+        k = np.hypot(kx, ky)
+        f = still_frequency(k, sea.depth) / (2 * np.pi)
+        energy = (np.abs(a) ** 2 / 2 / f**-sea.slope).mean() * f**-sea.slope  # expected of each wave
+        cube = sea.cube(("z",))
+        spectrum = wf.spectrum(cube.z)
+        found, drift = wf.statistics(cube), wf.stokes_drift(spectrum)
+        towards = wf.directions(spectrum, [2.0])
+        true = 4 * np.sqrt(energy.sum())
+        out["Hs"].append(float((found.significant_height - true) / found.significant_height_std))
+        true = (k**2 * energy).sum()
+        out["slope"].append(float((found.mean_square_slope - true) / found.mean_square_slope_std))
+        error = (float(towards.direction[0]) - heading + np.pi) % (2 * np.pi) - np.pi
+        out["direction"].append(error / float(towards.direction_std[0]))
+        # a^2 sigma k in deep water, and the mean of cos(theta) is s / (s + 1)
+        true = (energy * 4 * np.pi * f * k).sum() * s / (s + 1) * np.cos(heading)
+        out["drift"].append(float((drift.stokes_x - true) / drift.stokes_x_std))
+    return {name: np.array(values) for name, values in out.items()}
+
+
+@pytest.mark.parametrize("name", ["Hs", "slope", "direction", "drift"])
+def test_errors_are_those_that_are_stated(seas, name):
+    assert 0.5 < np.sqrt((seas[name] ** 2).mean()) < 1.6
+    together = np.concatenate(list(seas.values()))
+    assert 0.5 < (np.abs(together) < 1).mean() < 0.86
+
+
+def test_the_slope_of_waves_of_three_nodes_is_that_of_the_sea():
+    sea = Sea(lowest=1.2, highest=4.15, slope=2.5, shape=(64, 60, 60), dx=0.03, waves=400)
+    kx, ky, a = sea.components()
+    k = np.hypot(kx, ky)
+    assert 3.0 < 2 * np.pi / k.max() / sea.dx < 3.3
+    true = 0.0  # exact slopes of the same waves at the same nodes
+    x = np.arange(60) * sea.dx
+    for part in (kx, ky):
+        turned = 1j * part * a * np.exp(-1j * np.outer(np.arange(64) * sea.dt, still_frequency(k, sea.depth)))
+        ey, ex = np.exp(1j * np.outer(x, ky)), np.exp(1j * np.outer(kx, x))
+        true += (np.stack([((ey * t) @ ex).real for t in turned]) ** 2).mean()
+    found = wf.statistics(sea.cube(("z",)))
+    assert float(found.mean_square_slope) == pytest.approx(true, rel=0.02)
+    assert float(difference_gain(k.max(), sea.dx)) < 0.83  # without the correction it is lower
+
+
+def test_a_peak_is_as_certain_as_its_neighbours_differ():
+    omega = np.arange(60) * 0.4
+    sharp = np.exp(-(((omega - 9.2) / 0.5) ** 2))
+    broad = np.exp(-(((omega - 9.2) / 3.0) ** 2))
+    dof = np.full(60, 60.0)
+    stds = [peak_std(E, dof, omega) for E in (sharp, broad)]
+    assert 0.4 / np.sqrt(12) <= stds[0] < 0.25
+    assert stds[1] > 3 * stds[0]
+    assert peak_std(broad, dof / 9, omega) > 1.3 * stds[1]
+
+
+def test_the_uncertainty_of_the_mean_coherence_is_determined_by_all_surrogates():
+    sea = Sea(lowest=1.4, highest=3.2, shape=(520, 24, 28), dx=0.05, waves=600, seed=3)
+    field = sea.cube(("w",)).w
+    stds = [
+        wf.resonances(field, settings=ResonanceSettings(modes=50, surrogates=n)).coherence_excess_std
+        for n in (6, 24)
+    ]
+    ratio = stds[0] / stds[1]
+    # of six surrogates alone each would be uncertain by a third of its own
+    assert float(ratio.std()) < 0.1
+    assert float(abs(ratio - 1).max()) < 0.35
