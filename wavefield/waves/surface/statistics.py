@@ -25,8 +25,8 @@ from wavefield.waves.surface.statistics_errors import (
     moment_stds,
     of_elevation,
     peak_std,
+    power_gain_of_slopes,
     sampled_slope_gain,
-    slope_gain,
     steepness_std,
     with_stds,
 )
@@ -213,8 +213,9 @@ def statistics(
 
     Notes
     -----
-    The slope is that of central differences of sixth order, whose gain on waves of three nodes and more (0.744
-    of the amplitude at three) is undone with the elevation's spectrum in space. Uncertainties follow from the
+    The slope is that of central differences of sixth order, whose gain on waves of three nodes and more
+    (0.744 of the amplitude at three) is undone with the elevation's spectrum in space. Uncertainties follow
+    from the
     degrees of freedom of the lines of E(omega) of the elevation and their correlation.
 
     Examples
@@ -323,7 +324,7 @@ def _moments(
     record = welch.record
     power = density.sum("omega").transpose("ky", "kx").values
     ky, kx = density["ky"].values, density["kx"].values
-    gain_of_slopes = slope_gain(power, ky, kx, record.dy, record.dx)
+    gain_of_slopes = power_gain_of_slopes(power, ky, kx, record.dy, record.dx)
     return label(sums, scales, record.dt, pixel_size, gain_of_slopes)
 
 

@@ -35,7 +35,7 @@ def difference_gain(k: Array, step: float) -> Array:
     return np.asarray((1.5 * np.sin(x) - 0.3 * np.sin(2 * x) + np.sin(3 * x) / 30) / x)
 
 
-def slope_gain(power: Array, ky: Array, kx: Array, dy: float, dx: float) -> float:
+def power_gain_of_slopes(power: Array, ky: Array, kx: Array, dy: float, dx: float) -> float:
     """Power gain of the mean square slope by finite differences, for a spectrum (ky, kx) of the elevation.
 
     Waves of less than three nodes count as the differences have them: what is there is mostly noise.
@@ -51,7 +51,7 @@ def slope_gain(power: Array, ky: Array, kx: Array, dy: float, dx: float) -> floa
 
 
 def sampled_slope_gain(z: xr.DataArray, record: Record) -> float:
-    """The gain of `slope_gain` from the spectrum of some steps of a field (time, y, x)."""
+    """The gain of `power_gain_of_slopes` from the spectrum of some steps of a field (time, y, x)."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
@@ -61,7 +61,7 @@ def sampled_slope_gain(z: xr.DataArray, record: Record) -> float:
     parts = np.nan_to_num(parts - np.nanmean(parts, axis=0))
     power = (np.abs(np.fft.fft2(parts * spatial_window(*record.shape))) ** 2).sum(axis=0)
     ky, kx = (rings.wavenumbers(n, step) for n, step in zip(record.shape, (record.dy, record.dx)))
-    return slope_gain(power, ky, kx, record.dy, record.dx)
+    return power_gain_of_slopes(power, ky, kx, record.dy, record.dx)
 
 
 def relative_std(power: Array, dof: Array, overlap: Array) -> float:
@@ -99,8 +99,8 @@ def of_elevation(z: xr.DataArray, record: Record) -> dict[str, float]:
 def peak_std(energy: Array, dof: Array, omega: Array) -> float:
     """Standard uncertainty of the line of the largest energy, rad/s.
 
-    The spread of that line over spectra drawn about the smoothed one, with the degrees of freedom of each line
-    and the correlation of the lines of a Hann window; and a line's width over root 12.
+    The spread of that line over spectra drawn about the smoothed one, with the degrees of freedom of each
+    line and the correlation of the lines of a Hann window; and a line's width over root 12.
     """
     if not (np.isfinite(dof).any() and energy.max() > 0):
         return np.nan
@@ -126,7 +126,7 @@ def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
 
 
 def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> xr.Dataset:
-    """Add the standard uncertainties of the peak, of standard uncertainty `peak`, rad/s, and the steepness."""
+    """Add the standard uncertainties of peak and steepness, from that of the peak's omega, rad/s."""
     k = float(out["peak_k"])
     k_std = peak / float(group_velocity(k, depth, gamma))
     relative = np.hypot(k_std / k, float(out["significant_height_std"] / out["significant_height"]))
