@@ -1,7 +1,7 @@
 import pytest
 from explorer_cases import create_cube
 
-from wavefield.commands.look import _cube_of
+from wavefield.commands.sources import find_cube
 from wavefield.errors import WavefieldError
 from wavefield.pipeline.catalog import catalog_add
 
@@ -47,19 +47,19 @@ def test_a_catalog_names_drivers_of_intake_only(catalog, old, new, monkeypatch):
     catalog.write_text(text.replace(old, new))
     monkeypatch.setattr(intake, "open_catalog", lambda path: pytest.fail("it was opened"))
     with pytest.raises(WavefieldError, match="intake's drivers"):
-        _cube_of(catalog, "calm")
+        find_cube(catalog, "calm")
 
 
 def test_a_run_of_a_catalog_is_looked_at_by_name(catalog):
     with pytest.raises(WavefieldError, match="no cube of any run yet; make it with `wavefield run"):
-        _cube_of(catalog)
+        find_cube(catalog)
     rough = made(catalog, "rough")
-    assert _cube_of(catalog).resolve() == rough
+    assert find_cube(catalog).resolve() == rough
     calm = made(catalog, "calm")
-    assert _cube_of(catalog, "calm").resolve() == calm
+    assert find_cube(catalog, "calm").resolve() == calm
     with pytest.raises(WavefieldError, match="cubes of calm, rough; name one"):
-        _cube_of(catalog)
+        find_cube(catalog)
     with pytest.raises(WavefieldError, match="no run 'wild'; it has calm, rough"):
-        _cube_of(catalog, "wild")
+        find_cube(catalog, "wild")
     with pytest.raises(WavefieldError, match="is no catalog: leave out 'calm'"):
-        _cube_of(calm, "calm")
+        find_cube(calm, "calm")

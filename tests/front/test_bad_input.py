@@ -136,7 +136,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 TABLE = [
     # -- the lab note
     ("no lab note", lose(EXP), ["run", EXP], 2, "does not exist"),
-    ("a folder for a lab note", nothing, ["run", "cam1"], 1, "is a folder"),
+    ("a folder for a lab note", nothing, ["run", "cam1"], 1, "holds no experiment file"),
     ("an image for a lab note", nothing, ["run", "cam1/img_000.tif"], 1, "img_000.tif"),
     ("an empty lab note", write(EXP, ""), ["run", EXP], 1, "key: value"),
     ("a list for a lab note", write(EXP, "- 1\n- 2\n"), ["run", EXP], 1, "key: value"),

@@ -27,6 +27,12 @@ def _commands(group: click.Group, path: str = "") -> dict[str, click.Command]:
 COMMANDS = _commands(cli)
 
 
+def cube_folder(folder: Path) -> Path:
+    """A folder that is named as a cube is."""
+    (folder / "cube.zarr").mkdir()
+    return folder / "cube.zarr"
+
+
 def test_the_house_has_every_command():
     expected = {"demo", "simulate", "check", "calibrate", "run", "status", "analyze", "report", "export"}
     assert expected | {"refine", "verify", "catalog add", "rig convert", "rig level"} <= set(COMMANDS)
@@ -99,7 +105,7 @@ def test_an_unforeseen_error_has_no_traceback_either(monkeypatch, tmp_path, caps
         raise ZeroDivisionError("by accident")
 
     monkeypatch.setattr(wavefield.pipeline, "status", broken)
-    assert main(["status", str(tmp_path)]) == 1
+    assert main(["status", str(cube_folder(tmp_path))]) == 1
     error = capsys.readouterr().err
     assert "by accident" in error
     assert "--debug" in error
@@ -113,7 +119,7 @@ def test_interruption_says_that_nothing_is_lost(monkeypatch, tmp_path, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(wavefield.pipeline, "status", interrupted)
-    assert main(["status", str(tmp_path)]) == 130
+    assert main(["status", str(cube_folder(tmp_path))]) == 130
     assert "interrupted" in capsys.readouterr().err
 
 
@@ -129,7 +135,7 @@ def test_warnings_are_one_line(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(wavefield.pipeline, "status", warning)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        assert main(["status", str(tmp_path)]) == 1
+        assert main(["status", str(cube_folder(tmp_path))]) == 1
     assert capsys.readouterr().err.splitlines() == [
         "wavefield: warning: a frame is missing",
         "wavefield: done",

@@ -48,8 +48,8 @@ def folder(tmp_path_factory, without_pixels):
         ["calibrate", experiment],
         ["check", experiment, "--workflow", str(here / "workflow.yaml"), "--pairs"],
         ["run", experiment, "--workflow", str(here / "workflow.yaml")],
-        ["analyze", str(tank / "cube.zarr")],
-        ["report", str(tank / "cube.zarr")],
+        ["analyze", str(tank)],  # a folder stands for its cube
+        ["report", experiment],
     ):
         with redirect_stdout(io.StringIO()) as said, without_pixels():
             assert main(["-q", *words]) == 0, f"wavefield {' '.join(words)}"
@@ -102,8 +102,11 @@ def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
     workflow = str(folder.parent / "workflow.yaml")
     assert main(["-q", "run", str(folder / "experiment.yaml"), "--workflow", workflow]) == 0
     assert (folder / "cube.zarr" / "zarr.json").stat().st_mtime_ns == before
-    assert main(["status", str(folder / "cube.zarr")]) == 0
-    assert "17 of 17 steps (100 %)" in capsys.readouterr().out
+    assert "Nothing to do: all 17 steps of" in capsys.readouterr().out
+    assert main(["status", str(folder)]) == 0  # the cube of a folder
+    out = capsys.readouterr().out
+    assert "17 of 17 steps (100 %)" in out
+    assert out.endswith(f"Next: wavefield analyze {folder / 'cube.zarr'}\n")
     assert not (folder / "waves.log").exists()  # one process analysed it
 
 

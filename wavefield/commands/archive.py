@@ -8,10 +8,9 @@ from pathlib import Path
 import click
 
 from wavefield.commands.level_command import level, sheet
+from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-
-_STORE = click.Path(exists=True, file_okay=False, path_type=Path)
-_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+from wavefield.commands.sources import CUBE, PATH, experiment_file, find_cube
 
 
 @click.command(
@@ -24,7 +23,7 @@ Examples:
   wavefield export cube.zarr run7.uvmat                 # a folder of files for UVMAT
 """
 )
-@click.argument("store", metavar="CUBE", type=_STORE)
+@click.argument("store", metavar=CUBE, type=PATH)
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--steps", help="Some of the steps, counted from 0: FIRST:STOP or FIRST:STOP:EVERY.")
 @click.pass_context
@@ -37,15 +36,27 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
     from wavefield.store.ledger import unfinished_note
 
     if output.suffix.lower() not in exports.ENDINGS:
-        raise click.UsageError(f"{output} is no format that is written: let its name end in {exports.KNOWN}")
+        raise click.UsageError(
+            f"{output} is not a supported output format: let its name end in {exports.KNOWN}"
+        )
+    store = find_cube(store)
     note = unfinished_note(store)
     with Progress(f"Writing {output}"), warnings.catch_warnings():
         warnings.simplefilter("ignore" if note else "default", UserWarning)  # printed below
         exports.export(store, output, _slice(steps))
-    click.echo(f"Wrote {output}.")
+    click.echo(f"Wrote {output}; open it in {_READERS[exports.ENDINGS[output.suffix.lower()]]}.")
     if note:
         click.echo(f"note: {note}", err=True)
         context.exit(3)
+
+
+_READERS = {
+    "netcdf": "xarray, Panoply, ncview or MATLAB (ncread)",
+    "matlab": "MATLAB (load or h5read)",
+    "paraview": "ParaView",
+    "vtkhdf": "ParaView 5.12 or later",
+    "uvmat": "UVMAT",
+}
 
 
 def _slice(words: str | None) -> slice | None:
@@ -69,7 +80,7 @@ def catalog() -> None:
 
 @catalog.command(epilog="\b\nExample:\n  wavefield catalog add campaign.yaml run07/experiment.yaml")
 @click.argument("catalog", type=click.Path(dir_okay=False, path_type=Path))
-@click.argument("experiment", type=_FILE)
+@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
 def add(catalog: Path, experiment: Path) -> None:
     """Register an experiment in a catalog, which is made if it is not there.
 
@@ -78,8 +89,9 @@ def add(catalog: Path, experiment: Path) -> None:
     """
     from wavefield.pipeline.catalog import catalog_add
 
-    name = catalog_add(catalog, experiment)
+    name = catalog_add(catalog, experiment_file(experiment))
     click.echo(f"{catalog} now has {name}.")
+    print_next("run", catalog, name)
 
 
 _PROGRAMS = (
@@ -186,6 +198,8 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
         check_replaceable(output, NEW_FILE)
         formats.save_rig(loaded, output, to)
     click.echo(f"Wrote {output} with {', '.join(loaded)}.")
+    if to == "wavefield":
+        print_next("check", "experiment.yaml", "--rig", output)
 
 
 def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import click
 
+from wavefield.commands.sources import find_cube
 from wavefield.errors import StoreError, WavefieldError
 
 T = TypeVar("T")
@@ -49,13 +50,6 @@ def cubes_of(source: Path, entries: Sequence[str], parameters: Mapping[str, str]
     return [(run, cube_of(source, {"run": run, **parameters})) for run in runs_of(source, entries)]
 
 
-def one_cube(source: Path) -> Path:
-    """A cube given by itself."""
-    if not source.is_dir():
-        raise StoreError(f"{source} is neither a cube nor a catalog of `wavefield catalog add`")
-    return source
-
-
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
     """Work on every run and print which; an error of one does not keep the others."""
     statuses = []
@@ -91,5 +85,5 @@ def for_each_cube(
 ) -> int:
     """Work on a cube, or on those of a catalog's runs; returns the exit status."""
     if not is_campaign(source, entries, parameters):
-        return work(one_cube(source))
+        return work(find_cube(source))
     return each(cubes_of(source, entries, parameters), with_cube(work))

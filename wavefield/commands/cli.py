@@ -12,17 +12,30 @@ from collections.abc import Sequence
 import click
 
 import wavefield
-from wavefield.commands import archive, experiment_commands, look, simulate_command, wave_commands
+from wavefield.commands import (
+    archive,
+    calibrate_command,
+    check_command,
+    experiment_commands,
+    look,
+    simulate_command,
+    wave_commands,
+)
 from wavefield.errors import WavefieldError
 
 _EPILOG = """\b
 A first look:   wavefield demo
-Your own data:  wavefield calibrate experiment.yaml
+Your own data:  wavefield init FOLDER             # proposes experiment.yaml from the images in it
+                wavefield calibrate experiment.yaml
                 wavefield check experiment.yaml
                 wavefield run experiment.yaml
                 wavefield analyze cube.zarr
                 wavefield report cube.zarr
                 wavefield look cube.zarr
+
+An experiment file, its folder (such as .) and its cube stand for one another.
+Completion of words by the Tab key: add one line to ~/.bashrc (zsh: ~/.zshrc, with zsh_source),
+  eval "$(_WAVEFIELD_COMPLETE=bash_source wavefield)"
 """
 
 
@@ -58,9 +71,9 @@ for _command in (
     simulate_command.demo,
     simulate_command.simulate,
     experiment_commands.init,
-    experiment_commands.check,
-    experiment_commands.calibrate,
-    experiment_commands.refine,
+    check_command.check,
+    calibrate_command.calibrate,
+    calibrate_command.refine,
     experiment_commands.run,
     experiment_commands.status,
     experiment_commands.verify,

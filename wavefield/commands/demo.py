@@ -7,6 +7,7 @@ import click
 import numpy as np
 import xarray as xr
 
+from wavefield.commands.next_command import print_next
 from wavefield.errors import WavefieldError
 
 MARGIN = 0.04  # m; errors are counted this far inside the edge of what was measured
@@ -42,6 +43,7 @@ def run_demo(
     click.echo("\n" + comparison(cube, directory))
     click.echo(f"\nOpen in a browser:  {directory / 'report.html'}")
     click.echo(f"The calibration:    {directory / 'rig_report' / 'index.html'}")
+    print_next("look", cube)
 
 
 def comparison(store: Path, directory: Path) -> str:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import click
 
+from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-
-_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+from wavefield.commands.sources import PATH, experiment_file
 
 
 @click.command(
@@ -16,7 +16,7 @@ Examples:
   wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
 """
 )
-@click.argument("experiment", type=_FILE)
+@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
 @click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
 @click.option(
     "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
@@ -37,12 +37,14 @@ def level(experiment: Path, rig: Path | None, output: Path, distance: float | No
     """
     from wavefield.calibration.level_on_water import level_experiment
 
+    experiment = experiment_file(experiment)
     _check_output(output, experiment, rig)
     with Progress("Matching the cameras", "instants") as progress:
         found = level_experiment(experiment, rig, distance, frames, progress)
     click.echo(found.sentence)
     found.rig.save(output)
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+    print_next("check", experiment, "--rig", output)
 
 
 @click.command(
@@ -52,7 +54,7 @@ Examples:
   wavefield rig sheet piv/experiment.yaml --rig target.yaml -o sheet.yaml
 """
 )
-@click.argument("experiment", type=_FILE)
+@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
 @click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
 @click.option(
     "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
@@ -68,6 +70,7 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     """
     from wavefield.calibration.light_sheet import find_sheet
 
+    experiment = experiment_file(experiment)
     _check_output(output, experiment, rig)
     with Progress("Correlating the cameras", "passes") as progress:
         found = find_sheet(experiment, rig, frames, progress)
@@ -76,6 +79,7 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
     if found.thickness > 0:
         click.echo(f"Then: settings: {{preset: sheet, sheet_thickness: {found.thickness:.2g}}}")
+    print_next("check", experiment, "--rig", output)
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from wavefield.commands.sources import CUBE, PATH, experiment_file, find_cube
+
 LAST = 19  # niceness of a process that takes what the others leave
 
 
@@ -47,7 +49,7 @@ Examples:
   wavefield look cube.zarr --port 5010        # behind ssh -L 5010:localhost:5010
 """
 )
-@click.argument("source", metavar="CUBE|EXPERIMENT|CATALOG", type=click.Path(exists=True, path_type=Path))
+@click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
 @click.argument("run", required=False)
 @click.option(
     "--waves", type=click.Path(exists=True, file_okay=False, path_type=Path), help="Its wave store."
@@ -65,7 +67,7 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     from wavefield.explorer.session import LookSession
     from wavefield.store.ledger_files import check_chunks
 
-    session = LookSession.open(_cube_of(source, run), waves)
+    session = LookSession.open(find_cube(source, run), waves)
     record = session.record
     try:
         check_chunks(record.path, record.group, record.layout)
@@ -89,7 +91,7 @@ Examples:
   wavefield follow experiment.yaml --rig rig.yaml
 """
 )
-@click.argument("experiment", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
 @click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's rig.")
 @click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next free one.")
 @click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
@@ -104,7 +106,7 @@ def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool
     from wavefield.explorer.follower import Follower
     from wavefield.series import Experiment
 
-    follower = Follower(Experiment.load(experiment), rig)
+    follower = Follower(Experiment.load(experiment_file(experiment)), rig)
     server = follow_server(follower, port)
     follower.start()
     server.start()
@@ -114,24 +116,3 @@ def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool
     except KeyboardInterrupt:
         server.stop()
     follower.stop()
-
-
-def _cube_of(source: Path, run: str | None = None) -> Path:
-    """The cube of an experiment file or of a catalog's run; a cube is its own."""
-    from wavefield.errors import StoreError
-
-    if source.is_file():
-        from wavefield.pipeline.catalog import find_cube, is_catalog
-
-        if is_catalog(source):
-            return find_cube(source, run)
-    if run is not None:
-        raise StoreError(f"{source} is no catalog: leave out {run!r}")
-    if source.is_dir():
-        return source
-    from wavefield.series import Experiment
-
-    cube = Experiment.load(source).resolve("cube.zarr")
-    if not cube.exists():
-        raise StoreError(f"{source} has no cube next to it ({cube}); make it with `wavefield run {source}`")
-    return cube

@@ -45,6 +45,11 @@ class Progress:
             self.last_line, self.last_quarter = now, quarter
             self._write(f"{self.stage}: {self._count()}{self._left(now)}", final=not self.terminal)
 
+    @property
+    def had_nothing_to_do(self) -> bool:
+        """Whether all parts were done before the work began."""
+        return self.first is not None and 0 < self.total == self.first[1]
+
     def _count(self) -> str:
         share = 100 * self.done // self.total if self.total else 100
         return f"{self.done} of {self.total}{' ' + self.unit if self.unit else ''} ({share} %)"

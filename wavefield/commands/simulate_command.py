@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
 
 
@@ -50,3 +51,4 @@ def simulate(scene: str, directory: Path) -> None:
     with Progress(f"Simulating into {directory}") as progress:
         tank.simulate(described, directory, progress=progress)
     click.echo(f"Wrote {directory}/experiment.yaml; the exact truth is in {directory}/truth.")
+    print_next("calibrate", directory / "experiment.yaml")

@@ -6,7 +6,9 @@ from typing import Any, TypedDict, Unpack
 import click
 
 from wavefield.commands import campaign_commands
+from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
+from wavefield.commands.sources import CUBE, PATH, find_cube
 from wavefield.store.store_paths import beside
 
 
@@ -20,11 +22,16 @@ class AnalyzeOptions(TypedDict):
 
 
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
-_SOURCE = click.Path(exists=True, path_type=Path)
 
 
-@click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr next to it")
-@click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield analyze cube.zarr      # writes waves.zarr next to it
+  wavefield analyze .              # the cube in this folder
+"""
+)
+@click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
 @campaign_commands.ENTRIES
 @campaign_commands.PARAMETERS
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Wave store to write.")
@@ -79,7 +86,7 @@ def analyze(
     if output and campaign_commands.is_campaign(source, entries, parameters):
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
     exit_status = campaign_commands.for_each_cube(source, entries, parameters, work)
-    click.echo(f"Next: wavefield report {source}")
+    print_next("report", source)
     context.exit(exit_status)
 
 
@@ -112,8 +119,14 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, options: A
     return 3 if note else 0
 
 
-@click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html next to it")
-@click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield report cube.zarr      # writes report.html next to it
+  wavefield report .
+"""
+)
+@click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
 @campaign_commands.ENTRIES
 @campaign_commands.PARAMETERS
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
@@ -145,7 +158,10 @@ def report(
         return 0
 
     if not campaign_commands.is_campaign(source, entries, parameters):
-        context.exit(work(campaign_commands.one_cube(source), output))
+        source = find_cube(source)
+        status = work(source, output)
+        print_next("look", source)
+        context.exit(status)
     if waves:
         raise click.UsageError("the waves of a campaign are next to its cubes; leave out --waves")
     from wavefield.reports.campaign_page import CampaignEntry, compare
@@ -154,13 +170,14 @@ def report(
     found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
     page = compare(source.stem, [CampaignEntry(*one) for one in cubes], output or source.with_suffix(".html"))
     click.echo(f"Wrote {page}, which compares {len(cubes)} runs; open it in a browser.")
+    print_next("look", source, cubes[0][0])
     context.exit(found)
 
 
 @click.command(
     epilog="\b\nExample:\n  wavefield paper cube.zarr --rest rest.zarr      # writes paper.html next to it"
 )
-@click.argument("store", metavar="CUBE", type=_STORE)
+@click.argument("store", metavar=CUBE, type=PATH)
 @click.option("--rest", type=_STORE, help="Cube of the water at rest, by the same cameras.")
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
 @click.option(
@@ -174,7 +191,9 @@ def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | Non
     """
     from wavefield.reports.paper_page import paper as write
 
+    store = find_cube(store)
     output = output or beside(store, "paper", ".html")
     with Progress(f"Drawing {output}", "parts") as progress:
         write(store, output, rest=rest, waves=waves, progress=progress)
     click.echo(f"Wrote {output}; open it in a browser.")
+    print_next("look", store)

@@ -113,6 +113,8 @@ class Check:
     sentences : mapping of str to str
         ``motion`` of the water from frame to frame, ``heights`` that it rises to, ``advice`` where little is
         measured, ``clocks``: whether the cameras take their frames at the same moment.
+    first_frame : int
+        Number of the first frame.
     """
 
     experiment: str
@@ -127,6 +129,7 @@ class Check:
     problems: tuple[str, ...]
     verdict: Verdict | None
     sentences: Mapping[str, str]
+    first_frame: int = 0
 
     @property
     def exit_status(self) -> int:
@@ -295,6 +298,7 @@ def check(
         problems=tuple(problems),
         verdict=verdict,
         sentences=sentences,
+        first_frame=next(iter(series.values())).first,
     )
 
 

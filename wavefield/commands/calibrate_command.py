@@ -1,0 +1,113 @@
+"""`wavefield calibrate` and `refine`: from target images and still water to a rig."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.next_command import print_next
+from wavefield.commands.progress import Progress
+from wavefield.commands.sources import PATH, experiment_file
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield calibrate experiment.yaml               # writes rig.yaml next to it, and rig_report/
+  wavefield calibrate experiment.yaml -o new.yaml
+"""
+)
+@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Rig file to write.")
+@click.option("--anyway", is_flag=True, help="Write the rig although it is refused; the file states why.")
+@click.pass_context
+def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
+    """Find the rig from target images.
+
+    Reads the calibration chunk of EXPERIMENT, finds the target in its tilted and flat views, solves for all
+    cameras together, and writes the rig and a report with pictures. Where the experiment names a record of
+    the water at rest (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
+    trusted the exit status is 1 and the report lists what to photograph again.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+
+    from wavefield.atomic_write import PAGE, RIG, check_writable
+    from wavefield.calibration.images import calibrate_experiment, leave_with_parent, worker_context
+    from wavefield.reports.calibration import NUMBERS, write_calibration
+    from wavefield.reports.target_pictures import draw_found
+    from wavefield.series import Experiment
+
+    experiment = experiment_file(experiment)
+    loaded = Experiment.load(experiment)
+    output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
+    folder = output.with_name(f"{output.stem}_report")
+    check_writable(output, RIG)
+    check_writable(folder / "index.html", PAGE)
+    check_writable(folder / "numbers.yaml", NUMBERS)
+    with Progress("Finding the target", "images") as progress:
+        result = calibrate_experiment(loaded, progress)
+    calibration = result.calibration
+    with ProcessPoolExecutor(1, worker_context(), leave_with_parent) as pool:
+        drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
+        page = write_calibration(calibration, folder, drawn.result)
+    for note in (*result.notes, *calibration.notes):
+        click.echo(f"note: {note}")
+    if not calibration.usable:
+        for problem in calibration.problems:
+            click.echo(f"not usable: {problem}", err=True)
+        if not anyway or not len(calibration.rig):
+            again = "" if anyway or not len(calibration.rig) else "; --anyway writes it, marked as refused"
+            click.echo(f"No rig was written{again}; the pictures are in {page}.", err=True)
+            print_next("calibrate", experiment, first="photograph again what is listed")
+            context.exit(1)
+    rig = calibration.rig
+    if loaded.rest and calibration.usable:
+        from wavefield.pipeline.still_water import level_at_rest, plane_sentence
+
+        with Progress("Matching the water at rest", "frames") as progress:
+            rig, found, plane = level_at_rest(loaded.at_rest(), rig, progress=progress)
+        click.echo(f"{found.sentence}\n{plane_sentence(plane)}")
+    rig.save(output)
+    refused = "" if calibration.usable else ", REFUSED (usable: false in the file)"
+    click.echo(f"Wrote {output} with {', '.join(rig)}{refused}; how far to trust it: {page}")
+    if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
+        click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
+    print_next("check", experiment)
+
+
+@click.command(
+    epilog="""\b
+Example:
+  wavefield refine rest/experiment.yaml --rig rig.yaml -o rig_rest.yaml
+"""
+)
+@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
+@click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
+)
+@click.option(
+    "--frames", default=10, show_default=True, type=click.IntRange(min=1), help="How many frames to use."
+)
+def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
+    """Correct and level a rig with still-water images.
+
+    EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Shows whether a camera has moved
+    since the calibration, turns it back so that sight lines meet, brings z = 0 to the water's plane, and
+    writes the new rig.
+    """
+    from wavefield.atomic_write import RIG, check_writable, refuse_input
+    from wavefield.pipeline.still_water import level_at_rest, plane_sentence
+    from wavefield.series import Experiment
+
+    experiment = experiment_file(experiment)
+    loaded = Experiment.load(experiment)
+    refuse_input(output, *([rig] if rig else loaded.rig_paths))
+    check_writable(output, RIG)
+    with Progress("Matching the cameras", "frames") as progress:
+        still = loaded.at_rest() if loaded.rest else loaded
+        refined, found, plane = level_at_rest(still, rig, frames, progress)
+    click.echo(found.sentence)
+    click.echo(plane_sentence(plane))
+    refined.save(output)
+    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+    print_next("check", experiment, "--rig", output)

@@ -1,0 +1,194 @@
+"""`wavefield check`: what is there, what is missing, and what a run will cost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from wavefield.commands import campaign_commands
+from wavefield.commands.next_command import command_line, print_next
+from wavefield.commands.progress import Progress
+from wavefield.commands.sources import JSON, PATH, experiment_file
+
+if TYPE_CHECKING:
+    from wavefield.measurement.diagnostics import Diagnosis
+    from wavefield.pipeline import Check
+    from wavefield.pipeline.prepare import PreparedRun
+    from wavefield.series import Experiment
+
+_HOW = {
+    "now": "",
+    "half the noise": "light, exposure, gain of the sensor",
+    "twice the beads": "seeding",
+    "in focus": "focus, aperture",
+}
+TRIAL_SECONDS = 600.0  # a run that takes longer is better tried on some frames first
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield check experiment.yaml
+  wavefield check experiment.yaml --pairs      # do the cameras agree on what they see?
+"""
+)
+@click.argument("source", metavar="EXPERIMENT|FOLDER|CUBE|CATALOG", type=PATH)
+@campaign_commands.ENTRIES
+@click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
+@click.option("--workflow", type=PATH, help="Where and how it would run: a file as in workflows/.")
+@campaign_commands.PARAMETERS
+@click.option(
+    "--pairs", is_flag=True, help="Also compare each pair of cameras, and their clocks at more instants."
+)
+@JSON
+@click.pass_context
+def check(
+    context: click.Context,
+    source: Path,
+    entries: tuple[str, ...],
+    rig: Path | None,
+    workflow: Path | None,
+    parameters: dict[str, str],
+    pairs: bool,
+    as_json: bool,
+) -> None:
+    """Show what is there, what is missing, and what a run will cost.
+
+    Counts the frames of each camera, names missing ones, shows how
+    much of the grid the cameras see, measures a few steps to find the time, memory and disk of the whole run,
+    and compares the cameras' images: is one mirrored, swapped, late, reversed, blurred, covered, or has it
+    moved? Changes nothing. The exit status is 1 where something prevents a run, 3 where the verdict has
+    remarks that matter.
+    """
+    from wavefield import pipeline
+    from wavefield.execution.worker_settings import keep_memory
+
+    keep_memory()
+    source = experiment_file(source)
+    if not campaign_commands.is_campaign(source, entries, parameters):
+        with Progress("Looking at the frames, measuring a few steps"):
+            found = pipeline.check(source, rig, workflow)
+        if as_json:
+            click.echo(json.dumps(found.to_dict(), indent=1, default=str))
+            context.exit(found.exit_status)
+        _report(found, source, rig, workflow, pairs)
+        _next(found, source, rig)
+        context.exit(found.exit_status)
+    from wavefield.pipeline.catalog import find_experiment, runs_of
+
+    runs = [(run, find_experiment(source, {"run": run, **parameters})) for run in runs_of(source, entries)]
+    checks: dict[str, Check] = {}
+
+    def work(run: str, experiment: Experiment) -> int:
+        with Progress(f"Looking at {run}"):
+            checks[run] = pipeline.check(experiment, rig, workflow)
+        if not as_json:
+            _report(checks[run], experiment, rig, workflow, pairs)
+        return checks[run].exit_status
+
+    status_of_all = campaign_commands.each(runs, work, quiet=as_json)
+    if as_json:
+        click.echo(json.dumps({run: one.to_dict() for run, one in checks.items()}, indent=1, default=str))
+    else:
+        for run, one in checks.items():
+            click.echo(f"{run}: {one.line}")
+    context.exit(status_of_all)
+
+
+def _next(found: Check, source: Path, rig: Path | None) -> None:
+    """Print what follows: a calibration, a correction, a trial of a long run, or the run."""
+    if found.problems:
+        without_rig = not found.rig and any("wavefield calibrate" in problem for problem in found.problems)
+        if without_rig:
+            print_next("calibrate", source)
+        else:
+            print_next("check", source, first="correct what is not ready")
+        return
+    more = ["--rig", rig] if rig else []
+    if found.cost and found.cost.seconds > TRIAL_SECONDS:
+        first = found.first_frame
+        click.echo(
+            f"A trial first: {command_line('run', source, *more, '--frames', f'{first}:{first + 50}')}"
+        )
+    print_next("run", source, *more)
+
+
+def _report(
+    found: Check, experiment: Path | Experiment, rig: Path | None, workflow: Path | None, pairs: bool
+) -> None:
+    click.echo(str(found))
+    if words := _probes_line(experiment):
+        click.echo(f"  probes: {words}")
+    if pairs and not found.problems:
+        from wavefield.pipeline.prepare import prepare
+        from wavefield.pipeline.run_quality import synchrony_of
+        from wavefield.quality.camera_delay import sentence
+
+        prepared = prepare(experiment, rig, workflow)
+        click.echo(_pairs_table(prepared))
+        delays = sentence(synchrony_of(prepared).delays, 1 / prepared.experiment.frame_rate)
+        click.echo(f"  clocks, by more instants: {delays}")
+
+
+def _reader(prepared: PreparedRun) -> Callable[[str, int], Any]:
+    return lambda camera, frame: prepared.series[camera].read_uncovered(frame)
+
+
+def _probes_line(source: Path | Experiment) -> str:
+    """The experiment's probes and their clock and the cameras', or what is wrong with their file."""
+    from wavefield.errors import ExperimentError
+    from wavefield.series import Experiment
+
+    experiment = source if isinstance(source, Experiment) else Experiment.load(source)
+    if not experiment.probes:
+        return ""
+    try:
+        probes = experiment.read_probes()
+    except ExperimentError as error:
+        return str(error)
+    times = experiment.frame_times(next(iter(experiment.open_frames().values())))
+    names, clock = ", ".join(probes.probe.values), probes.time.values
+    return f"{names}, from {clock[0]:g} to {clock[-1]:g} s; frames from {times[0]:g} to {times[-1]:g} s"
+
+
+def _pairs_table(prepared: PreparedRun) -> str:
+    """What `diagnose` finds around the middle of the record, a line per error."""
+    from wavefield.measurement.diagnostics import diagnose_around
+    from wavefield.rig.resolution import pixel_size
+
+    pixel = pixel_size(prepared.rig, prepared.grid)
+    middle = len(next(iter(prepared.series.values()))) // 2
+    steps = min(len(prepared.series[name]) for name in prepared.geometry.cameras) - 1
+    found = diagnose_around(_reader(prepared), steps, prepared.geometry, prepared.model, middle, pixel)
+    if found is None:
+        return "  pairs: no step around the middle of the record has a usable frame of every camera"
+    lines = [f"  pairs, {len(next(iter(found.z.values())))} steps, rms; 1 px is {1e3 * pixel:.2g} mm"]
+    rows = found.table()
+    width = max(len(row["name"]) for row in rows)
+    for row in rows:
+        centimetres = "" if row["cm"] is None else f"{row['cm']:.4f} cm"
+        lines.append(f"    {row['name']:<{width}} {centimetres:>10} {row['px']:.3f} px")
+    return "\n".join([*lines, *_carried_lines(found, pixel)])
+
+
+def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
+    """Which waves these images carry, with how much noise, and what would help."""
+    noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
+    lines = [f"  standard uncertainty, two frames, px: {noise}"]
+    ways = list(next(iter(found.carried.values())))
+    lines.append("  waves of which half is kept, cm: " + "; ".join(ways))
+    for name, lengths in found.carried.items():
+        lines.append(f"    {name} " + "; ".join(f"{100 * lengths[way]:.1f}" for way in ways))
+    widths = ", ".join(f"{name} {width:.1f}" for name, width in found.widths.items() if width)
+    if widths:
+        lines.append(f"  width of the beads' images, px (2 in focus): {widths}")
+    helps = {way: sum(one[way] / one["now"] for one in found.carried.values()) for way in ways}
+    best = min(helps, key=lambda way: helps[way])
+    gain = 1 - helps[best] / len(found.carried)
+    if gain > 0.02:
+        lines.append(f"  most would help: {best} ({_HOW[best]}): waves {100 * gain:.0f} % shorter")
+    return lines

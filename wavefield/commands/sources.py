@@ -1,0 +1,101 @@
+"""What a command works on: an experiment file, its folder or its cube, whichever of them is given."""
+
+import json
+from pathlib import Path
+
+import click
+
+from wavefield.errors import ExperimentError, StoreError
+
+PATH = click.Path(exists=True, path_type=Path)
+CUBE = "CUBE|EXPERIMENT|FOLDER"
+JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON, for scripts.")
+
+
+def is_store(path: Path) -> bool:
+    """Whether a path is a Zarr store rather than a folder that holds one."""
+    return path.is_dir() and (path.suffix == ".zarr" or (path / "zarr.json").is_file())
+
+
+def experiment_file(source: Path) -> Path:
+    """The experiment file (or the catalog) that is given, or that of a folder or a cube."""
+    if source.is_file():
+        return source
+    if is_store(source):
+        from wavefield.pipeline.experiment_of_cube import load_experiment
+        from wavefield.store.read import open_group
+
+        return load_experiment(source, open_group(source).attrs).path
+    found = _experiments(source)
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ExperimentError(
+            f"{source} holds {len(found)} experiment files: name one of "
+            f"{', '.join(path.name for path in found)}"
+        )
+    raise ExperimentError(
+        f"{source} holds no experiment file; `wavefield init {source}` proposes one from its images"
+    )
+
+
+def find_cube(source: Path, run: str | None = None) -> Path:
+    """The cube that is given, or that of an experiment file, of a folder or of a catalog's run."""
+    if source.is_file():
+        from wavefield.pipeline import catalog
+
+        if catalog.is_catalog(source):
+            return catalog.find_cube(source, run)
+    if run is not None:
+        raise StoreError(f"{source} is no catalog: leave out {run!r}")
+    if is_store(source):
+        return source
+    if source.is_dir():
+        usual = source / "cube.zarr"
+        cubes = (
+            [usual] if usual.is_dir() else [path for path in sorted(source.glob("*.zarr")) if _is_cube(path)]
+        )
+        if len(cubes) == 1:
+            return cubes[0]
+        if cubes:
+            raise StoreError(
+                f"{source} holds {len(cubes)} cubes: name one of {', '.join(path.name for path in cubes)}"
+            )
+        if not _experiments(source):
+            raise StoreError(f"{source} is not a cube, and holds neither a cube nor an experiment file")
+    from wavefield.series import Experiment
+
+    experiment = experiment_file(source)
+    cube = Experiment.load(experiment).resolve("cube.zarr")
+    if not cube.exists():
+        raise StoreError(
+            f"{experiment} has no cube next to it ({cube}); make it with `wavefield run {experiment}`"
+        )
+    return cube
+
+
+def _experiments(folder: Path) -> list[Path]:
+    """The experiment files in a folder; that of the usual name alone, where it is there."""
+    usual = folder / "experiment.yaml"
+    if usual.is_file():
+        return [usual]
+    files = sorted(path for path in folder.iterdir() if path.suffix in (".yaml", ".yml") and path.is_file())
+    return [path for path in files if _names_cameras(path)]
+
+
+def _names_cameras(path: Path) -> bool:
+    from wavefield.config_files import read_yaml
+
+    try:
+        data = read_yaml(path)
+    except ExperimentError:
+        return False
+    return {"name", "cameras"} <= set(data) or set(data) in ({"experiment"}, {"experiment", "folder"})
+
+
+def _is_cube(path: Path) -> bool:
+    """Whether a store is a cube, by its attributes: waves, previews and truths are none."""
+    try:
+        return "recipe" in json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
