@@ -1,10 +1,16 @@
 """A lab note proposed from a folder: what names show is there, the rest is marked."""
 
+import itertools
+
 import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.series import Experiment
+from wavefield.series.image_names import camera_names, find_series
 from wavefield.series.proposal import propose
 
 
@@ -58,3 +64,69 @@ def test_a_folder_without_two_cameras_is_refused_with_its_content(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ExperimentError, match="there are no numbered images"):
         propose(tmp_path)
+
+
+LAYOUTS = (
+    "{cam}/img_{n}.tif",
+    "{cam}/{n}.tif",
+    "img_{n}_{cam}.tif",
+    "{cam}_{n}.tif",
+    "2024-05-17/frame{n}-{cam}.tif",
+    "{cam}/frame_{n}_800us.tif",
+)
+CAMERAS = (("cam1", "cam2", "cam3"), ("left", "right"), ("camA", "camB"), ("Camera_1", "Camera_2"))
+
+
+@settings(max_examples=60)
+@given(
+    st.sampled_from(LAYOUTS),
+    st.sampled_from(CAMERAS),
+    st.sampled_from(["{:d}", "{:03d}", "{:06d}"]),
+    st.integers(0, 1200),
+    st.integers(4, 15),
+)
+def test_frames_and_cameras_are_found_wherever_they_are_in_names(layout, cameras, digits, first, count):
+    numbers = range(first, first + count)
+    paths = [layout.format(cam=c, n=digits.format(n)) for c, n in itertools.product(cameras, numbers)]
+    found = find_series(sorted(paths))
+    assert [one.numbers for one in found] == [tuple(numbers)] * len(cameras)
+    names = camera_names([one.pattern for one in found])
+    assert [name.replace("-", "_") for name in names] == sorted(cameras)
+
+
+def test_a_folder_of_a_laboratory_is_proposed_with_its_own_names(tmp_path):
+    for camera in ("left", "right"):
+        for folder, names in (
+            (camera, [f"img_{k:05d}.tif" for k in range(6)]),
+            (f"calib/{camera}", ["flat.tif", *(f"tilt_{k}.tif" for k in range(4))]),
+        ):
+            (tmp_path / folder).mkdir(parents=True)
+            for name in names:
+                (tmp_path / folder / name).touch()
+    (tmp_path / "readme.txt").write_text("first day")
+    (tmp_path / "aaa.csv").write_text("pump,on\n1,2\n")
+    (tmp_path / "wave_gauges.csv").write_text("Zeit [s];WG 1 [mm]\n0,00;1,2\n0,01;1,3\n")
+    note = yaml.safe_load(propose(tmp_path))
+    assert set(note["cameras"]) == {"left", "right"}
+    assert note["calibration"]["tilted"] == "calib/{camera}/tilt_*.tif"
+    assert note["calibration"]["flat"] == "calib/{camera}/flat.tif"
+    assert note["probes"] == "wave_gauges.csv"
+
+
+def test_a_proposal_points_to_the_calibration_where_there_are_target_images(folder, capsys):
+    assert main(["init", str(folder)]) == 0
+    assert capsys.readouterr().out.endswith(f"then: wavefield calibrate '{folder / 'experiment.yaml'}'\n")
+
+
+def test_probe_files_with_other_headers_get_the_form_that_names_their_columns(tmp_path):
+    from wavefield.waves import read_probes
+    from wavefield.waves.probes.probe_files import Columns
+
+    lines = ["Messung 7", "Stunde;Pegel 1 [mm];Pegel 2 [mm]", *(f"{k};{k % 3};{k % 2}" for k in range(9))]
+    (tmp_path / "pegel.csv").write_text("\n".join(lines))
+    with pytest.raises(ExperimentError, match="name the columns") as error:
+        read_probes(tmp_path / "pegel.csv")
+    form = yaml.safe_load(str(error.value).split("`")[1])["probes"]
+    found = read_probes(tmp_path / "pegel.csv", Columns(form["time"], form["columns"]))
+    assert list(found.probe.values) == ["Pegel1", "Pegel2"]
+    assert float(found.elevation.max()) == pytest.approx(0.002)

@@ -238,7 +238,7 @@ def test_what_cannot_be_analysed_is_said_in_one_sentence(sea, probes, tmp_path):
         ("time,p1\n", "hold 0 lines of numbers"),
         ("time,p1\n0,one\n", "line 2: 'one' is no number"),
         ("# a remark\ntime,p1,p2\n0,1,2\n1,2\n", "line 4: 2 values, but the header names 3 columns"),
-        ("time,p1\n0,1\n2,1\n1,1\n", "line 4: time does not rise"),
+        ("time,p1\n0,1\n2,1\n1,1\n", "line 4: time is not increasing"),
         ("time,p1 [ft]\n0,1\n1,2\n", "unit 'ft' is not known"),
         ("time,p1\n0,14\n1,-12\n2,9\n", "p1 varies by .* write 'p1 .mm.' into the header"),
     ],

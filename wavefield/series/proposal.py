@@ -1,50 +1,27 @@
 """A lab note proposed from a folder of images, with a comment on every guess."""
 
 import re
-from collections import defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from wavefield.errors import ExperimentError
+from wavefield.series.image_names import (
+    NumberedImages,
+    camera_names,
+    common_patterns,
+    find_series,
+    image_paths,
+)
 
-IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 MIN_IMAGES = 3  # of a record
-_TARGETS = re.compile(r"calib|target|board|grid|mire|eich", re.IGNORECASE)
+_TARGETS = re.compile(
+    r"calib|kalib|(?<![a-z])cal(?![a-z])|target|board|checker|charuco|tilt|plate|grid|mire|eich",
+    re.IGNORECASE,
+)
 _REST = re.compile(r"rest|still|flat_water|repos|ruhe", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class NumberedImages:
-    """Images whose names differ in one number."""
-
-    pattern: str  # Path from the folder, with ``{frame}`` for the number
-    numbers: tuple[int, ...]  # The numbers, in order
-
-    @property
-    def step(self) -> int:
-        """Usual difference of two numbers."""
-        gaps = sorted(b - a for a, b in zip(self.numbers, self.numbers[1:]))
-        return gaps[len(gaps) // 2] if gaps else 1
-
-
-def find_series(folder: Path) -> list[NumberedImages]:
-    """Find the numbered images in a folder and in those below."""
-    if not folder.is_dir():
-        raise ExperimentError(f"{folder} is no folder; name the one that contains the images")
-    numbers: dict[str, list[int]] = defaultdict(list)
-    for path in folder.rglob("*"):
-        name = path.relative_to(folder)
-        match = re.fullmatch(r"(.*?)(\d+)(\D*)", name.name)
-        if match and path.suffix.lower() in IMAGE_ENDINGS and path.is_file():
-            head, digits, tail = match.groups()
-            width = f":0{len(digits)}d" if digits.startswith("0") and len(digits) > 1 else ""
-            numbers[(name.parent / f"{head}{{frame{width}}}{tail}").as_posix()].append(int(digits))
-    for pattern in list(numbers):  # numbers that outgrew `{frame:05d}` have the pattern `{frame}`
-        bare = re.sub(r"\{frame:\d+d\}", "{frame}", pattern)
-        if bare != pattern and bare in numbers:
-            numbers[pattern] = numbers[pattern] + numbers.pop(bare)
-    return [NumberedImages(pattern, tuple(sorted(found))) for pattern, found in sorted(numbers.items())]
+_FLAT = re.compile(r"(?<![a-z])(flat|level|plan|flach)(?![a-z])", re.IGNORECASE)
+_PROBES = re.compile(r"probe|gau?ge|sonde|pegel|wg\d|elevation", re.IGNORECASE)
+_NO_PROBES = re.compile(r"time.?stamps?|times|read.?me|note|log", re.IGNORECASE)
 
 
 def propose(folder: str | Path) -> str:
@@ -53,7 +30,7 @@ def propose(folder: str | Path) -> str:
     Parameters
     ----------
     folder : path
-        Of the images, with a folder or a beginning of the names for each camera.
+        Of the images, with a folder or a part of the names for each camera.
 
     Returns
     -------
@@ -75,25 +52,28 @@ def propose(folder: str | Path) -> str:
     ...         for number in range(4):
     ...             write_image(Path(folder) / camera / f"img_{number:03d}.tif", np.zeros((8, 9), np.uint8))
     ...     text = propose(folder)
-    >>> "left/img_" in text and "right/img_" in text
+    >>> "left: {images" in text and "right/img_{frame:03d}.tif" in text
     True
     """
     folder = Path(folder).absolute()
-    series = find_series(folder)
-    records = [s for s in series if not _TARGETS.search(s.pattern) and len(s.numbers) >= MIN_IMAGES]
-    rest = [s for s in records if _REST.search(s.pattern)]
-    waves = [s for s in records if s not in rest]
+    paths = image_paths(folder)
+    of_targets = [path for path in paths if _TARGETS.search(path) and not _REST.search(path)]
+    series = find_series([path for path in paths if path not in set(of_targets)])
+    records = [one for one in series if len(one.numbers) >= MIN_IMAGES]
+    rest = [one for one in records if _REST.search(one.pattern)]
+    waves = [one for one in records if one not in rest and not _FLAT.search(one.pattern)]
     if len(waves) < 2:
-        present = ", ".join(s.pattern for s in series[:4]) or "no numbered images"
+        present = ", ".join(one.pattern for one in series[:4]) or "no numbered images"
         raise ExperimentError(
             f"{folder}: numbered images of two cameras at least are needed, and there are {present}; name "
             "the folder that contains those of all cameras"
         )
+    names = camera_names([one.pattern for one in waves])
     lines = [
         *_head(folder),
-        *_cameras(waves),
-        *_calibration([s for s in series if _TARGETS.search(s.pattern)]),
-        *_rest(rest),
+        *_cameras(dict(zip(names, waves))),
+        *_calibration(of_targets, [path for path in paths if path not in set(of_targets)], names),
+        *_rest(rest, names),
         "grid: auto                    # what all cameras see; or {x: [..], y: [..], step: ..} in metres",
         "water: {depth: }              # TO FILL IN: metres, such as 0.70",
         *_probes(folder),
@@ -107,10 +87,10 @@ def _head(folder: Path) -> Iterator[str]:
     yield "frame_rate:                   # TO FILL IN: Hz, such as 20.0; image files do not state it"
 
 
-def _cameras(records: list[NumberedImages]) -> Iterator[str]:
+def _cameras(records: dict[str, NumberedImages]) -> Iterator[str]:
     yield "cameras:"
-    first = min(s.numbers[0] for s in records)
-    for k, one in enumerate(records, 1):
+    first = min(one.numbers[0] for one in records.values())
+    for name, one in records.items():
         low, high, step = one.numbers[0], one.numbers[-1], one.step
         remark = f"{len(one.numbers)} images, {low} to {high}"
         offset = -low  # time 0 is that of the first image, as the clocks of probes mostly have it
@@ -121,51 +101,82 @@ def _cameras(records: list[NumberedImages]) -> Iterator[str]:
         more = f", offset: {offset}" if offset else ""
         if low > first:
             remark += f"; begins {low - first} later than another: the same moment, or missing frames?"
-        yield f'  cam{k}: {{images: "{one.pattern}"{more}}}    # {remark}'
+        yield f'  {name}: {{images: "{one.pattern}"{more}}}    # {remark}'
 
 
-def _calibration(targets: list[NumberedImages]) -> Iterator[str]:
-    if not targets:
+def _calibration(of_targets: list[str], others: list[str], cameras: Sequence[str]) -> Iterator[str]:
+    flat = [path for path in of_targets if _FLAT.search(path)]
+    flat += [path for path in others if _FLAT.search(Path(path).stem) and not _REST.search(path)]
+    tilted = find_series([path for path in of_targets if path not in set(flat)])
+    numbered = {one.wildcard for one in tilted}
+    tilted_names = sorted(numbered) or sorted({path for path in of_targets if path not in set(flat)})
+    if not tilted_names:
         yield "# calibration: no target images were found; name them here, or a rig: `rig: rig.yaml`"
         return
     yield "calibration:"
     yield "  target: {kind: , mesh: }    # TO FILL IN: such as chessboard, 0.03 (metres), shape: [9, 6]"
-    names = [re.sub(r"\{frame[^}]*\}", "*", s.pattern) for s in targets]
-    pattern = _common_pattern(names)
-    if pattern:
-        yield f'  tilted: "{pattern}"      # from {", ".join(names)}; the folder names the camera'
+    yield from _patterns("tilted", tilted_names, cameras)
+    if flat:
+        yield from _patterns("flat", flat, cameras)
     else:
-        listed = ", ".join(f'"{name}"' for name in names)
-        yield f"  tilted: [{listed}]      # put {{camera}} where a name contains the camera"
+        yield '  # flat: "..."              # the image of the target on z = 0, if there is one'
 
 
-def _common_pattern(names: list[str]) -> str | None:
-    """The one pattern that all names have with ``{camera}`` for the camera; None if there is none."""
-    general = {re.sub(r"(?i)cam(era)?[_-]?\d+", "{camera}", name) for name in names}
-    pattern = general.pop()
-    return pattern if not general and "{camera}" in pattern else None
+def _patterns(key: str, names: Sequence[str], cameras: Sequence[str]) -> Iterator[str]:
+    """A line with patterns of target images, each with ``{camera}`` where its name contains the camera."""
+    patterns = common_patterns(names, cameras)
+    if len(patterns) == 1:
+        yield f'  {key}: "{patterns[0]}"      # from {names[0]} and others'
+    elif patterns and key == "tilted":
+        yield f"  {key}: [{_quoted(patterns)}]"
+    else:
+        comment = "  # " if key == "flat" else "  "
+        yield (
+            f"{comment}{key}: [{_quoted(names[:6])}]      # TO FILL IN: one pattern with {{camera}} where a "
+            f"name contains the camera ({', '.join(cameras)})"
+        )
 
 
-def _rest(records: list[NumberedImages]) -> Iterator[str]:
+def _quoted(words: Sequence[str]) -> str:
+    return ", ".join(f'"{word}"' for word in words)
+
+
+def _rest(records: list[NumberedImages], cameras: Sequence[str]) -> Iterator[str]:
     if not records:
         yield '# rest: "rest/{camera}/img_{frame:05d}.tif"     # images of still, seeded water level the rig'
         return
-    patterns = [s.pattern for s in records]
-    named_alike = all(f"cam{k}" in pattern for k, pattern in enumerate(patterns, 1))  # as this proposal does
-    pattern = _common_pattern(patterns)
-    if pattern and named_alike:
-        yield f'rest: "{pattern}"      # still water? `wavefield calibrate` levels the rig by it'
+    patterns = [one.pattern for one in records]
+    common = common_patterns(patterns, cameras)
+    if len(common) == 1:
+        yield f'rest: "{common[0]}"      # still water? `wavefield calibrate` levels the rig by it'
         return
-    listed = ", ".join(f'cam{k}: "{pattern}"' for k, pattern in enumerate(patterns, 1))
+    listed = ", ".join(f'{name}: "{pattern}"' for name, pattern in zip(cameras, patterns))
     yield f"rest: {{{listed}}}      # perhaps still water; is each of its own camera?"
 
 
 def _probes(folder: Path) -> Iterator[str]:
-    tables = sorted(p for p in folder.rglob("*") if p.suffix.lower() in (".csv", ".txt") and p.is_file())
+    """The file that is most likely of wave probes: by its name, then by its ending."""
+    from wavefield.waves.probes.probe_files import read_probes, suggested_columns
+
+    tables = [p for p in folder.rglob("*") if p.suffix.lower() in (".csv", ".txt", ".dat") and p.is_file()]
+    tables = [
+        p
+        for p in tables
+        if not _NO_PROBES.search(p.stem)
+        and not _TARGETS.search(p.relative_to(folder).as_posix())
+        and (p.suffix.lower() == ".csv" or _PROBES.search(p.stem))
+    ]
+    tables.sort(key=lambda p: (not _PROBES.search(p.stem), p.suffix.lower() != ".csv", p))
     for path in tables[:1]:
+        name = path.relative_to(folder).as_posix()
         try:
-            with path.open(encoding="utf-8-sig") as stream:
-                header = next((line.strip() for line in stream if not line.startswith("#")), "")
-        except (OSError, UnicodeDecodeError):
-            return
-        yield f"probes: {path.relative_to(folder).as_posix()}     # its header: {header[:60]}"
+            read_probes(path)
+        except ExperimentError as error:
+            columns = suggested_columns(path, name)
+            yield (
+                f"probes: {columns}      # check its columns"
+                if columns
+                else f"# probes: {name}     # {error}"
+            )
+        else:
+            yield f"probes: {name}     # where they are: `places: {{p1: [x, y]}}` in metres, or in the file"

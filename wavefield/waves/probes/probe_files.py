@@ -75,7 +75,7 @@ def read_probes(
     Raises
     ------
     ExperimentError
-        If the file cannot be read, a line does not fit the header, time does not rise, or the numbers are
+        If the file cannot be read, a line does not fit the header, time is not increasing, or the numbers are
         no metres; the message names the line.
 
     Notes
@@ -196,6 +196,8 @@ def _places(lines: list[str]) -> dict[str, tuple[float, float]]:
 
 
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "s": 1.0, "ms": 0.001}
+MAX_HEADER_LINES = 40  # of a logger's file, before its numbers
+_TIME_HEAD = re.compile(r"(time|zeit|temps|tiempo|tempo|t|sec|secs|seconds)\b", re.IGNORECASE)
 _TIMES = ("time", "t", "zeit", "temps", "tiempo")
 
 
@@ -233,8 +235,44 @@ def _header(path: Path, body: list[tuple[int, str]], unit: str) -> tuple[list[_C
         own = own or ("" if not columns else unit)
         columns.append(_Column(name, _UNITS.get(own, 1.0), bool(own)))
     if len(columns) < 2 or columns[0].name.lower() not in _TIMES:
-        raise ExperimentError(f"{path}, line {number}: no header 'time,<names>': write one above the numbers")
+        form = _columns_form([text for _, text in body], path.name)
+        remedy = f", or name the columns in the experiment file: `probes: {form}`" if form else ""
+        raise ExperimentError(
+            f"{path}, line {number}: no header 'time,<names>': write one above the numbers{remedy}"
+        )
     return columns, separator
+
+
+def suggested_columns(path: Path, name: str) -> str:
+    """The form of `probes:` that names the columns of a file with another header; empty without a table."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return _columns_form([line for line in lines if line.strip() and not line.startswith("#")], name)
+
+
+def _columns_form(lines: list[str], name: str) -> str:
+    separator = _separator(lines)
+    rows = [[cell.strip().strip('"') for cell in line.split(separator)] for line in lines[:MAX_HEADER_LINES]]
+    of_numbers = [len(row) > 1 and all(_is_number(cell) for cell in row if cell) for row in rows]
+    if not any(of_numbers):
+        return ""
+    first = of_numbers.index(True)
+    width = len(rows[first])
+    head = rows[first - 1] if first and len(rows[first - 1]) == width else []
+    if not head or not all(head):  # by their numbers
+        columns = ", ".join(f"p{k}: {k + 1}" for k in range(1, width))
+        return f"{{file: {name}, time: 1, columns: {{{columns}}}}}"
+    time = next((k for k, cell in enumerate(head) if _TIME_HEAD.match(cell)), 0)
+    parts = [f'{_probe_name(cell, k)}: "{cell}"' for k, cell in enumerate(head) if k != time]
+    return f'{{file: {name}, time: "{head[time]}", columns: {{{", ".join(parts)}}}}}'
+
+
+def _probe_name(cell: str, k: int) -> str:
+    """A name for the probe of a column: its header without unit and blanks."""
+    plain = re.sub(r"\s*[\[(].*$", "", cell)
+    return re.sub(r"\W+", "", plain) or f"p{k}"
 
 
 def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], separator: str | None) -> Array:
@@ -258,7 +296,7 @@ def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], sepa
     table = np.array(rows) * [column.factor for column in columns]
     rising = np.diff(table[:, 0]) > 0
     if not rising.all():
-        raise ExperimentError(f"{path}, line {body[int(np.argmin(rising)) + 1][0]}: time does not rise")
+        raise ExperimentError(f"{path}, line {body[int(np.argmin(rising)) + 1][0]}: time is not increasing")
     for k, column in enumerate(columns[1:], 1):
         known = np.isfinite(table[:, k])
         values = table[known, k]
