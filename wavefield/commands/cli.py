@@ -19,6 +19,7 @@ from wavefield.commands import (
     experiment_commands,
     look,
     simulate_command,
+    target_command,
     wave_commands,
 )
 from wavefield.errors import WavefieldError
@@ -72,6 +73,7 @@ for _command in (
     simulate_command.simulate,
     experiment_commands.init,
     check_command.check,
+    target_command.target,
     calibrate_command.calibrate,
     calibrate_command.refine,
     experiment_commands.run,
