@@ -69,7 +69,7 @@ def test_lengths_in_the_pdf_are_exact(mesh, paper):
     target_page(target).savefig(file, format="pdf")
     page, corners = _extent_mm(file.getvalue())
     assert page == pytest.approx(paper, abs=1e-3)
-    board = corners[corners[:, 1] > 25]  # above the caption
+    board = corners[corners[:, 1] > 20]  # above the caption
     assert np.ptp(board, axis=0) == pytest.approx([10e3 * mesh, 7e3 * mesh], abs=1e-3)
     line = corners[corners[:, 1] < 11]
     assert np.ptp(line[:, 0]) == pytest.approx(100, abs=1e-3)
