@@ -306,3 +306,8 @@ def test_blocks_fit_memory_and_workers():
         # no worker sits idle while another does more than one block
         assert math.ceil(blocks / workers) * workers - blocks < workers
     assert choose_chunk_steps(12_000, 1, step, 200_000_000) < 32
+
+
+def test_check_states_that_the_cameras_were_not_compared(tank):
+    words = str(check(tank))
+    assert "patches matched: none, the cameras have too small a part of the water in common" in words

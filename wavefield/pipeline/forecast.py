@@ -195,6 +195,8 @@ class Check:
                 for pair, one in self.verdict.pairs.items()
             ]
             lines.append(f"  patches matched: {'; '.join(pairs)}")
+        elif self.verdict and len(self.rig) > 1 and "coverage" in self.shares:
+            lines.append("  patches matched: none, the cameras have too small a part of the water in common")
         lines += [f"  clocks: {self.sentences['clocks']}"] if self.sentences.get("clocks") else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
