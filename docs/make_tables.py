@@ -54,6 +54,7 @@ def cube() -> str:
         "z_level_std",
         "frame_status",
         "frame",
+        "camera",
         "frame_fault",
         "checksum",
         "stored_bytes",

@@ -27,6 +27,7 @@ from wavefield.store.ledger import status
 from wavefield.store.pivpy import to_pivpy
 from wavefield.store.read import open_cube
 from wavefield.store.verify import verify
+from wavefield.store.wave_store import open_waves
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate
 from wavefield.waves.dispersion_relation.current_by_depth import current_by_depth
@@ -89,6 +90,7 @@ __all__ = [
     "match",
     "open_cube",
     "open_run",
+    "open_waves",
     "paper",
     "predicted_gain",
     "propose",

@@ -1,6 +1,7 @@
-"""Durations and ranges of numbers in words, the same everywhere."""
+"""Durations, ranges of numbers and small tables for people, the same everywhere."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from html import escape
 
 
 def spell_time(seconds: float) -> str:
@@ -37,3 +38,20 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
             ranges.append([number, number])
     words = [str(a) if a == b else f"{a}-{b}" for a, b in ranges[:most]]
     return ", ".join(words) + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")
+
+
+def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A small table as notebooks show it.
+
+    Examples
+    --------
+    >>> html_table("Rig", ["camera"], [["<1>"]])
+    '<b>Rig</b><table><tr><th>camera</th></tr><tr><td>&lt;1&gt;</td></tr></table>'
+    """
+    lines = [("th", head), *(("td", row) for row in rows)]
+    text = "".join(
+        "<tr>" + "".join(f"<{kind}>{escape(str(cell))}</{kind}>" for cell in line) + "</tr>"
+        for kind, line in lines
+        if line
+    )
+    return f"<b>{escape(title)}</b><table>{text}</table>"

@@ -19,7 +19,6 @@ from wavefield.execution.lock import Lock
 from wavefield.pipeline import Workflow, chunk_worker, open_cube, run, status
 from wavefield.store import write_cube
 from wavefield.store.layout import PACKING
-from wavefield.store.read import cube_recipe
 from wavefield.store.write_cube import pack, write_chunk
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
 
@@ -64,7 +63,7 @@ def test_a_cube_explains_itself(reference):
     np.testing.assert_allclose(cube.time, (np.arange(STEPS) + 0.5) / 20.0)
     assert cube.attrs["frame_rate"] == 20.0
     assert cube.attrs["water_depth"] == 0.7
-    recipe = cube_recipe(cube)
+    recipe = cube.wavefield.recipe
     assert recipe["rig"]["cam3"]["size"] == [292, 207]
     assert recipe["grid"]["step"] == 0.01
     assert "piv" in recipe["settings"]

@@ -97,3 +97,21 @@ def test_lazy_images_travel_to_other_processes(experiment):
     image = xr.open_dataset(experiment, engine="wavefield", group="cam1").image
     again = pickle.loads(pickle.dumps(image[2:4]))
     np.testing.assert_array_equal(again.values[:, 0, 0], [5, 6])
+
+
+def test_each_image_carries_the_name_of_its_camera(experiment):
+    tree = xr.open_datatree(experiment, engine="wavefield")
+    assert [str(tree[name].image.camera.values) for name in tree.children] == ["cam1", "cam2"]
+    rows, columns = 4, 5
+    same = [tree[name].image.isel(row=slice(rows), column=slice(columns)) for name in tree.children]
+    assert list(xr.concat(same, "camera").camera.values) == ["cam1", "cam2"]
+
+
+def test_an_experiment_in_a_notebook_is_a_short_table(experiment):
+    from wavefield.series import Experiment
+
+    shown = Experiment.load(experiment)
+    assert repr(shown) == "Experiment('basin', cam1, cam2, 20 Hz)"
+    text = shown._repr_html_()
+    assert all(part in text for part in ("Experiment basin", "cam1/*.tif", "0.5 m", "auto", "rig.yaml"))
+    assert text.count("<tr>") <= 12

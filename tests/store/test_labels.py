@@ -12,7 +12,7 @@ from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
 from wavefield.pipeline import chunk_worker, open_cube, open_run, run
 from wavefield.store.preview import open_preview, read_steps, thinning
-from wavefield.store.read import cube_recipe, open_group
+from wavefield.store.read import open_group
 from wavefield.store.relabel import RATES
 
 
@@ -53,9 +53,9 @@ def test_changed_labels_relabel_a_cube(own_tank, cube, reference):
         assert after[name].dtype == np.float32
         np.testing.assert_allclose(after[name], 1.25 * before[name], rtol=2e-7)
     assert after.attrs["water_depth"] == 0.65
-    assert after.attrs["experiment"] == cube_recipe(after)["experiment"] == "large tank"
+    assert after.attrs["experiment"] == after.wavefield.recipe["experiment"] == "large tank"
     assert after.attrs["description"] == "a second look"
-    assert cube_recipe(after)["software"] == cube_recipe(before)["software"]
+    assert after.wavefield.recipe["software"] == before.wavefield.recipe["software"]
     assert "labelled anew, nothing is measured again: frame_rate" in (cube.parent / "cube.log").read_text()
     plain = xr.open_zarr(cube)  # by stock readers alike
     np.testing.assert_allclose(plain.w, after.w, rtol=1e-7)

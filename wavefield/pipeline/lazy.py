@@ -1,9 +1,10 @@
 """The lazy cube: `reconstruct` maps the measurement over chunks of steps, one Dask task each."""
 
+import threading
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import getitem
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import dask
@@ -11,17 +12,18 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 from dask.delayed import Delayed
-from dask.highlevelgraph import HighLevelGraph
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.pipeline.chunk import Chunk, make_chunk, measure_chunk
+from wavefield.pipeline.lazy_steps import LazySteps
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.rig import Rig
+from wavefield.rig.field import common_field
+from wavefield.rig.formats import load_rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Frame
 from wavefield.series.frames import check_content
-from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annotate
+from wavefield.variables import CUBE_FIELDS, TABLE, FrameFault, annotate
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, Model, Settings
@@ -76,8 +78,8 @@ class ArraySource:
 
 def reconstruct(
     frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
-    rig: Rig,
-    grid: Grid,
+    rig: Rig | str | Path,
+    grid: Grid | None = None,
     settings: "Settings | None" = None,
     *,
     steps_per_task: int = STEPS_PER_TASK,
@@ -86,9 +88,9 @@ def reconstruct(
     """Turn image series into a lazy cube of elevation and velocity.
 
     Nothing is read or computed before values are requested; then four sample steps of the whole series give
-    the weights of every step: beads, spectra, noise. To measure a few steps only, select their
-    frames first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a
-    store that survives interruptions, use `wavefield.pipeline.run`.
+    the weights of every step: beads, spectra, noise. They are measured once and kept with the cube. Of a
+    selection, such as ``cube.z.isel(time=0).plot()``, only its own steps are measured. To process a whole
+    experiment into a store that survives interruptions, use `wavefield.pipeline.run`.
 
     Parameters
     ----------
@@ -98,17 +100,17 @@ def reconstruct(
         ``mask`` next to an image, (row, column) or (time, row, column), is true where pixels do not count.
         All have the same times, evenly spaced; a coordinate ``departure`` (time) of the images, which
         an experiment with time stamps has, says by how many intervals later each was really taken.
-    rig : Rig
-        The cameras.
-    grid : Grid
-        Nodes at which to measure, metres.
+    rig : Rig or path
+        The cameras, or their file: ``rig.yaml``, or one of another program (`load_rig`).
+    grid : Grid, optional
+        Nodes at which to measure, metres; by default the largest rectangle that all cameras see.
     settings : wavefield.measurement.Settings, optional
         Choices of the measurement.
     steps_per_task : int
         Steps that one task measures; it does not change the values.
     record : mapping, optional
-        What was learned from the whole record, ``json.loads(cube.attrs["recipe"])["record"]`` of an earlier
-        cube: then a few of its steps come out as they are there. Otherwise it is learned from these frames.
+        What was learned from the whole record, ``cube.wavefield.recipe["record"]`` of an earlier cube: then
+        a few of its steps come out as they are there. Otherwise it is learned from these frames.
 
     Returns
     -------
@@ -119,6 +121,9 @@ def reconstruct(
     ------
     ExperimentError
         If cameras are missing, or times are not evenly spaced.
+    RigError
+        If the rig's file cannot be read, the images have other sizes than its cameras, or these have no
+        field in common and no grid is given.
 
     Examples
     --------
@@ -139,9 +144,16 @@ def reconstruct(
     0.025
     """
     from wavefield.measurement import GridGeometry, Settings
+    from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
 
     settings = Settings() if settings is None else settings
     arrays, attributes = _arrays(frames)
+    if not isinstance(rig, Rig):
+        sizes = {name: (array.shape[-1], array.shape[-2]) for name, array in arrays.items()}
+        rig = load_rig(rig, sizes, list(arrays))
+    if grid is None:
+        half_sheet = settings.sheet_thickness and 0.5 * settings.sheet_thickness
+        grid = common_field(rig.cameras.values(), height=settings.z_range or half_sheet)
     geometry = GridGeometry(rig, grid, settings)
     absent = [name for name in geometry.cameras if name not in arrays]
     if absent:
@@ -157,23 +169,11 @@ def reconstruct(
     steps = len(times) - 1
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
-    known = dask.delayed(_known, pure=False, traverse=True)(
-        samples(sources, steps), geometry, record, dask_key_name=f"learn-{token}"
+    known = dask.delayed(_Learner(geometry, record), pure=False, traverse=False)(
+        samples(sources, steps), dask_key_name=f"learn-{token}"
     )
-    measure = dask.delayed(_measure, pure=False, traverse=True)
-    tasks = [
-        measure(
-            make_chunk(sources, *edge, departures),
-            known,
-            frame_rate,
-            dask_key_name=f"measure-{token}-{k}",
-        )
-        for k, edge in enumerate(edges)
-    ]
-    variables = {
-        name: (TABLE[name].dims, _assemble(name, tasks, token, edges, grid.shape))
-        for name in (*CUBE_FIELDS, "frame_status")
-    }
+    lazy = LazySteps(sources, departures, frame_rate, known, grid.shape, token)
+    variables = {name: (TABLE[name].dims, lazy.array(name, edges)) for name in (*CUBE_FIELDS, "frame_status")}
     once: Any = dask.delayed(_from_record, pure=False)(known)
     gain, axes = _gain(once, geometry)
     path_frames = da.from_delayed(once["path_frames"], (), np.uint8)
@@ -187,7 +187,7 @@ def reconstruct(
         for name in ("experiment", "water_depth", "surface_tension_over_density")
         if name in attributes
     }
-    return annotate(out, "gain")
+    return annotate(out.set_coords(list(gain)), "gain")
 
 
 def _gain(
@@ -205,21 +205,36 @@ def _gain(
     return gain, {name: table[name] for name in dims}
 
 
-def _known(
-    pairs: Sequence[Mapping[str, Any]], geometry: "GridGeometry", record: Mapping[str, object] | None
-) -> "Known":
-    """The geometry that includes the water's motion and elevations, and what was learned from the record."""
-    from wavefield.measurement import LearnedRecord, Model
-    from wavefield.measurement.searched import search_widened
+class _Learner:
+    """The geometry that includes the water's motion, and what sample steps show: learned once, then kept."""
 
-    if record is None:  # else the ranges are those of the settings, as in the earlier cube
-        frames = [
-            ({n: s.read(0).image for n, s in pair.items()}, {n: s.read(1).image for n, s in pair.items()})
-            for pair in pairs[:SEARCHED_STEPS]
-        ]
-        geometry = search_widened(frames, geometry)
-    learned = learn_from(pairs, geometry) if record is None else record
-    return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
+    def __init__(self, geometry: "GridGeometry", record: Mapping[str, object] | None) -> None:
+        self.geometry, self.record = geometry, record
+        self._known: Known | None = None
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Learner, (self.geometry, self.record)
+
+    def __call__(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
+        with self._lock:
+            if self._known is None:
+                self._known = self._learn(pairs)
+            return self._known
+
+    def _learn(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
+        from wavefield.measurement import LearnedRecord, Model
+        from wavefield.measurement.searched import search_widened
+
+        geometry, learned = self.geometry, self.record
+        if learned is None:  # else the ranges are those of the settings, as in the earlier cube
+            frames = [
+                ({n: s.read(0).image for n, s in pair.items()}, {n: s.read(1).image for n, s in pair.items()})
+                for pair in pairs[:SEARCHED_STEPS]
+            ]
+            geometry = search_widened(frames, geometry)
+            learned = learn_from(pairs, geometry)
+        return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
@@ -231,28 +246,6 @@ def _from_record(known: "Known") -> dict[str, np.ndarray]:
     record = model.record if model else None
     level, frames = np.float64(level_std(geometry, record)), np.uint8(record.path_frames if record else 4)
     return tabulated(geometry, record) | {"z_level_std": np.asarray(level), "path_frames": np.asarray(frames)}
-
-
-def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> dict[str, np.ndarray]:
-    geometry, model = known
-    measured = measure_chunk(chunk, geometry, frame_rate, model)
-    return {**measured.fields, "frame_status": measured.frame_status}
-
-
-def _assemble(
-    name: str, tasks: Sequence[Delayed], token: str, edges: Sequence[tuple[int, int]], shape: tuple[int, int]
-) -> da.Array:
-    """One variable as a Dask array over the tasks that measure the chunks."""
-    row = TABLE[name]
-    cube = row.dims == CUBE_DIMS
-    key = f"{name}-{token}"
-    layer: dict[Any, Any] = {
-        (key, k, *((0, 0) if cube else ())): (getitem, task.key, name) for k, task in enumerate(tasks)
-    }
-    graph = HighLevelGraph.from_collections(key, layer, dependencies=list(tasks))  # type: ignore[arg-type]
-    sizes = tuple(stop - start for start, stop in edges)
-    chunks = (sizes, (shape[0],), (shape[1],)) if cube else (sizes,)
-    return da.Array(graph, key, chunks=chunks, dtype=row.dtype)
 
 
 def _arrays(

@@ -1,6 +1,5 @@
 """A cube with everything that belongs to it: recipe, rig, experiment, images, probes, waves, truth."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,6 +17,7 @@ from wavefield.series.camera_mask import CameraMask
 from wavefield.series.masks import covered_series
 from wavefield.store.camera_pairs import read_pair_statistics
 from wavefield.store.read import open_cube
+from wavefield.store.recipe import recipe_of
 from wavefield.store.store_paths import beside
 from wavefield.store.wave_store import open_waves
 
@@ -73,11 +73,10 @@ class Run:
     @cached_property
     def recipe(self) -> dict[str, Any]:
         """What the cube was made from, as plain data; empty if it does not state it."""
-        try:
-            return dict(json.loads(self.cube.attrs["recipe"]))
-        except (KeyError, TypeError, ValueError):
+        found = recipe_of(self.cube.attrs)
+        if not found:
             self._reasons["recipe"] = "the cube does not state how it was made"
-            return {}
+        return found
 
     @cached_property
     def rig(self) -> Rig | None:

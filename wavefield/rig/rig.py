@@ -13,6 +13,7 @@ from wavefield.atomic_write import RIG, write_text
 from wavefield.errors import RigError
 from wavefield.file_access import accessing
 from wavefield.rig.camera import Camera
+from wavefield.text import html_table
 
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
@@ -64,6 +65,28 @@ class Rig:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+    def __repr__(self) -> str:
+        return f"Rig({', '.join(self.cameras)})"
+
+    def _repr_html_(self) -> str:
+        calibrated = self.provenance.get("cameras", {})
+        rows = []
+        for name, camera in self.cameras.items():
+            x, y, z = camera.centre
+            rms = calibrated.get(name, {}).get("rms_px") if isinstance(calibrated, Mapping) else None
+            width, height = camera.size
+            rows.append(
+                [
+                    name,
+                    f"{width} x {height} px",
+                    f"{camera.fx:.0f} px",
+                    f"{x:.3f}, {y:.3f}, {z:.3f} m",
+                    "" if rms is None else f"{rms:.3f} px",
+                ]
+            )
+        head = ["camera", "image", "focal length", "position x, y, z", "rms of calibration"]
+        return html_table(f"Rig of {len(self)} cameras", head, rows)
 
     def moved(self, axes: ArrayLike, origin: ArrayLike, **provenance: object) -> "Rig":
         """Re-express the rig in another physical frame.

@@ -1,4 +1,4 @@
-"""The xarray engine: ``xr.open_datatree("experiment.yaml", engine="wavefield")``."""
+"""The xarray engine: ``xr.open_datatree("experiment.yaml", engine="wavefield")``, or a cube's store."""
 
 import warnings
 from collections.abc import Iterable
@@ -13,6 +13,7 @@ from xarray.core import indexing
 from wavefield.series.departures import frame_departures
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
+from wavefield.store.read import open_cube
 from wavefield.variables import TABLE
 
 CHUNK_BYTES = 100_000_000  # read at once
@@ -54,9 +55,9 @@ class FrameArray(BackendArray):
 
 
 class ExperimentBackend(BackendEntrypoint):
-    """Opens the images of an experiment file lazily."""
+    """Opens the images of an experiment file, or a cube, lazily."""
 
-    description = "image series of the cameras of an experiment file"
+    description = "cubes, and image series of the cameras of an experiment file"
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "group", "folder")
     supports_groups = True
 
@@ -76,7 +77,10 @@ class ExperimentBackend(BackendEntrypoint):
         group: str | None = None,
         folder: str | None = None,
     ) -> xr.Dataset:
-        """Open one camera (``group="cam1"``), or all as variables named after the cameras."""
+        """Open one camera (``group="cam1"``), or all as variables named after the cameras; or a cube."""
+        path = Path(str(filename_or_obj).removeprefix("file://"))
+        if path.is_dir() or path.suffix == ".zarr":
+            return _cube(path).drop_vars(_listed(drop_variables))
         groups = self.open_groups_as_dict(filename_or_obj, folder=folder)
         root = groups.pop("/")
         name = (group or "").strip("/")
@@ -126,12 +130,23 @@ class ExperimentBackend(BackendEntrypoint):
         return xr.DataTree.from_dict(groups)
 
 
+def _cube(path: Path) -> xr.Dataset:
+    """A cube without Dask; ``chunks={}`` of xarray takes the chunks of the store."""
+    cube = open_cube(path, chunks=None)
+    for variable in cube.variables.values():
+        if "time" in variable.dims:
+            steps = {"time": int(cube.attrs["steps_per_block"])}
+            variable.encoding["preferred_chunks"] = {**dict(zip(variable.dims, variable.shape)), **steps}
+    return cube
+
+
 def _listed(names: str | Iterable[str] | None) -> list[str]:
     return [names] if isinstance(names, str) else list(names or [])
 
 
 def _named(camera: xr.Dataset, name: str) -> xr.Dataset:
-    return camera.rename(image=name, row=f"{name}_row", column=f"{name}_column", present=f"{name}_present")
+    own = {part: f"{name}_{part}" for part in ("row", "column", "present")}
+    return camera.drop_vars("camera").rename({"image": name} | own)
 
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
@@ -152,7 +167,8 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
             "image": image,
             "present": ("time", present, TABLE["frames/present"].of(series.camera, "1")),
         },
-        {} if departures is None else {"departure": (late.dims, departures, late.attrs)},
+        {"camera": ((), series.camera, TABLE["frames/camera"].attrs)}
+        | ({} if departures is None else {"departure": (late.dims, departures, late.attrs)}),
     )
 
 

@@ -31,6 +31,7 @@ from wavefield.series.experiment_parts import (
 from wavefield.series.frames import FrameSeries
 from wavefield.series.rates import one_rate, recorded_rates
 from wavefield.series.record import open_record
+from wavefield.text import html_table
 
 
 class Experiment(RecordSection):
@@ -77,6 +78,24 @@ class Experiment(RecordSection):
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
 
     _path: Path = PrivateAttr(default=Path("experiment.yaml"))
+
+    def __repr__(self) -> str:
+        return f"Experiment({self.name!r}, {', '.join(self.cameras)}, {self.frame_rate:g} Hz)"
+
+    def _repr_html_(self) -> str:
+        auto = isinstance(self.grid, str) or self.grid.x is None
+        grid = "auto" if auto else f"x {self.grid.x} m, y {self.grid.y} m, step {self.grid.step:g} m"
+        depth = self.water.depth
+        rows = [
+            ["file", self._path],
+            ["frame rate", f"{self.frame_rate:g} Hz"],
+            *([name, camera.images] for name, camera in self.cameras.items()),
+            ["rig", ", ".join(str(path.name) for path in self.rig_paths)],
+            ["grid", grid],
+            ["water depth", "not given: deep water" if depth is None else f"{depth:g} m"],
+            *([["probes", self.probes.file]] if self.probes else []),
+        ]
+        return html_table(f"Experiment {self.name}", [], rows)
 
     @model_validator(mode="before")
     @classmethod

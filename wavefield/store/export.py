@@ -10,7 +10,8 @@ import numpy as np
 from wavefield.atomic_write import OwnFile, atomic, check_writable, files_named, marked, write_text
 from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
-from wavefield.store.read import cube_recipe, open_cube
+from wavefield.store.read import open_cube
+from wavefield.store.recipe import recipe_of
 from wavefield.variables import TABLE
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def _vtkhdf(cube: "xr.Dataset", path: Path) -> None:
 def _uvmat(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_uvmat import write_uvmat
 
-    dt = 1.0 / float(cube_recipe(cube)["frame_rate"])
+    dt = 1.0 / float(recipe_of(cube.attrs)["frame_rate"])
     with atomic(path, PRODUCTS["uvmat"]) as draft:
         write_uvmat(_by_steps(cube), draft, path.stem, dt)
 

@@ -19,6 +19,7 @@ def write_matlab(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> 
     step can be read without the rest (``matfile``). ``units`` and ``long_name`` are structs of texts;
     ``recipe`` is JSON (``jsondecode``).
     """
+    cube = cube.drop_vars([name for name, variable in cube.variables.items() if variable.dtype.kind in "UOT"])
     with h5py.File(path, "w", userblock_size=_HEADER) as file:
         for name, variable in cube.variables.items():
             _lay_out(file, str(name), variable)

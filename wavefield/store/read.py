@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 import zarr
@@ -13,6 +13,7 @@ from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, StoreLayout
 from wavefield.store.ledger_files import check_chunks
 from wavefield.store.metadata import check_metadata
+from wavefield.variables import TABLE
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
@@ -76,6 +77,8 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
         The variables of `wavefield.variables`, attributes with the recipe; steps not yet measured are NaN.
         Where the run found jitter of the frame times that no time stamps state, the standard uncertainties
         contain it (`with_jitter`).
+        The names of the cameras and the response to waves (``gain_z``, ...) are coordinates; the recipe, the
+        rig, the response and the flags of `quality` are read with ``cube.wavefield``.
 
     Raises
     ------
@@ -108,7 +111,16 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
 
 def open_without_jitter(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     """As `open_cube`, with the uncertainties as they were measured, step by step."""
-    cube = open_stored(path, chunks).drop_vars(["checksum", "stored_bytes"], errors="ignore")
+    from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
+
+    stored = open_stored(path, chunks)
+    stored = stored.drop_vars(["checksum", "stored_bytes"], errors="ignore")
+    stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])
+    order = [name for name in TABLE if name in stored.data_vars]
+    cube = stored[[*order, *(name for name in stored.data_vars if name not in order)]]
+    cube = cube.assign_coords(stored.coords)
+    cube = cube.assign_coords(camera=("camera", np.array(stored.attrs["cameras"]), TABLE["camera"].attrs))
+    cube.encoding.pop("coordinates", None)
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked
             cube[name] = cube[name].astype("float32")
@@ -158,9 +170,3 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
         ) from None
     out.encoding["source"] = str(path)
     return out
-
-
-def cube_recipe(dataset: "xr.Dataset") -> dict[str, Any]:
-    """The recipe in the attributes of a cube."""
-    recipe: dict[str, Any] = json.loads(dataset.attrs["recipe"])
-    return recipe

@@ -14,6 +14,14 @@ from wavefield.errors import StoreError
 from wavefield.store.cube_group import CubeGroup
 
 
+def recipe_of(attributes: Mapping[Any, Any]) -> dict[str, Any]:
+    """The recipe in the attributes of a cube, as plain data; empty if there is none."""
+    try:
+        return dict(json.loads(attributes["recipe"]))
+    except (KeyError, TypeError, ValueError):
+        return {}
+
+
 @dataclass(frozen=True)
 class Recipe:
     """What a cube was made from and how."""

@@ -41,8 +41,38 @@ def write_waves(tree: xr.DataTree, path: str | Path) -> None:
 
 
 def open_waves(path: str | Path) -> xr.DataTree:
-    """Open a store of waves, lazily."""
-    path = Path(path)
+    """Open a store of waves, lazily.
+
+    Parameters
+    ----------
+    path : path
+        Store written by `wavefield analyze`.
+
+    Returns
+    -------
+    DataTree
+        One group per product: ``spectra``, ``komega``, ``coherence``, ...; attributes and variables are in
+        the page on file formats.
+
+    Raises
+    ------
+    StoreError
+        If it is not there or is damaged: the message names the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import wavefield as wf
+    >>> group = xr.Dataset({"E_w": ("omega", [0.1, 0.2])}, {"omega": [6.0, 12.0]})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_waves(xr.DataTree.from_dict({"spectra": group}), Path(folder) / "waves.zarr")
+    ...     waves = wf.open_waves(Path(folder) / "waves.zarr").load()
+    >>> float(waves["spectra/E_w"].sel(omega=12.0))
+    0.2
+    """
+    path = Path(str(path).removeprefix("file://"))
+    if not path.is_dir():
+        raise StoreError(f"{path}: no such wave store; write one with `wavefield analyze CUBE`")
     try:
         _check(path)
         return xr.open_datatree(path, engine="zarr", chunks={})

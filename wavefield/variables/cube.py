@@ -104,6 +104,7 @@ CUBE_FIELDS = tuple(name for name, row in TABLE.items() if row.dims == CUBE_DIMS
 
 register(
     Variable("frame", ("frame",), "1", "frame number", dtype="int64"),
+    Variable("camera", ("camera",), "", "camera", dtype="str"),
     Variable(
         "frame_fault",
         ("camera", "frame"),
@@ -125,6 +126,7 @@ register(
 register(
     replace(TABLE["time"], long_name="time of the frame", group="frames"),
     Variable("frame", ("time",), "1", "frame number", dtype="int64", group="frames"),
+    Variable("camera", (), "", "camera", dtype="str", group="frames"),
     Variable("image", ("time", "row", "column"), "1", "image", dtype="uint8", group="frames"),
     Variable("present", ("time",), "1", "presence of a file", dtype="bool", group="frames"),
     Variable(
