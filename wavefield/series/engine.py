@@ -13,7 +13,7 @@ from xarray.core import indexing
 from wavefield.series.departures import frame_departures
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
-from wavefield.store.read import open_cube
+from wavefield.store.read import JITTER, open_cube, open_without_jitter
 from wavefield.variables import TABLE
 
 CHUNK_BYTES = 100_000_000  # read at once
@@ -131,8 +131,10 @@ class ExperimentBackend(BackendEntrypoint):
 
 
 def _cube(path: Path) -> xr.Dataset:
-    """A cube without Dask; ``chunks={}`` of xarray takes the chunks of the store."""
-    cube = open_cube(path, chunks=None)
+    """A cube as `open_cube` gives it; ``chunks={}`` of xarray takes the chunks of the store."""
+    cube = open_without_jitter(path, chunks=None)
+    if any(name in cube.attrs for name in JITTER):
+        cube = open_cube(path)  # whose uncertainties are computed when they are read
     for variable in cube.variables.values():
         if "time" in variable.dims:
             steps = {"time": int(cube.attrs["steps_per_block"])}
