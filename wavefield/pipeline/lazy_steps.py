@@ -40,7 +40,7 @@ class LazySteps:
         graph = HighLevelGraph.from_collections(key, layer, dependencies=tasks)  # type: ignore[arg-type]
         sizes = tuple(stop - start for start, stop in pieces)
         chunks = (sizes, *((n,) for n in self.shape)) if cube else (sizes,)
-        out = StepsArray(graph, key, chunks=chunks, dtype=row.dtype)
+        out: StepsArray = da.Array.__new__(StepsArray, graph, key, chunks, row.dtype)
         out.lazy_steps, out.variable, out.pieces = self, name, tuple(pieces)
         return out
 
@@ -65,7 +65,7 @@ class _DaskType(type):
         return hash(da.Array)
 
 
-class StepsArray(da.Array, metaclass=_DaskType):  # type: ignore[misc]
+class StepsArray(da.Array, metaclass=_DaskType):
     """A variable of the lazy cube; what is selected along time is measured without the rest of its chunks."""
 
     __slots__ = ("lazy_steps", "pieces", "variable")
@@ -74,22 +74,24 @@ class StepsArray(da.Array, metaclass=_DaskType):  # type: ignore[misc]
     variable: str
     pieces: tuple[tuple[int, int], ...]
 
-    def __getitem__(self, index: Any) -> da.Array:
+    def __getitem__(self, index: Any) -> Any:
+        whole: Any = super()
         first, *rest = index if isinstance(index, tuple) else (index,)
-        if not isinstance(first, int | np.integer | slice | list | np.ndarray) or np.ndim(first) > 1:
-            return super().__getitem__(index)
+        if not isinstance(first, int | np.integer | slice | list | np.ndarray):
+            return whole.__getitem__(index)
         steps = np.concatenate([np.arange(*piece) for piece in self.pieces])
         requested = np.atleast_1d(steps[first])
         own = np.unique(requested)
         pieces = _runs(own, [start for start, _ in self.pieces])
         touched = [(a, b) for a, b in self.pieces if ((own >= a) & (own < b)).any()]
         if not pieces or _cost(pieces) >= _cost(touched):
-            return super().__getitem__(index)
+            return whole.__getitem__(index)
         if isinstance(first, int | np.integer):
             place: Any = 0
         else:
             place = slice(None) if np.array_equal(own, requested) else np.searchsorted(own, requested)
-        return da.Array.__getitem__(self.lazy_steps.array(self.variable, pieces), (place, *rest))
+        own_steps: Any = super(StepsArray, self.lazy_steps.array(self.variable, pieces))
+        return own_steps.__getitem__((place, *rest))
 
     def __reduce__(self) -> Any:  # elsewhere it is an array of whole chunks
         return da.Array, (self.dask, self.name, self.chunks, self.dtype, self._meta)

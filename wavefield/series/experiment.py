@@ -83,18 +83,20 @@ class Experiment(RecordSection):
         return f"Experiment({self.name!r}, {', '.join(self.cameras)}, {self.frame_rate:g} Hz)"
 
     def _repr_html_(self) -> str:
-        auto = isinstance(self.grid, str) or self.grid.x is None
-        grid = "auto" if auto else f"x {self.grid.x} m, y {self.grid.y} m, step {self.grid.step:g} m"
+        grid = "auto"
+        if isinstance(self.grid, GridSection) and self.grid.x is not None:
+            grid = f"x {self.grid.x} m, y {self.grid.y} m, step {self.grid.step:g} m"
         depth = self.water.depth
-        rows = [
-            ["file", self._path],
-            ["frame rate", f"{self.frame_rate:g} Hz"],
-            *([name, camera.images] for name, camera in self.cameras.items()),
-            ["rig", ", ".join(str(path.name) for path in self.rig_paths)],
-            ["grid", grid],
-            ["water depth", "not given: deep water" if depth is None else f"{depth:g} m"],
-            *([["probes", self.probes.file]] if self.probes else []),
+        rows: list[tuple[str, object]] = [
+            ("file", self._path),
+            ("frame rate", f"{self.frame_rate:g} Hz"),
+            *((name, camera.images) for name, camera in self.cameras.items()),
+            ("rig", ", ".join(path.name for path in self.rig_paths)),
+            ("grid", grid),
+            ("water depth", "not given: deep water" if depth is None else f"{depth:g} m"),
         ]
+        if self.probes:
+            rows.append(("probes", self.probes.file))
         return html_table(f"Experiment {self.name}", [], rows)
 
     @model_validator(mode="before")
