@@ -18,6 +18,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 gc.disable()  # until all is imported and collected: see below
 
 import cv2
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -36,10 +37,14 @@ def shared() -> Path:
     return SHARED
 
 
+# a PNG file of one white pixel
+BLANK = cv2.imencode(".png", np.full((1, 1), 255, np.uint8))[1].tobytes()
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves pictures blank, for tests of what stands beside them: drawing is most of the time of a page."""
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **how: file.write(b"\x89PNG"))
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **how: file.write(BLANK))
 
 
 @contextmanager
@@ -49,7 +54,7 @@ def _without_pixels() -> Iterator[None]:
     def draw(figure: Figure, file: BinaryIO, **how: Any) -> None:
         figure.set_layout_engine("none")
         figure.draw_without_rendering()
-        file.write(b"\x89PNG")
+        file.write(BLANK)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", draw)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from figure_checks import text_faults
 from matplotlib.figure import Figure
 
 from wavefield import figures
@@ -23,6 +24,7 @@ def labels(figure: Figure) -> str:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
+        ("nonlinear_maps", ["nonlinear term u·∇z", "residual z_t − w + u·∇z"]),
         ("surface_3d", ["w (cm s⁻¹)", "x (m)", "t = 0.525 s"]),
         ("velocity_map", ["w (cm s⁻¹)", "y (m)"]),
         ("elevation_map", ["z (cm)"]),
@@ -31,7 +33,7 @@ def labels(figure: Figure) -> str:
 )
 def test_pictures_of_one_step(cube, name, words):
     figure = getattr(figures, name)(cube.isel(time=10))
-    figure.draw_without_rendering()
+    assert text_faults(figure) == []
     for word in words:
         assert word in labels(figure)
 
@@ -49,7 +51,7 @@ def test_pictures_of_one_step(cube, name, words):
 )
 def test_pictures_of_a_cube(cube, name, words):
     figure = getattr(figures, name)(cube)
-    figure.draw_without_rendering()
+    assert text_faults(figure) == []
     for word in words:
         assert word in labels(figure)
 
@@ -119,7 +121,9 @@ def test_errors_are_drawn_in_pixels(cube):
 
 def test_rig_is_drawn_with_its_cameras():
     rig, grid = paper_rig(), Grid((-1, 1), (-0.75, 0.75), 0.01)
-    text = labels(figures.rig_views(rig, grid))
+    views = figures.rig_views(rig, grid)
+    assert text_faults(views) == []
+    text = labels(views)
     for name in rig:
         assert f"view of {name}" in text
     frames = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
@@ -208,7 +212,7 @@ def waves(cube):
 )
 def test_pictures_of_the_waves(waves, name, groups, words):
     figure = getattr(figures, name)(*(waves[group].to_dataset() for group in groups))
-    figure.draw_without_rendering()
+    assert text_faults(figure) == []
     for word in words:
         assert word in labels(figure)
 
@@ -230,7 +234,7 @@ def test_pictures_of_crests_increments_vortices_drift_and_energy():
         "unexplained": figures.energy_bars(wv.energy_budget(cube, bands=(2.5, 3.0, 4.0), segment=64)),
     }
     for word, figure in drawn.items():
-        figure.draw_without_rendering()
+        assert text_faults(figure) == []
         assert word in labels(figure)
 
 
@@ -271,6 +275,22 @@ def test_picture_of_the_dispersion_ridge():
     group = dispersion_group(density, np.linspace(5, 60, 30), np.inf, 7.2e-5)
     assert "refused" not in group.attrs
     figure = figures.dispersion_ridge(group)
-    figure.draw_without_rendering()
+    assert text_faults(figure) == []
     for word in ("linear theory", "measured points", "points against theory (%)"):
         assert word in labels(figure)
+
+
+def test_a_label_through_a_line_over_another_or_cut_off_is_found():
+    figure, axes = style.panels(1)
+    axes[0, 0].plot([0, 1], [0, 1])
+    assert text_faults(figure) == []
+    axes[0, 0].text(0.5, 0.5, "crossed", ha="center")
+    axes[0, 0].text(0.2, 0.8, "under", ha="center")
+    axes[0, 0].text(0.2, 0.8, "over", ha="center")
+    figure.text(0.99, 0.5, "cut off at the right").set_in_layout(False)
+    found = set(text_faults(figure))
+    assert found == {
+        "a line runs through 'crossed'",
+        "'under' overlaps 'over'",
+        "'cut off at the right' is cut off",
+    }

@@ -14,6 +14,7 @@ from wavefield.figures.kinematics_figures import (
     balance_history,
     coherence_curves,
     kinematics_maps,
+    nonlinear_maps,
     plane_coherence_maps,
     vorticity_map,
 )
@@ -34,6 +35,7 @@ from wavefield.figures.spectra_figures import (
     elevation_spectra,
     komega_map,
     noise_spectra,
+    probe_series,
     wavenumber_spectra,
     wavevector_map,
 )
@@ -72,8 +74,10 @@ __all__ = [
     "misfit_distributions",
     "misfit_maps",
     "noise_spectra",
+    "nonlinear_maps",
     "path_map",
     "plane_coherence_maps",
+    "probe_series",
     "quality_shares",
     "resonance_map",
     "rest_distributions",

@@ -22,6 +22,8 @@ from wavefield.figures.style import (
 
 _COHERENCES = {"w": "z_t with w", "nl": "z_t with −u·∇z", "tot": "z_t with w − u·∇z"}
 
+_TERMS = {"nonlinear": "nonlinear term u·∇z", "residual": "residual z_t − w + u·∇z"}
+
 
 def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figure:
     """Elevation, vertical velocity, nonlinear term and residual at one moment.
@@ -50,10 +52,33 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     for ax, field, label, title, scale in (
         (axes[0, 0], snapshot.z, "z (cm)", f"elevation, {moment_title(snapshot)}", None),
         (axes[0, 1], snapshot.w, "w (cm s⁻¹)", "vertical velocity", None),
-        (axes[1, 0], terms.nonlinear, "cm s⁻¹", "nonlinear term u·∇z", (-half, half)),
-        (axes[1, 1], terms.residual, "cm s⁻¹", "residual z_t − w + u·∇z", (-half, half)),
+        *((ax, terms[n], "cm s⁻¹", _TERMS[n], (-half, half)) for ax, n in zip(axes[1], _TERMS)),
     ):
         draw_map(ax, field, label, factor=100, scale=scale, title=title)
+    return figure
+
+
+def nonlinear_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figure:
+    """Nonlinear term and residual of the kinematic condition at one moment, on the scale of the term.
+
+    Parameters
+    ----------
+    snapshot : Dataset, (y, x)
+        One step of a cube with z (m) and z_t, u, v, w (m s-1).
+    cube : Dataset, (time, y, x), optional
+        As `wavefield.waves.kinematics_at` takes it.
+
+    Returns
+    -------
+    Figure
+    """
+    from wavefield.waves.nonlinear.kinematics import kinematics_at  # imports compiled kernels
+
+    terms = kinematics_at(snapshot, cube)
+    figure, axes = map_panels(snapshot.z, 2)
+    half = 100 * limit(terms.nonlinear)
+    for ax, name, title in zip(axes[0], _TERMS, _TERMS.values(), strict=True):
+        draw_map(ax, terms[name], "cm s⁻¹", factor=100, scale=(-half, half), title=title)
     return figure
 
 

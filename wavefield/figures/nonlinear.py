@@ -79,7 +79,7 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
         left,
         "kx / 2π (m⁻¹)",
         "ky / 2π (m⁻¹)",
-        {"loc": "upper right"},
+        None,
         xlim=(-half, half),
         ylim=(-half, half),
         aspect="equal",

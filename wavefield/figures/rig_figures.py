@@ -39,6 +39,11 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     x0, y0 = np.mean(grid.x), np.mean(grid.y)
     corners_x = [grid.x[0], grid.x[1], grid.x[1], grid.x[0], grid.x[0]]
     corners_y = [grid.y[0], grid.y[0], grid.y[1], grid.y[1], grid.y[0]]
+    views = np.concatenate([camera.corners(0.0) for camera in rig.cameras.values()])
+    corners = np.vstack([views, np.column_stack([corners_x, corners_y])])
+    outlines = np.array(
+        [np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)]
+    )  # a name inside would be crossed
     side.plot(grid.x, [0, 0], color="0.2", linewidth=3)
     above.plot(corners_x, corners_y, color="0.2", linewidth=2, label="grid on the water at rest")
     for style, (name, camera) in zip(LINES[1:] * len(rig), rig.cameras.items(), strict=False):
@@ -47,9 +52,10 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
             side.plot([cx, end], [cz, 0], **style | {"linewidth": 0.8})
         view = np.vstack([camera.corners(0.0), camera.corners(0.0)[:1]])
         above.plot(*view.T, label=f"view of {name}", **style)
-        for ax, height_or_y in ((side, cz), (above, cy)):
+        over = outlines[0, 0] <= cx <= outlines[1, 0] and outlines[0, 1] <= cy <= outlines[1, 1]
+        for ax, height_or_y, free in ((side, cz, cz), (above, cy, outlines[1, 1] if over else cy)):
             ax.plot(cx, height_or_y, "o", color=style["color"])
-            ax.annotate(name, (cx, height_or_y), textcoords="offset points", xytext=(0, 7), ha="center")
+            ax.annotate(name, (cx, free), textcoords="offset points", xytext=(0, 7), ha="center")
         dx, _ = camera.sight_line(x0, y0, height)
         apparent = x0 - float(dx) * height
         near.plot([100 * apparent, 100 * (x0 + float(dx) * height)], [0, 200 * height], **style)

@@ -28,6 +28,7 @@ _METHODS = {
     "Ez_cross": "cross-spectrum of z and w",
     "Ez_fusion": "fusion of z and w",
 }
+_STEPS_DRAWN = 300  # of probes: waves of a longer record are too narrow to compare
 _LOWEST_COLOUR = "#440154"  # of viridis: values below the scale are not missing
 
 
@@ -169,6 +170,8 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
         if method == "stereo" and low in spectra and high in spectra:
             interval = [spectra[name].values * values for name in (low, high)]
             ax.fill_between(frequency, *interval, color=style["color"], alpha=0.15, linewidth=0)
+            finite = interval[1][(frequency > 0) & np.isfinite(interval[1])]
+            peak = max(peak, float(finite.max(initial=0.0)) / 3)
     if peak > 0:
         ax.set_ylim(peak * 1e-9, peak * 5)
     if (frequency > 0).any():
@@ -176,7 +179,7 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())
-    finish(ax, HERTZ, "E$^z$(ω) (m² s rad⁻¹)", {"loc": "lower left"})
+    finish(ax, HERTZ, "E$^z$(ω) (m² s rad⁻¹)")
     return figure
 
 
@@ -291,4 +294,37 @@ def directions(direction: xr.Dataset) -> Figure:
     finish(left, "direction of travel (degrees from x)", "density (rad⁻¹)", ylim=(0, None))
     right.plot(hertz(direction), direction.isotropy.values, **LINES[1])
     finish(right, HERTZ, "isotropy (1: no direction is preferred)", ylim=(0, 1.05))
+    return figure
+
+
+def probe_series(compared: xr.Dataset) -> Figure:
+    """Elevation of wave probes and of the cameras at their places over time.
+
+    Parameters
+    ----------
+    compared : Dataset, (probe, time)
+        ``elevation`` of the probes and ``z`` of the cube there, both about their means (m), with
+        ``rms_difference`` (m) and ``correlation`` of each probe. Of a longer record the middle is drawn.
+
+    Returns
+    -------
+    Figure
+    """
+    count, steps = compared.sizes["probe"], compared.sizes["time"]
+    first = max(0, (steps - _STEPS_DRAWN) // 2)
+    part = compared.isel(time=slice(first, first + _STEPS_DRAWN))
+    figure, axes = panels(1, count, width=7.6, height=4.8 if count == 1 else 5.4 / count)
+    for k, ax in enumerate(axes[:, 0]):
+        one = part.isel(probe=k)
+        curves = {"wave probe": 100 * one.elevation.values, "cameras": 100 * one.z.values}
+        draw_curves(ax, part.time.values, curves, (LINES[0], LINES[2]))
+        title = (
+            f"{one.probe.item()}: rms difference {1e3 * float(one.rms_difference):.2g} mm, "
+            f"correlation {min(float(one.correlation), 0.9999):.4f}"
+        )
+        finish(ax, "time (s)" if k == count - 1 else "", "elevation (cm)", None)
+        ax.set_title(title, loc="left", fontsize=10)
+        ax.get_legend().remove()
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False, fontsize=9)
     return figure

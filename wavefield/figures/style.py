@@ -30,13 +30,14 @@ LINES: tuple[dict[str, Any], ...] = (
 )
 HERTZ, CYCLES = "ω / 2π (Hz)", "k / 2π (m⁻¹)"
 ABOVE: dict[str, object] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
-RIGHT: dict[str, object] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+RIGHT: dict[str, object] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "ncols": 1}
 
 _RC: Any = {
     "font.size": 10.5,
     "axes.titlesize": 11,
     "axes.labelsize": 10.5,
     "axes.grid": False,
+    "xtick.major.pad": 5,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "figure.facecolor": "white",
@@ -186,11 +187,12 @@ def draw_curves(
 
 
 def plain_axes(axes: Axes, **legend: object) -> None:
-    """Give a line plot a light grid, and its legend if it has named lines."""
+    """Give a line plot a light grid, and a legend of its named lines outside, where no line crosses it."""
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
-    if axes.get_legend_handles_labels()[1]:
-        options: dict[str, Any] = {"frameon": False, "fontsize": 9} | legend
+    if labels := axes.get_legend_handles_labels()[1]:
+        place = RIGHT if axes.get_title() else ABOVE | {"ncols": 2 if len(labels) < 5 else 3}
+        options: dict[str, Any] = {"frameon": False, "fontsize": 9} | place | legend
         axes.legend(**options)
 
 

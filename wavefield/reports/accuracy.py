@@ -4,6 +4,7 @@ import xarray as xr
 
 from wavefield import figures
 from wavefield.pipeline import Run
+from wavefield.reports.elevation_section import noise_pictures
 from wavefield.reports.html_page import Item, Picture, ReportSection
 from wavefield.reports.number_text import rms_of
 from wavefield.reports.pair_section import pair_items
@@ -15,8 +16,10 @@ _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "
 
 def accuracy(run: Run) -> ReportSection:
     """Errors: internal, between pairs of cameras, of the spectra, against the truth where it is known."""
-    items = [*_internal(run.cube), *pair_items(run), *elevation_pictures(run), *_against_truth(run)]
-    return ReportSection("Accuracy", items)
+    items = [*_internal(run.cube), *pair_items(run), *noise_pictures(run), *_against_truth(run)]
+    shown = "misfits, standard uncertainties, pairs of cameras"
+    compared = ", errors against the exact fields" if run.truth is not None else ""
+    return ReportSection("Accuracy", items, folded=True, gist=f"{shown}{compared}")
 
 
 def _internal(cube: xr.Dataset) -> list[Item]:
@@ -44,41 +47,6 @@ def _internal(cube: xr.Dataset) -> list[Item]:
             f"Maps of the median uncertainty: {medians}.",
         ),
     ]
-
-
-def elevation_pictures(run: Run) -> list[Item]:
-    """The spectrum of the elevation by each method, and the noise of two of them."""
-    group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
-    if group is None or "Ez_stereo" not in group:
-        return []
-    reach = ""
-    if fusion is not None and "range_frequency" in fusion:
-        reach = " They reach " + ", ".join(
-            f"{source}: {float(fusion.range_frequency.sel(source=source)):.1f} Hz, "
-            f"{float(fusion.range_decades.sel(source=source)):.1f} decades"
-            for source in fusion.source.values
-        )
-    has_probes = "Ez_probes" in group
-    items: list[Item] = [
-        Picture(
-            figures.elevation_spectra(group),
-            "Spectrum of the elevation by each method; thin where it is not reliable. The band is the 95 % "
-            f"interval of the stereo spectrum.{'' if has_probes else ' Without wave probes.'}",
-            f"Curves on logarithmic axes: {'probes, ' if has_probes else ''}stereo, integrated w, "
-            f"cross-spectrum, fusion.{reach}",
-        )
-    ]
-    if fusion is not None and "noise_z" in fusion:
-        items.append(
-            Picture(
-                figures.noise_spectra(group, fusion),
-                "Noise of the two measurements of the elevation, estimated without a still-water record, and "
-                "the weight of each in their best combination.",
-                f"Noise spectra and weights. Noise of z {1e3 * float(fusion.sigma_z):.3g} mm, of dz "
-                f"{1e3 * float(fusion.sigma_dz):.3g} mm.",
-            )
-        )
-    return items
 
 
 def _against_truth(run: Run) -> list[Item]:

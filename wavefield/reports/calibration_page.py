@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.reports.html_page import Head, Listing, Picture, ReportSection, Table, Text, render
+from wavefield.reports.html_page import Head, Item, Listing, Picture, ReportSection, Table, Text, render
 
 Content = Mapping[str, Any]
 _PREDICTED = (
@@ -27,22 +27,48 @@ class CalibrationPicture:
 
 def calibration_page(content: Content, drawn: Sequence[CalibrationPicture]) -> str:
     """The page, from the content of the file of numbers and the pictures."""
-    sections = list(_sections(content))
-    pictures = [Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn]
-    sections.append(ReportSection("Pictures", list(pictures)))
     usable = content["usable"]
     verdict = "the rig can be used" if usable else "the rig cannot be used"
     weight = "grave" if not usable else "remark" if content["notes"] else "note"
-    return render(Head("Calibration of the rig", verdict=verdict, weight=weight), sections)
+    head = Head("Calibration of the rig", (accuracy_sentence(content),), verdict, weight)
+    return render(head, list(_sections(content, drawn)))
 
 
-def _sections(content: Content) -> Iterator[ReportSection]:
+def accuracy_sentence(content: Content) -> str:
+    """How well the rig measures z, how far the cameras are and how large a pixel is; empty without a fit."""
+    if "predicted" not in content or not content.get("cameras"):
+        return ""
+    cameras = content["cameras"].values()
+    distances = [float(np.linalg.norm(c["position_m"])) for c in cameras]
+    pixels = [c["rms_mm"] / c["rms_px"] for c in cameras if c["rms_px"] > 0]
+    width = f", and a pixel there is {_span(pixels, 'mm')} wide" if pixels else ""
+    return (
+        f"z is good to {_length(content['predicted']['z_mm'])} near the target's plane (one standard "
+        f"uncertainty, from the fit); the cameras are {_span(distances, 'm')} from the origin{width}."
+    )
+
+
+def _length(mm: float) -> str:
+    return f"{1e3 * mm:.2g} µm" if mm < 0.0995 else f"{mm:.2g} mm"
+
+
+def _span(values: Sequence[float], unit: str) -> str:
+    """One value where they are alike, else the range."""
+    low, high = f"{min(values):.2g}", f"{max(values):.2g}"
+    return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
+
+
+def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator[ReportSection]:
     rows = [("problem", words) for words in content["problems"]]
     rows += [("note", words) for words in content["notes"]]
     if rows:
-        table = Table("Problems must be solved before the rig can be used", ("", "remark"), rows)
-        yield ReportSection("Remarks", [table])
+        table = Table("Problems must be solved before the rig can be used", ("kind", "remark"), rows)
+        yield ReportSection("What needs attention", [table])
+    pictures = {one.file: Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn}
+    residuals = [picture for file, picture in pictures.items() if file.startswith("residuals_")]
+    general: list[Item] = [picture for picture in pictures.values() if picture not in residuals]
     if "cameras" not in content:
+        yield ReportSection("Pictures", general)
         return
     yield ReportSection("Cameras", [_cameras(content), Text(_PREDICTED)])
     between = ReportSection("Between cameras")
@@ -51,19 +77,25 @@ def _sections(content: Content) -> Iterator[ReportSection]:
     if "flat_target" in content:
         between.items.append(Text(_flat(content)))
     yield between
-    title = f"Camera model: {content['model']}"
-    yield ReportSection(title, [*_models(content), _lens(content), Text(_CORRELATED)])
+    yield ReportSection("Target and rig", general, layout="beside")
+    largest = max(c["max_px"] for c in content["cameras"].values())
+    gist = f"every point, and means over cells of the image; at most {largest:.2g} px"
+    yield ReportSection("Residuals", list(residuals), folded=True, gist=gist)
+    items = [*_models(content), _lens(content), Text(_CORRELATED)]
     strongest = content["predicted"]["strongest_correlations"]
     words = "\n".join(f"{a} with {b}: {r:.4f}" for a, b, r in strongest)
     if words:
-        yield ReportSection("Covariance", [Listing("strongest correlations of the parameters", words)])
+        items.append(Listing("Strongest correlations of the parameters", words))
+    yield ReportSection(
+        "Camera model", items, folded=True, gist=f"{content['model']}, parameters of the lenses"
+    )
 
 
 def _cameras(content: Content) -> Table:
     predicted = content["predicted"]
     head = (
-        "camera", "views", "points", "rms px", "rms mm", "largest px", "predicted px", "covered",
-        "position m",
+        "camera", "views", "points", "rms, px", "rms, mm", "largest, px", "predicted, px", "image covered",
+        "position x, y, z, m",
     )  # fmt: skip
     rows = [
         (
@@ -87,7 +119,7 @@ def _epipolar(content: Content) -> Table:
         (pair, str(e["points"]), f"{e['rms_px']:.3f}", f"{e['median_px']:.3f}", f"{e['max_px']:.2f}")
         for pair, e in content["epipolar"].items()
     ]
-    head = ("pair", "points", "rms px", "median px", "largest px")
+    head = ("pair", "points", "rms, px", "median, px", "largest, px")
     return Table("Distance of the points from the epipolar line", head, rows)
 
 
@@ -102,7 +134,7 @@ def _flat(content: Content) -> str:
     )
 
 
-def _models(content: Content) -> list[Table]:
+def _models(content: Content) -> list[Item]:
     rows = [
         (
             m["model"],
@@ -113,7 +145,7 @@ def _models(content: Content) -> list[Table]:
         )
         for m in content["models_compared"]
     ]
-    head = ("model", "parameters", "rms / stated uncertainty", "BIC", "expected error px")
+    head = ("model", "parameters", "rms over stated uncertainty", "BIC", "expected error, px")
     return [Table("Models that were compared", head, rows)] if rows else []
 
 
@@ -134,4 +166,4 @@ def _lens(content: Content) -> Table:
         for term in terms
         if not term.startswith(("rotation", "translation"))
     ]
-    return Table("Parameters of the lenses, with their standard uncertainty", ("", *cameras), rows)
+    return Table("Parameters of the lenses, with their standard uncertainty", ("parameter", *cameras), rows)

@@ -161,7 +161,7 @@ def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera])
             ax.plot(centre[i], centre[j], "o", color=colour, ms=7, zorder=4)
             ax.annotate(
                 o.cameras[c], (centre[i], centre[j]), (0, 8), textcoords="offset points", ha="center",
-                fontsize=9,
+                fontsize=9, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1},
             )  # fmt: skip
         ax.set(xlabel="x (m)", ylabel=("x (m)", "y (m)", "z (m)")[j], aspect="equal")
         ax.set_title(title, fontsize=10, loc="left")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.atomic_write import PAGE, write_text
-from wavefield.figures.style import LINES, panels
+from wavefield.figures.style import LINES, RIGHT, panels, plain_axes
 from wavefield.pipeline import open_run
 from wavefield.reports.html_page import Head, Picture, ReportSection, Table, render
 from wavefield.reports.number_text import number
@@ -100,5 +100,5 @@ def _figure(spectra: Mapping[str, xr.DataArray]) -> Figure:
     ax.xaxis.set_major_formatter("{x:g}")  # powers of ten over a decade or two run into each other
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.legend(frameon=False, fontsize=9)
+    plain_axes(ax, **RIGHT)
     return figure

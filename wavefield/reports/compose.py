@@ -10,14 +10,16 @@ from wavefield.errors import StoreError
 from wavefield.pipeline import Run, open_run
 from wavefield.reports.accuracy import accuracy
 from wavefield.reports.calibration_section import calibration_section
-from wavefield.reports.field_sections import cameras_over_time, coverage, distributions, surface
+from wavefield.reports.elevation_section import elevation
+from wavefield.reports.field_sections import cameras_over_time, coverage, distributions
 from wavefield.reports.html_page import Head, ReportSection, render
-from wavefield.reports.overview import recipe, remarks, setup, summary
+from wavefield.reports.overview import recipe, run_summary, setup
+from wavefield.reports.result_section import attention, result
 from wavefield.reports.run_data import dates_of
+from wavefield.reports.run_numbers import RunNumbers
 from wavefield.reports.wave_sections import nonlinearity, spectra
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
-from wavefield.text import spell_time
 
 
 def report(
@@ -88,18 +90,18 @@ def write_report(
     progress : callable, optional
         Called with (sections drawn, all sections).
     verdict : Verdict, optional
-        On the cube: its line goes to the top, its remarks into a section of their own.
+        On the cube: its line goes to the top, its remarks below the results.
 
     Returns
     -------
     Path
         The file.
     """
-    found = verdict or Verdict()
-    builders: list[Callable[[], ReportSection]] = [partial(remarks, found)]
-    for build in (summary, setup, surface, distributions, spectra, nonlinearity, accuracy, coverage):
-        builders.append(partial(build, run))
-    builders.append(partial(cameras_over_time, run, found))
+    numbers = RunNumbers(run)
+    builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
+    builders += [partial(elevation, run), partial(run_summary, numbers)]
+    builders += [partial(build, run) for build in (spectra, nonlinearity, distributions, accuracy, coverage)]
+    builders += [partial(cameras_over_time, run, verdict or Verdict()), partial(setup, run)]
     builders += [partial(calibration_section, run), partial(recipe, run)]
     output = Path(output)
     write_text(output, render(head_of(run, verdict), build_all(builders, progress)), PAGE)
@@ -121,19 +123,12 @@ def build_all(
 
 
 def head_of(run: Run, verdict: Verdict | None) -> Head:
-    """The top of the report: verdict, description, size, dates."""
-    cube, rate = run.cube, float(run.cube.attrs["frame_rate"])
-    duration = cube.sizes["time"] / rate
-    size = (
-        f"{cube.sizes['time']} steps at {rate:g} Hz "
-        f"({spell_time(duration) if duration > 120 else f'{duration:.4g} s'}) of the surface and its "
-        f"velocity, on {cube.sizes['x']} x {cube.sizes['y']} nodes {100 * run.grid.step:g} cm apart."
-    )
+    """The top of the report: verdict, description, dates."""
     made = f"this page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
     dates = "; ".join([*dates_of(run), made])
     return Head(
         f"{experiment_name(run)}: water surface and velocity",
-        (run.experiment.description if run.experiment else "", size, f"{dates[0].upper()}{dates[1:]}."),
+        (run.experiment.description if run.experiment else "", f"{dates[0].upper()}{dates[1:]}."),
         verdict.line if verdict else "",
         verdict.weight if verdict else "note",
     )

@@ -1,6 +1,7 @@
 """Sections on the surface and its velocity, their distributions, coverage, and the cameras over time."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -8,12 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wavefield import figures
-from wavefield.figures.style import LINES, moment_title, panels, plain_axes
+from wavefield.figures.style import LINES, RIGHT, panels
 from wavefield.pipeline import Run
 from wavefield.reports.html_page import Item, Listing, Picture, ReportSection, Table
 from wavefield.reports.number_text import median_of, number
-from wavefield.reports.player import player
-from wavefield.reports.run_data import snapshot, thinned
+from wavefield.reports.run_data import extremes_of, thinned
 from wavefield.store.ledger import status
 from wavefield.store.verdict import Numbers, Verdict
 from wavefield.variables import FrameStatus
@@ -24,11 +24,7 @@ _MARKERS = "os^Dv*"
 
 def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
     """The surface and its velocity at one step (y, x)."""
-    z, w = 100 * snap.z, 100 * snap.w
-    ranges = (
-        f"At {moment_title(snap)} z is between {float(z.min()):.2g} and {float(z.max()):.2g} cm and w "
-        f"between {float(w.min()):.2g} and {float(w.max()):.2g} cm/s."
-    )
+    ranges = extremes_of(snap)
     return [
         Picture(
             figures.surface_3d(snap),
@@ -41,11 +37,6 @@ def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
             f"Map of the vertical velocity with arrows of the horizontal velocity. {ranges}",
         ),
     ]
-
-
-def surface(run: Run) -> ReportSection:
-    """The surface and its velocity, moving and at one moment."""
-    return ReportSection("Surface and velocity", [player(run.cube), *snapshot_pictures(snapshot(run.cube))])
 
 
 def distribution_picture(part: xr.Dataset, rate: float) -> Picture:
@@ -63,9 +54,8 @@ def distribution_picture(part: xr.Dataset, rate: float) -> Picture:
 def distributions(run: Run) -> ReportSection:
     """Distributions of the fields and their moments."""
     part = thinned(run.cube, "z", "u", "v", "w")
-    section = ReportSection(
-        "Distributions", [distribution_picture(part, float(run.cube.attrs["frame_rate"]))]
-    )
+    picture = distribution_picture(part, float(run.cube.attrs["frame_rate"]))
+    section = ReportSection("Distributions", [picture], folded=True)
     statistics = run.wave_group("statistics")
     if statistics is not None and "skewness" in statistics:
         rows = []
@@ -73,6 +63,7 @@ def distributions(run: Run) -> ReportSection:
             moments = statistics.sel(quantity=quantity)
             values = 100 * float(moments["std"]), float(moments.skewness), float(moments.kurtosis)
             rows.append((str(quantity), *map(number, values)))
+        section.gist = f"skewness of z {rows[0][2]}, excess kurtosis {rows[0][3]}"
         head = ("quantity", "std (cm)", "skewness", "excess kurtosis")
         section.items.append(Table("Moments, over the rectangle and the steps of the spectra", head, rows))
     return section
@@ -99,6 +90,8 @@ def coverage(run: Run) -> ReportSection:
                 f"Curves in percent over time; {faulty.size} of {step_status.size} steps have faults.",
             ),
         ],
+        folded=True,
+        gist=f"{faulty.size or 'none'} of {step_status.size} steps have faults",
     )
     if faulty.size:
         lines = [
@@ -117,9 +110,10 @@ def coverage(run: Run) -> ReportSection:
 
 def cameras_over_time(run: Run, verdict: Verdict) -> ReportSection:
     """Every camera and pair at some instants of the record, as the run checked them."""
-    section = ReportSection("Cameras over time")
+    section = ReportSection("Cameras over time", folded=True)
     if not verdict.cameras or not verdict.frames:
         return section
+    section.gist = f"sharpness, brightness, free view and consistency at {len(verdict.frames)} instants"
     rate = float(run.cube.attrs["frame_rate"])
     time = float(run.cube.time[0]) + (np.array(verdict.frames) - 0.5) / rate
     each = "; ".join(
@@ -142,19 +136,32 @@ def cameras_over_time(run: Run, verdict: Verdict) -> ReportSection:
 
 def _camera_history(time: np.ndarray, cameras: Numbers, pairs: Numbers) -> Figure:
     """Sharpness, brightness and free view of every camera, consistency of every pair, over the record."""
-    figure, axes = panels(3, 2 if pairs else 1, width=3.8, height=2.7)
+    figure, axes = panels(3, 2 if pairs else 1, width=3.8, height=2.9)
 
     def draw(ax: Axes, numbers: Numbers, key: str, factor: float, label: str) -> None:
         _draw_history(ax, time, {name: [factor * v for v in n[key]] for name, n in numbers.items()}, label)
 
-    draw(axes[0, 0], cameras, "blur", 1, "width of the finest details (px)")
-    draw(axes[0, 1], cameras, "brightness", 1, "mean brightness (grey levels)")
-    draw(axes[0, 2], cameras, "coverage", 100, "view not covered (%)")
+    draw(axes[0, 0], cameras, "blur", 1, "width of the finest\ndetails (px)")
+    draw(axes[0, 1], cameras, "brightness", 1, "mean brightness\n(grey levels)")
+    draw(axes[0, 2], cameras, "coverage", 100, "free view (%)")
     if pairs:
         draw(axes[1, 0], pairs, "agreement", 100, "patches matched (%)")
-        draw(axes[1, 1], pairs, "eps_y", 1, "sight lines miss by (px)")
-        axes[1, 2].set_axis_off()
+        draw(axes[1, 1], pairs, "eps_y", 1, "sight lines miss\nby (px)")
+    _name_curves(axes, bool(pairs))
     return figure
+
+
+def _name_curves(axes: np.ndarray, pairs: bool) -> None:
+    """Legends beside the panels: of cameras, and of pairs below, where a panel is free."""
+    style: dict[str, Any] = {"frameon": False, "fontsize": 9, "alignment": "left"}
+    if not pairs:
+        axes[0, 2].legend(**style, **RIGHT)
+        return
+    free = axes[1, 2]
+    free.set_axis_off()
+    cameras, couples = (ax.get_legend_handles_labels() for ax in axes[:, 0])
+    free.add_artist(free.legend(*cameras, loc="upper left", title="above", **style))
+    free.legend(*couples, loc="upper right", title="below", **style)
 
 
 def _draw_history(axes: Axes, time: np.ndarray, curves: Mapping[str, Sequence[float]], label: str) -> None:
@@ -163,4 +170,4 @@ def _draw_history(axes: Axes, time: np.ndarray, curves: Mapping[str, Sequence[fl
         axes.plot(time, values, marker=_MARKERS[k % len(_MARKERS)], markersize=4, label=name, **style)
     most = max((float(np.nanmax(v)) for v in curves.values() if np.isfinite(v).any()), default=1.0)
     axes.set(xlabel="time (s)", ylabel=label, ylim=(0.0, 1.12 * most or 1.0))
-    plain_axes(axes, loc="best", fontsize=8.5)
+    axes.grid(True, color="0.88", linewidth=0.7)

@@ -7,17 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
+from PIL import Image
 
 from wavefield import __version__
+from wavefield.store.verdict import Remark
 
-_DPI = 140  # shown at 96 per inch: sharp on dense screens, and small
-WIDE_PX = 1150  # a wider PNG holds several panels: on a phone it is moved sideways instead of shrunk
+_DPI = 120  # shown at 96 per inch: sharp on dense screens, and small
+_COLOURS = 256  # of a picture's palette: a third of the bytes, and no visible difference
+WIDE_PX = 1000  # a wider PNG holds several panels: on a phone it is moved sideways instead of shrunk
 SENTENCE_LETTERS = 60  # a longer cell is a sentence: on a phone such rows are stacked
+MAX_OPEN_ROWS = 12  # a longer table is folded below its caption
 
 
 @dataclass
@@ -33,11 +37,11 @@ class Picture:
 
     def __post_init__(self, figure: Figure | bytes) -> None:
         if isinstance(figure, bytes):
-            self.png, self.width = figure, None
+            self.png, self.width = small_png(figure), None
         else:
             buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", dpi=_DPI)
-            self.png, self.width = buffer.getvalue(), round(96 * figure.get_figwidth())
+            figure.savefig(buffer, format="png", dpi=_DPI, pil_kwargs={"compress_level": 1})
+            self.png, self.width = small_png(buffer.getvalue()), round(96 * figure.get_figwidth())
 
     @property
     def data(self) -> str:
@@ -48,6 +52,14 @@ class Picture:
     def wide(self) -> bool:
         """Whether it is too wide to be shrunk to a phone."""
         return int.from_bytes(self.png[16:20], "big") >= WIDE_PX  # the width in the header of a PNG
+
+
+def small_png(png: bytes) -> bytes:
+    """A PNG file with a palette, where that is smaller."""
+    image = Image.open(io.BytesIO(png)).convert("RGB")
+    buffer = io.BytesIO()
+    image.quantize(_COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+    return min(png, buffer.getvalue(), key=len)
 
 
 @dataclass(frozen=True)
@@ -63,6 +75,11 @@ class Table:
     def has_sentences(self) -> bool:
         """Whether cells are read as sentences."""
         return any(len(cell) > SENTENCE_LETTERS for row in self.rows for cell in row)
+
+    @property
+    def folded(self) -> bool:
+        """Whether it is too long to be shown at once."""
+        return len(self.rows) > MAX_OPEN_ROWS
 
 
 @dataclass(frozen=True)
@@ -83,15 +100,41 @@ class Listing:
 
 
 @dataclass(frozen=True)
+class Sentences:
+    """Short statements, one below the other."""
+
+    words: Sequence[str]
+    kind: ClassVar[str] = "sentences"
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The main results: of each its name, its value, and a remark in small letters."""
+
+    rows: Sequence[tuple[str, str, str]]
+    kind: ClassVar[str] = "facts"
+
+
+@dataclass(frozen=True)
+class RemarkList:
+    """Remarks of a verdict, each with what was expected and what to do."""
+
+    remarks: Sequence[Remark]
+    kind: ClassVar[str] = "remarks"
+
+
+@dataclass(frozen=True)
 class Player:
     """Moving pictures of the surface."""
 
     variables: Sequence[tuple[str, str]]  # names and meanings
     data: Mapping[str, str]  # for the script: what `pack` returns
+    still: Picture  # the surface at one moment, where there are no scripts
     kind: ClassVar[str] = "player"
 
 
-Item = Picture | Table | Text | Listing | Player
+Item = Picture | Table | Text | Sentences | Listing | Facts | RemarkList | Player
+Layout = Literal["", "result", "beside"]
 
 
 @dataclass
@@ -100,6 +143,9 @@ class ReportSection:
 
     title: str
     items: list[Item] = field(default_factory=list)
+    folded: bool = False  # shown when its title is clicked
+    gist: str = ""  # beside the title of a folded section: what it contains, in one line
+    layout: Layout = ""  # result: the first item wide, the second narrow; beside: as many as fit in a row
 
     @property
     def anchor(self) -> str:
@@ -128,6 +174,11 @@ def with_code(words: str) -> Markup:
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 
 
+def capital(words: str) -> str:
+    """A sentence with a capital letter; one that begins with code remains as it is."""
+    return words[:1].upper() + words[1:]
+
+
 def _asset(name: str) -> Markup:
     return Markup(files("wavefield.reports").joinpath("assets", name).read_text(encoding="utf-8"))
 
@@ -136,7 +187,7 @@ def _asset(name: str) -> Markup:
 def _environment() -> Environment:
     loader = PackageLoader("wavefield.reports", "assets")
     made = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    made.filters["with_code"] = with_code
+    made.filters |= {"with_code": with_code, "capital": capital}
     made.globals |= {"asset": _asset, "version": __version__}
     return made
 

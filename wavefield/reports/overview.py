@@ -1,4 +1,4 @@
-"""Sections on the run: remarks, summary, set-up, recipe."""
+"""Sections on the run: summary, set-up, recipe."""
 
 import json
 from collections.abc import Sequence
@@ -8,52 +8,27 @@ import xarray as xr
 
 from wavefield import figures
 from wavefield.pipeline import Run
-from wavefield.reports.html_page import Listing, Picture, ReportSection, Table, Text
-from wavefield.reports.number_text import number, rms_of, without_folders
-from wavefield.reports.run_data import thinned
+from wavefield.reports.html_page import Listing, Picture, ReportSection, Table
+from wavefield.reports.number_text import number, without_folders
+from wavefield.reports.run_numbers import RunNumbers
 from wavefield.rig.pairs import pairs_of
-from wavefield.store.verdict import Verdict
-from wavefield.variables import FrameStatus, Quality
+from wavefield.variables import Quality
 
 _UNITS = {"frame_rate": "Hz", "measured_frame_rate": "Hz", "pixel_size": "m", "water_depth": "m"}
 _LONG = 300  # letters: longer attributes are not in the table of metadata
 
 
-def remarks(verdict: Verdict) -> ReportSection:
-    """The remarks of a verdict."""
-    rows = [
-        (f"{r.subject}: {r.kind}", r.sentence, r.expected or "-", r.remedy or "-") for r in verdict.remarks
-    ]
-    head = ("remark", "measured", "expected", "what to do")
-    return ReportSection("Remarks", [Table(f"The cube is {verdict.line}", head, rows)] if rows else [])
-
-
-def summary(run: Run) -> ReportSection:
+def run_summary(numbers: RunNumbers) -> ReportSection:
     """What was measured, how much of it, how well."""
-    section = ReportSection("Summary", [Table("Run summary", ("quantity", "value"), _summary_rows(run))])
-    absent = {
-        "spectra and coherence": run.reason("waves"),
-        "pictures of the cameras' frames": run.reason("frames"),
-    }
-    words = [f"{what} ({reason})" for what, reason in absent.items() if reason]
-    if words:
-        section.items.append(Text(f"Not in this report: {'; '.join(words)}."))
-    return section
+    eps_y, eps_piv = number(1e3 * numbers.rms("eps_y"), "mm", 2), number(numbers.rms("eps_piv"), "px", 2)
+    gist = f"sight lines miss each other by {eps_y}, displacements differ by {eps_piv} (rms)"
+    table = Table("Run summary", ("quantity", "value"), _summary_rows(numbers))
+    return ReportSection("Run summary", [table], folded=True, gist=gist)
 
 
-def _summary_rows(run: Run) -> list[tuple[str, str]]:
-    cube = run.cube
-    part = thinned(cube, "z", "u", "v", "w", "eps_y", "eps_piv", "quality")
-    status, rate = cube.frame_status.values, float(cube.attrs["frame_rate"])
-    in_view = (part.quality != 0) & ((part.quality & np.uint16(Quality.OUTSIDE | Quality.MASKED)) == 0)
-    n_in_view = max(int(in_view.sum()), 1)
-    measured = float(((part.quality & int(Quality.MEASURED)) != 0).sum()) / n_in_view
-    counts = {s.name: int((status == s).sum()) for s in FrameStatus}
-    rows = [
-        ("steps", f"{cube.sizes['time']} at {rate:g} Hz, {cube.sizes['time'] / rate:.4g} s"),
-        ("step status", ", ".join(f"{n} {s.lower().replace('_', ' ')}" for s, n in counts.items() if n)),
-        ("grid", f"{cube.sizes['x']} x {cube.sizes['y']} nodes, {run.grid.step * 100:g} cm apart"),
-    ]
+def _summary_rows(numbers: RunNumbers) -> list[tuple[str, str]]:
+    run, cube = numbers.run, numbers.run.cube
+    rows = [("step status", numbers.step_status)]
     if "path_frames" in cube.coords:
         frames = int(cube.path_frames)
         stated = {1: "instantaneous", 2: "displacements over one step"}
@@ -61,12 +36,11 @@ def _summary_rows(run: Run) -> list[tuple[str, str]]:
     if "z_level_std" in cube:
         level = number(1e3 * float(cube.z_level_std), "mm")
         rows.append(("uncertainty of z = 0, common to all nodes", level))
-    eps_y, eps_piv = number(1e3 * rms_of(part.eps_y), "mm"), number(rms_of(part.eps_piv), "px")
+    eps_y, eps_piv = number(1e3 * numbers.rms("eps_y"), "mm"), number(numbers.rms("eps_piv"), "px")
     rows += [
-        ("measured nodes in view", f"{100 * measured:.2f} %"),
-        *without_cameras(part.quality, n_in_view, cube.attrs.get("cameras", ())),
-        ("rms of z about its mean", number(100 * float(part.z.std()), "cm")),
-        ("rms of u, v, w", ", ".join(number(100 * rms_of(part[n])) for n in "uvw") + " cm/s"),
+        ("measured nodes in view", f"{100 * numbers.measured_in_view:.2f} %"),
+        *without_cameras(numbers.part.quality, numbers.n_in_view, cube.attrs.get("cameras", ())),
+        ("rms of z about its mean", number(100 * numbers.std("z"), "cm")),
         ("mismatch of sight lines (eps_y), rms", f"{eps_y} (published for a similar rig: 0.4 to 0.8 mm)"),
         (
             "misfit of the displacements (eps'), rms",
@@ -74,14 +48,9 @@ def _summary_rows(run: Run) -> list[tuple[str, str]]:
         ),
     ]
     statistics = run.wave_group("statistics")
-    for name, label, factor, unit in (
-        ("significant_height", "significant height Hs", 100, "cm"),
-        ("peak_frequency", "frequency of the spectral peak", 1, "Hz"),
-        ("steepness", "steepness k_p σ", 1, ""),
-        ("slope_rms", "rms slope", 1, ""),
-    ):
+    for name, label in (("steepness", "steepness k_p σ"), ("slope_rms", "rms slope")):
         if statistics is not None and name in statistics:
-            rows.append((label, number(factor * float(statistics[name]), unit)))
+            rows.append((label, number(float(statistics[name]))))
     return rows
 
 
@@ -98,9 +67,10 @@ def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str
 
 def setup(run: Run) -> ReportSection:
     """Cameras and frames."""
-    section = ReportSection("Set-up")
+    section = ReportSection("Set-up", folded=True)
     if run.rig is None:
         return section
+    section.gist = f"{len(run.rig)} cameras: {', '.join(run.rig)}"
     rig, grid, settings = run.rig, run.grid, run.recipe.get("settings", {})
     pairs = [(str(a), str(b)) for a, b in settings.get("pairs", ())] or list(pairs_of(rig, list(rig)))
     velocity = list(settings.get("velocity_cameras", ())) or list(rig)
@@ -160,7 +130,11 @@ def recipe(run: Run) -> ReportSection:
         for name, value in attrs.items()
         if len(str(value)) < _LONG
     ]
-    section = ReportSection("Recipe", [Table("Metadata", ("", ""), rows)])
+    table = Table("Metadata", ("attribute", "value"), rows)
+    version = str(attrs.get("wavefield_version", ""))
+    section = ReportSection(
+        "Recipe", [table], folded=True, gist=version and f"measured by wavefield {version}"
+    )
     if run.recipe:
         words = json.dumps(without_folders(run.recipe, folder), indent=1)
         section.items.append(Listing("The recipe: settings, rig, experiment, versions", words))

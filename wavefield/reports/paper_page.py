@@ -11,8 +11,8 @@ from wavefield import figures
 from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run
-from wavefield.reports.accuracy import elevation_pictures
 from wavefield.reports.compose import build_all, experiment_name, measured_run
+from wavefield.reports.elevation_section import elevation_pictures
 from wavefield.reports.field_sections import distribution_picture, snapshot_pictures
 from wavefield.reports.html_page import Head, Item, Picture, ReportSection, Table, Text, render
 from wavefield.reports.number_text import number, rms_of
@@ -157,7 +157,7 @@ def _elevation(run: Run) -> ReportSection:
         name = _METHODS.get(str(method), str(method))
         rows.append((name, decades, number(float(reach.range_frequency), "Hz", 2)))
     table = Table("Correct within a factor 2", ("method", "decades below the peak", "up to"), rows)
-    return ReportSection("Spectrum of the elevation", [*elevation_pictures(run)[:1], table])
+    return ReportSection("Spectrum of the elevation", [*elevation_pictures(run), table])
 
 
 def _still_water(run: Run, still: xr.Dataset | None) -> ReportSection:

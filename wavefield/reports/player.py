@@ -2,6 +2,7 @@
 
 import base64
 import json
+import zlib
 
 import numpy as np
 import xarray as xr
@@ -10,21 +11,22 @@ from matplotlib import colormaps
 from wavefield.figures.display import BALANCE, DERIVED, display
 from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import POSITIVE, SIGNED, limit
-from wavefield.reports.html_page import Player
+from wavefield.reports.html_page import Picture, Player
 from wavefield.variables import TABLE
 from wavefield.waves.nonlinear.kinematics import kinematics
 
 MAX_NODES = 8_000  # per field: a screen shows no more
-MAX_BYTES = 5_500_000  # of packed fields: leaves room for the figures in 15 MB
+MAX_BYTES = 5_500_000  # of the fields before they are compressed, to a third or less
 _ARROWS = 24  # along the longer side
 _VARIABLES = ("w", "z", "z_t", "u", "v", *DERIVED, "eps_y", "eps_piv", "z_std", "u_std", "v_std", "w_std")
+_COARSE = {"residual": 8, "eps_y": 8, "eps_piv": 8}  # mostly noise: 32 levels of its scale are enough
 
 
-def player(cube: xr.Dataset) -> Player:
-    """The player of a cube (time, y, x)."""
+def player(cube: xr.Dataset, still: Picture) -> Player:
+    """The player of a cube (time, y, x), and what stands for it where there are no scripts."""
     data = pack(cube)
     names = [row["name"] for row in json.loads(data["field-description"])["fields"]]
-    return Player([(name, TABLE[name].long_name) for name in names], data)
+    return Player([(name, TABLE[name].long_name) for name in names], data, still)
 
 
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
@@ -40,18 +42,22 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
     return part.isel(x=slice(None, None, thin), y=slice(None, None, thin))
 
 
-def _code(values: np.ndarray, low: float, high: float) -> str:
-    """Values as bytes in base 64: 0 where missing, 1 to 255 from low to high."""
-    scaled = np.clip(np.round(1 + 254 * (values - low) / (high - low)), 1, 255)
-    return _text(np.where(np.isfinite(values), scaled, 0))
+def _code(values: np.ndarray, low: float, high: float, step: int = 1) -> str:
+    """Values (time, y, x) as text: 0 where missing, 1 to 255 from low to high, in steps about the middle."""
+    scaled = np.clip(1 + 254 * (values - low) / (high - low), 1, 255)
+    coded = np.clip(128 + step * np.round((scaled - 128) / step), 1, 255)
+    return _text(np.where(np.isfinite(values), coded, 0))
 
 
 def _text(codes: np.ndarray) -> str:
-    return base64.b64encode(codes.astype(np.uint8).tobytes()).decode()
+    """Bytes (time, y, x) as text: differences along x and y, modulo 256, compressed, in base 64."""
+    values = codes.astype(np.uint8)
+    differences = np.diff(np.diff(values, axis=2, prepend=np.uint8(0)), axis=1, prepend=np.uint8(0))
+    return base64.b64encode(zlib.compress(differences.tobytes(), 9)).decode()
 
 
 def pack(cube: xr.Dataset) -> dict[str, str]:
-    """Data for the browser from a cube (time, y, x)."""
+    """Data for the browser from a cube (time, y, x), by the name of the element that holds it."""
     part = excerpt(cube)
     out, fields = {}, []
     for name in (name for name in _VARIABLES if name in part):
@@ -59,7 +65,7 @@ def pack(cube: xr.Dataset) -> dict[str, str]:
         values = shown.factor * part[name].values.astype(float)
         high = limit(values)
         low = -high if shown.signed else 0.0
-        out[f"field-{name}"] = _code(values, low, high)
+        out[f"field-{name}"] = _code(values, low, high, _COARSE.get(name, 1))
         row = {"name": name, "words": shown.long_name, "unit": shown.unit, "low": low, "high": high}
         fields.append(row | {"colours": "signed" if shown.signed else "positive"})
     if "quality" in part:
@@ -81,6 +87,8 @@ def pack(cube: xr.Dataset) -> dict[str, str]:
             "fields": fields,
             "kinds": [[words, colour] for _, words, colour in KINDS],
             "arrows": {
+                "nx": arrows.sizes["x"],
+                "ny": arrows.sizes["y"],
                 "x": arrows.x.values.tolist(),
                 "y": arrows.y.values.tolist(),
                 "fastest": fastest,

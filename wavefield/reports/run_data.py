@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from wavefield.figures.style import moment_title
 from wavefield.pipeline import Run
 
 MAX_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
@@ -26,6 +27,15 @@ def snapshot(cube: xr.Dataset) -> xr.Dataset:
     shares = np.isfinite(near.w).mean(("y", "x")).values
     distance = np.abs(np.arange(shares.size) - shares.size // 2)
     return near.isel(time=int(np.argmax(np.round(shares, 2) - 1e-4 * distance))).load()
+
+
+def extremes_of(snap: xr.Dataset) -> str:
+    """Ranges of z and w of a snapshot (y, x), as a sentence."""
+    z, w = 100 * snap.z, 100 * snap.w
+    return (
+        f"At {moment_title(snap)} z is between {float(z.min()):.2g} and {float(z.max()):.2g} cm and w "
+        f"between {float(w.min()):.2g} and {float(w.max()):.2g} cm/s."
+    )
 
 
 def dates_of(run: Run) -> list[str]:

@@ -5,7 +5,7 @@ import xarray as xr
 
 from wavefield import figures
 from wavefield.pipeline import Run
-from wavefield.reports.html_page import Item, Picture, ReportSection, Text
+from wavefield.reports.html_page import Item, Picture, ReportSection, Sentences
 from wavefield.reports.number_text import median_of, number, rms_of
 from wavefield.reports.run_data import snapshot
 from wavefield.waves.nonlinear.kinematics import kinematics_at
@@ -37,12 +37,17 @@ def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[
 
 def spectra(run: Run) -> ReportSection:
     """Spectra of the analysis."""
-    section = ReportSection("Spectra")
+    section = ReportSection("Spectra", folded=True)
     group, dispersion = run.wave_group("spectra"), run.wave_group("dispersion")
     if run.waves is None or group is None:
         return section
-    section.items += [Text(note) for note in str(run.waves.attrs.get("notes", "")).splitlines() if note]
+    if notes := [note for note in str(run.waves.attrs.get("notes", "")).splitlines() if note]:
+        section.items.append(Sentences(notes))
     section.items += spectrum_pictures(group, dispersion)
+    section.gist = "over wavenumber, frequency and direction"
+    if dispersion is not None and "ridge_fraction" in dispersion:
+        share = 100 * float(dispersion.ridge_fraction)
+        section.gist += f"; {share:.0f} % of the variance of w follows the dispersion relation"
     section.items.append(
         Picture(
             figures.wavenumber_spectra(group),
@@ -84,14 +89,20 @@ def spectra(run: Run) -> ReportSection:
 
 
 def kinematics_picture(snap: xr.Dataset, cube: xr.Dataset) -> Picture:
-    """The terms of the kinematic condition at one step (y, x) of a cube."""
-    terms = kinematics_at(snap, cube)
+    """The terms of the kinematic condition at one step (y, x) of a cube, beside z and w."""
     return Picture(
         figures.kinematics_maps(snap, cube),
         "Elevation, vertical velocity, the nonlinear term u·∇z, and the residual z_t − w + u·∇z, at one "
         "moment; the last two share one colour scale.",
-        f"Four maps. Rms of w {100 * rms_of(snap.w):.3g} cm/s, of the nonlinear term "
-        f"{100 * rms_of(terms.nonlinear):.3g} cm/s, of the residual {100 * rms_of(terms.residual):.3g} cm/s.",
+        f"Four maps. {_sizes_of_terms(snap, cube)}",
+    )
+
+
+def _sizes_of_terms(snap: xr.Dataset, cube: xr.Dataset) -> str:
+    terms = kinematics_at(snap, cube)
+    return (
+        f"Rms of w {100 * rms_of(snap.w):.3g} cm/s, of the nonlinear term "
+        f"{100 * rms_of(terms.nonlinear):.3g} cm/s, of the residual {100 * rms_of(terms.residual):.3g} cm/s."
     )
 
 
@@ -109,19 +120,25 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
 
 def nonlinearity(run: Run) -> ReportSection:
     """The kinematic condition."""
-    section = ReportSection(
-        "Nonlinear term and coherence", [kinematics_picture(snapshot(run.cube), run.cube)]
+    snap = snapshot(run.cube)
+    maps = Picture(
+        figures.nonlinear_maps(snap, run.cube),
+        "The nonlinear term u·∇z and the residual z_t − w + u·∇z at one moment, on one colour scale.",
+        f"Two maps. {_sizes_of_terms(snap, run.cube)}",
     )
+    section = ReportSection("Nonlinear term and coherence", [maps], folded=True)
     coherence, kinematics = run.wave_group("coherence"), run.wave_group("kinematics")
     if coherence is not None:
         section.items.append(coherence_picture(coherence))
     if kinematics is not None:
+        share = 100 * float(kinematics.residual_fraction)
+        section.gist = f"residual over nonlinear term {share:.0f} %"
         section.items.append(
             Picture(
                 figures.balance_history(kinematics),
                 "The terms of the kinematic condition over time.",
                 "Curves of the rms of w, of the nonlinear term and of the residual over time; residual over "
-                f"nonlinear term {100 * float(kinematics.residual_fraction):.0f} %.",
+                f"nonlinear term {share:.0f} %.",
             )
         )
     return section

@@ -1,14 +1,21 @@
 "use strict";
 (function () {
   const text = (id) => document.getElementById(id).textContent;
-  const bytes = (id) => Uint8Array.from(atob(text(id)), (c) => c.charCodeAt(0));
   const d = JSON.parse(text("field-description"));
-  const field = {}, about = {};
-  for (const f of d.fields) { about[f.name] = f; field[f.name] = bytes("field-" + f.name); }
+  const field = {}, about = Object.fromEntries(d.fields.map((f) => [f.name, f]));
+  // bytes (time, y, x) of an element: differences along x and y, compressed, in base 64
+  async function load(name, nx, ny) {
+    if (field[name]) return;
+    const packed = Uint8Array.from(atob(text("field-" + name)), (c) => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const out = new Uint8Array(await new Response(stream).arrayBuffer());
+    for (let i = 0; i < out.length; i++) if (Math.floor(i / nx) % ny) out[i] += out[i - nx];
+    for (let i = 0; i < out.length; i++) if (i % nx) out[i] += out[i - 1];
+    field[name] = out;
+  }
   const kinds = [[217, 217, 217], ...d.kinds.map(([, c]) => [1, 3, 5].map((i) => parseInt(c.slice(i, i + 2), 16)))];
   const paint = (f, code) => (f.colours == "kinds" ? kinds[code] : d.colours[f.colours][code]);
-  const arrowU = bytes("field-u-arrows"), arrowV = bytes("field-v-arrows");
-  const nodes = d.nx * d.ny, arrowCount = d.arrows.x.length * d.arrows.y.length;
+  const nodes = d.nx * d.ny, arrowCount = d.arrows.nx * d.arrows.ny;
   const map = document.getElementById("map"), relief = document.getElementById("relief");
   const slider = document.getElementById("moment"), clock = document.getElementById("clock");
   const play = document.getElementById("play"), shown = document.getElementById("shown");
@@ -65,7 +72,7 @@
     const px = (x) => left + (x - d.x[0]) * scale, py = (y) => y0 + h - (y - d.y[0]) * scale;
     c.fillStyle = "#1b1f24"; c.font = font(20);
     c.textAlign = "center"; c.textBaseline = "top";
-    for (const v of ticks(d.x[0], d.x[1], 6)) { c.fillRect(px(v) - .75, y0 + h, 1.5, 6); c.fillText(label(v), px(v), y0 + h + 9); }
+    for (const v of ticks(d.x[0], d.x[1], 5)) { c.fillRect(px(v) - .75, y0 + h, 1.5, 6); c.fillText(label(v), px(v), y0 + h + 9); }
     c.fillText("x (m)", left + w / 2, y0 + h + 36);
     c.textAlign = "right"; c.textBaseline = "middle";
     for (const v of ticks(d.y[0], d.y[1], 5)) { c.fillRect(left - 6, py(v) - .75, 6, 1.5); c.fillText(label(v), left - 10, py(v)); }
@@ -82,6 +89,7 @@
       c.lineTo(x + dx - head * (ex + .45 * ey), y + dy - head * (ey - .45 * ex));
       c.stroke();
     };
+    const arrowU = field["u-arrows"], arrowV = field["v-arrows"];
     c.strokeStyle = "#000"; c.lineWidth = 1.7;
     c.save(); c.beginPath(); c.rect(left, y0, w, h); c.clip();
     for (let j = 0; j < a.y.length; j++) for (let i = 0; i < a.x.length; i++) {
@@ -105,11 +113,11 @@
     for (let i = 0; i < d.nx; i += stride) cols.push(i);
     for (let j = 0; j < d.ny; j += stride) rows.push(j);
     const wide = d.x[1] - d.x[0], high = d.y[1] - d.y[0], size = Math.hypot(wide, high);
-    const scale = 0.86 * (W - 90) / size, lift = 0.10 * size / half;  // heights: the scale's end is a tenth of the diagonal
+    const scale = 0.9 * (W - 30) / size, lift = 0.10 * size / half;  // heights: the scale's end is a tenth of the diagonal
     const ct = Math.cos(turn), st = Math.sin(turn), ci = Math.cos(tilt), si = Math.sin(tilt);
     const project = (x, y, z) => {
       const a = ct * x - st * y, b = st * x + ct * y;
-      return [(W - 90) / 2 + scale * a, H / 2 + 10 - scale * (b * si + z * ci), b];
+      return [W / 2 + scale * a, H / 2 - scale * (b * si + z * ci), b];
     };
     const at = (i, j) => step * nodes + j * d.nx + i;
     const point = (i, j) => {
@@ -138,10 +146,14 @@
       c.moveTo(p[0], p[1]); c.lineTo(q[0], q[1]); c.lineTo(r[0], r[1]); c.lineTo(s[0], s[1]); c.closePath(); c.fill(); c.stroke();
     }
     c.fillStyle = "#1b1f24"; c.font = font(20); c.textAlign = "center"; c.textBaseline = "middle";
-    const mark = (x, y, words) => { const p = project(x, y, 0); c.fillText(words, p[0], p[1]); };
-    mark(0, -0.60 * high, `x, ${label(Number(wide.toPrecision(3)))} m`);
-    mark(0.60 * wide, 0, `y, ${label(Number(high.toPrecision(3)))} m`);
-    bar(c, W - 92, H / 2 - 150, 20, 300, f);
+    const middle = project(0, 0, 0);
+    const mark = (x, y, words) => {  // beside an edge, outwards by more than half of the text
+      const p = project(x, y, 0), out = [p[0] - middle[0], p[1] - middle[1]], far = Math.hypot(...out) || 1;
+      const gap = 14 + (Math.abs(out[0]) * c.measureText(words).width / 2 + Math.abs(out[1]) * 10) / far;
+      c.fillText(words, p[0] + gap * out[0] / far, p[1] + (gap + 8) * out[1] / far);
+    };
+    mark(0, -0.5 * high, `x, ${label(Number(wide.toPrecision(3)))} m`);
+    mark(0.5 * wide, 0, `y, ${label(Number(high.toPrecision(3)))} m`);
     c.textAlign = "left"; c.textBaseline = "top";
     c.fillText(`height exaggerated ${round(100 * lift)} times`, 14, 12);
   }
@@ -156,7 +168,7 @@
   function go(to) { step = (to + d.time.length) % d.time.length; slider.value = step; draw(); }
   function stop() { clearInterval(timer); timer = null; play.textContent = "Play"; play.setAttribute("aria-pressed", "false"); }
   slider.addEventListener("input", () => go(Number(slider.value)));
-  shown.addEventListener("change", draw);
+  shown.addEventListener("change", () => load(shown.value, d.nx, d.ny).then(draw));
   play.addEventListener("click", () => {
     if (timer) return stop();
     play.textContent = "Pause"; play.setAttribute("aria-pressed", "true");
@@ -180,5 +192,11 @@
   map.addEventListener("keydown", (e) => {
     if (e.key === "ArrowLeft" || e.key === "ArrowRight") { e.preventDefault(); go(step + (e.key === "ArrowRight" ? 1 : -1)); }
   });
-  go(Math.floor(d.time.length / 2));
+  const first = [...new Set(["z", shown.value])].map((name) => load(name, d.nx, d.ny));
+  const arrows = ["u-arrows", "v-arrows"].map((name) => load(name, d.arrows.nx, d.arrows.ny));
+  Promise.all([...first, ...arrows]).then(() => {
+    document.getElementById("still").hidden = true;  // a browser without scripts or decompression shows it instead
+    for (const part of document.querySelectorAll(".player [data-moving]")) part.hidden = false;
+    go(Math.floor(d.time.length / 2));
+  });
 })();

@@ -74,7 +74,7 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
     --------
     >>> peak = xr.Dataset({"peak_frequency": 1.3, "peak_k": 6.8, "steepness": 0.1})
     >>> without_short_peak(peak, 1.15).notes[0]
-    'No spectral peak, no steepness: the record lasts 1.15 s, 1.5 periods of its strongest wave (of ten).'
+    'No spectral peak, no steepness: the record holds 1.5 peak periods (1.15 s); 10 are needed.'
     >>> "steepness" in without_short_peak(peak, 60.0).value
     True
     """
@@ -85,8 +85,8 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
     return Noted(
         statistics.drop_vars(gone, errors="ignore"),
         [
-            f"No spectral peak, no steepness: the record lasts {seconds:.3g} s, {periods:.2g} periods of its "
-            "strongest wave (of ten)."
+            f"No spectral peak, no steepness: the record holds {periods:.2g} peak periods ({seconds:.3g} s); "
+            f"{MIN_PERIODS:g} are needed."
         ],
     )
 
