@@ -127,8 +127,8 @@ def _flat(content: Content) -> str:
     flat, predicted = content["flat_target"], content["predicted"]
     return (
         f"z of the {flat['nodes']} nodes of view {flat['view']}, triangulated: rms "
-        f"{flat['z_rms_mm']:.3f} mm, {flat['z_about_its_plane_rms_mm']:.3f} mm about its plane, "
-        f"tilt {flat['tilt_mrad']:.3f} mrad. "
+        f"{flat['z_rms_mm']:.2g} mm, {flat['z_about_its_plane_rms_mm']:.2g} mm about its plane, "
+        f"tilt {flat['tilt_mrad']:.2g} mrad. "
         f"Predicted uncertainty of z: {predicted['z_mm']:.2g} mm, of which tilt and level "
         f"{predicted['z_of_which_tilt_mm']:.2g} mm."
     )

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -16,6 +15,7 @@ from wavefield.rig.lens import Array
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # distinct for all eyes
 GREY, PALE = "#555555", "#dddddd"
+_POSE_COLOURS = (*COLOURS, GREY, "#000000")
 _MIN_POINTS_PER_CELL = 4  # for an arrow of the mean residual
 
 
@@ -97,7 +97,8 @@ def coverage(observations: Observations) -> Figure:
         for p in range(len(o.poses)):
             rows = (o.camera == c) & (o.pose == p)
             if rows.any():
-                axes.plot(*o.pixel[rows].T, ".", ms=2.5, color=colormaps["tab10"](p % 10), label=o.poses[p])
+                colour, marker = _POSE_COLOURS[p % len(_POSE_COLOURS)], ".+"[p // len(_POSE_COLOURS) % 2]
+                axes.plot(*o.pixel[rows].T, marker, ms=2.5, color=colour, label=o.poses[p])
         _image_frame(axes, o.sizes[c])
         axes.set_title(o.cameras[c], fontsize=10, loc="left")
         axes.locator_params(nbins=5)
