@@ -38,6 +38,7 @@ from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
 from wavefield.waves.nonlinear.coherence import coherence
 from wavefield.waves.nonlinear.kinematics import kinematics
+from wavefield.waves.nonlinear.nonlinear_ratio import nonlinear_ratio
 from wavefield.waves.nonlinear.resonances import resonances
 from wavefield.waves.spectra.field_spectra import komega, spectrum
 from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
@@ -88,6 +89,7 @@ __all__ = [
     "load_rig",
     "look",
     "match",
+    "nonlinear_ratio",
     "open_cube",
     "open_run",
     "open_waves",

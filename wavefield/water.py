@@ -14,6 +14,7 @@ GRAVITY = 9.81  # m s-2
 SURFACE_TENSION = 0.0728  # N m-1, clean water at 20 C
 DENSITY = 1000.0  # kg m-3
 GAMMA = SURFACE_TENSION / DENSITY  # m3 s-2
+WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube, coordinates of its variables
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
@@ -41,6 +42,18 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
         stated = attributes.get("water_depth")
         depth = np.inf if not stated or stated == "deep" else float(stated)
     return float(depth), float(attributes.get("surface_tension_over_density", GAMMA))
+
+
+def water_coordinates(attributes: Mapping[str, Any]) -> dict[str, float]:
+    """Depth and surface tension that attributes state, as coordinates: a variable of a cube keeps those.
+
+    Examples
+    --------
+    >>> water_coordinates({"water_depth": 0.7, "name": "basin"}), water_coordinates({"water_depth": "deep"})
+    ({'water_depth': 0.7}, {})
+    """
+    given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}
+    return {name: float(value) for name, value in given.items() if np.isfinite(float(value))}
 
 
 def _depth(depth: float) -> float:

@@ -8,6 +8,7 @@ from waves_cases import linear_cube, random_waves
 import wavefield as wf
 from wavefield import waves as wv
 from wavefield.errors import WavefieldError
+from wavefield.variables import find
 
 NAMES = [
     "E_k",
@@ -93,6 +94,27 @@ def test_depth_and_degrees_of_freedom_are_those_that_the_input_states(inputs):
     xr.testing.assert_identical(read, given)
     assert not np.allclose(deep.D, given.D)
     assert np.isfinite(deep.dof).all()
+
+
+def test_a_variable_and_its_spectrum_keep_the_depth_of_their_cube(inputs):
+    z, w = inputs["cube"].z, inputs["cube"].w
+    shallow = wf.cube(z, w=w, velocity="instantaneous", depth=0.05)
+    spectrum = wf.spectrum(shallow.w)
+    by_input = [wf.directions(one, [1.5, 2.0]) for one in (shallow, shallow.w, spectrum, spectrum.E)]
+    for found in by_input[1:]:
+        np.testing.assert_array_equal(found.D, by_input[0].D)
+    deep = wf.directions(wf.cube(z, w=w, velocity="instantaneous").w, [1.5, 2.0])
+    assert not np.allclose(deep.D, by_input[0].D)
+    assert wf.komega(shallow.w[:, 2:]).water_depth == 0.05
+
+
+def test_every_angle_states_its_unit(inputs):
+    """Radians, but for the directional spectrum in the convention of oceanographers, which states degrees."""
+    found = wf.directions(inputs["cube"], [2.0])
+    names = ("theta", "direction", "direction_std", "spread", "spread_std")
+    assert {found[n].attrs["units"] for n in names} == {find("ridge_angle", "dispersion").units} == {"rad"}
+    ocean = wf.directional_spectrum(inputs["cube"], current=(0.0, 0.0))
+    assert {ocean[n].attrs["units"] for n in ("dir", "mean_direction", "directional_spread")} == {"degree"}
 
 
 def test_sums_of_the_spectrum_over_k_and_over_omega_hold_the_same_variance(inputs):

@@ -1,5 +1,7 @@
 """A cube's interactive page in a notebook."""
 
+import weakref
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +19,8 @@ def look(
     Parameters
     ----------
     cube : path or Dataset
-        Store written by `run`, finished or not, or the Dataset that `open_cube` returns.
+        Store written by `run`, finished or not, the Dataset that `open_cube` returns, or any other cube with
+        z, z_t, u, v, w (`wavefield.cube`; cropped, filtered), of which a copy is kept while it is shown.
     waves : path, optional
         Its wave store; by default where `wavefield analyze` writes it.
     port : int, optional
@@ -41,13 +44,14 @@ def look(
         ...
     wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
     """
-    from wavefield.errors import StoreError
     from wavefield.explorer.server import ServedPage, session_server
     from wavefield.explorer.session import LookSession
+    from wavefield.pipeline.foreign_cube import stored_cube
 
-    path = cube if isinstance(cube, str | Path) else cube.encoding.get("source")
-    if path is None:
-        raise StoreError("only cubes in a store can be shown: give its path, or the result of open_cube")
-    session = LookSession.open(path, waves)
-    session.load()
-    return ServedPage(lambda: session_server(session, port))
+    with ExitStack() as stack:
+        path = stack.enter_context(stored_cube(cube))
+        session = LookSession.open(path, waves)
+        stack.callback(session.load().join)
+        page = ServedPage(lambda: session_server(session, port))
+        weakref.finalize(page, stack.pop_all().close)
+    return page

@@ -32,6 +32,8 @@ class LookSession:
         """Forget what belongs to the cube, to read it again when it is next used: it has changed."""
         self.run = replace(self.run)
 
-    def load(self) -> None:
+    def load(self) -> threading.Thread:
         """Read the preview in the background."""
-        threading.Thread(target=self.record.preview.load, daemon=True, name="preview").start()
+        thread = threading.Thread(target=self.record.preview.load, daemon=True, name="preview")
+        thread.start()
+        return thread

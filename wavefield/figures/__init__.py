@@ -15,6 +15,7 @@ from wavefield.figures.kinematics_figures import (
     coherence_curves,
     kinematics_maps,
     nonlinear_maps,
+    nonlinear_ratio_curves,
     plane_coherence_maps,
     vorticity_map,
 )
@@ -75,6 +76,7 @@ __all__ = [
     "misfit_maps",
     "noise_spectra",
     "nonlinear_maps",
+    "nonlinear_ratio_curves",
     "path_map",
     "plane_coherence_maps",
     "probe_series",

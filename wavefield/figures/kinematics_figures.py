@@ -7,6 +7,8 @@ from matplotlib.figure import Figure
 
 from wavefield.figures.style import (
     CYCLES,
+    HERTZ,
+    LINES,
     POSITIVE,
     RIGHT,
     cycles,
@@ -14,6 +16,7 @@ from wavefield.figures.style import (
     draw_curves,
     draw_map,
     finish,
+    hertz,
     limit,
     map_panels,
     moment_title,
@@ -152,6 +155,37 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
     curves = {label: plane[f"mean_C_{name}"].values for name, label in _COHERENCES.items()}
     draw_curves(right, cycles(plane), curves)
     finish(right, CYCLES, "|C|, averaged after the ratio", ylim=(0, 1.1))
+    return figure
+
+
+def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
+    """Ratio of the nonlinear term to the vertical velocity over wavenumber and frequency.
+
+    Parameters
+    ----------
+    ratio : Dataset
+        Group ``/kinematics`` of a wave store, or the result of `wavefield.nonlinear_ratio`.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Shaded: the 95 % interval. The term is relative to the mean current, which adds none of its own.
+    """
+    figure, axes = panels(2)
+    top = 0.0
+    for ax, axis, x, label in zip(
+        axes[0], ("k", "omega"), (cycles(ratio), hertz(ratio)), (CYCLES, HERTZ), strict=True
+    ):
+        middle, low, high = (ratio[f"{end}nonlinear_ratio_{axis}"].values for end in ("", "low_", "high_"))
+        ax.fill_between(x, low, high, color=LINES[1]["color"], alpha=0.25, linewidth=0)
+        ax.plot(x, middle, **LINES[1])
+        top = max(top, float(np.nanpercentile(middle, 95)))
+        finish(ax, label, "u·∇z over w, amplitude (1)")
+    for ax in axes[0]:
+        ax.set_ylim(0, 1.3 * top or 1.0)
     return figure
 
 

@@ -24,6 +24,7 @@ from wavefield.rig.resolution import pixel_size
 from wavefield.series import Frame
 from wavefield.series.frames import check_content
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameFault, annotate
+from wavefield.water import water_coordinates
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, Model, Settings
@@ -187,7 +188,8 @@ def reconstruct(
         for name in ("experiment", "water_depth", "surface_tension_over_density")
         if name in attributes
     }
-    return annotate(out.set_coords(list(gain)), "gain")
+    out = out.set_coords(list(gain)).assign_coords(water_coordinates(out.attrs))
+    return annotate(out, "gain")
 
 
 def _gain(

@@ -1,6 +1,7 @@
 """Every figure and number of the paper on one page, from one cube, its waves and a still-water record."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -11,14 +12,21 @@ from wavefield import figures
 from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run
-from wavefield.reports.compose import build_all, experiment_name, measured_run
+from wavefield.pipeline.foreign_cube import stored_cube
+from wavefield.reports.compose import build_all, experiment_name, measured_run, page_of, waves_of
 from wavefield.reports.elevation_section import elevation_pictures
 from wavefield.reports.field_sections import distribution_picture, snapshot_pictures
 from wavefield.reports.html_page import Head, Item, Picture, ReportSection, Table, Text, render
 from wavefield.reports.number_text import number, rms_of
+from wavefield.reports.overview import setup
 from wavefield.reports.pair_section import pair_items
 from wavefield.reports.run_data import snapshot, thinned
-from wavefield.reports.wave_sections import coherence_picture, kinematics_picture, spectrum_pictures
+from wavefield.reports.wave_sections import (
+    coherence_picture,
+    kinematics_picture,
+    nonlinear_ratio_picture,
+    spectrum_pictures,
+)
 from wavefield.rig.resolution import pixel_size
 from wavefield.store.store_paths import beside
 from wavefield.waves import analyze, kinematics, plane_coherence
@@ -27,10 +35,10 @@ _METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum"
 
 
 def paper(
-    store: str | Path,
+    store: str | Path | xr.Dataset,
     output: str | Path | None = None,
     *,
-    rest: str | Path | None = None,
+    rest: str | Path | xr.Dataset | None = None,
     waves: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -38,11 +46,11 @@ def paper(
 
     Parameters
     ----------
-    store : path
-        The cube.
+    store : path or Dataset
+        The cube: written by `run`, or any other with z, z_t, u, v, w (`wavefield.cube`; cropped, filtered).
     output : path, optional
-        File to write; by default ``..._paper.html`` next to the cube.
-    rest : path, optional
+        File to write; by default ``..._paper.html`` next to the cube, of a Dataset in the current folder.
+    rest : path or Dataset, optional
         Cube of still water, by the same cameras; without it there is no figure of still water.
     waves : path, optional
         Waves of the cube; by default those next to it, which are made first if there are none.
@@ -68,16 +76,24 @@ def paper(
     >>> page.name  # doctest: +SKIP
     'paper.html'
     """
-    store = Path(store)
-    output = Path(output) if output is not None else beside(store, "paper", ".html")
+    output = Path(output) if output is not None else page_of(store, "paper")
     check_writable(output, PAGE)
-    waves = Path(waves) if waves is not None else beside(store, "waves", ".zarr")
-    if not waves.is_dir():
-        analyze(store, waves)
-    run = measured_run(store, waves)
-    still = None if rest is None else measured_run(rest).cube
+    with ExitStack() as stack:
+        path = stack.enter_context(stored_cube(store))
+        expected = waves_of(store, waves) or beside(path, "waves", ".zarr")
+        if not expected.is_dir():
+            analyze(store, expected)
+        run = measured_run(path, expected)
+        still = None if rest is None else measured_run(stack.enter_context(stored_cube(rest))).cube
+        return _write(run, still, output, progress)
+
+
+def _write(
+    run: Run, still: xr.Dataset | None, output: Path, progress: Callable[[int, int], None] | None
+) -> Path:
     builders: list[Callable[[], ReportSection]] = [
-        partial(build, run) for build in (_snapshot, _distributions, _spectrum, _nonlinear, _elevation)
+        partial(build, run)
+        for build in (_setup, _snapshot, _distributions, _spectrum, _nonlinear, _elevation)
     ]
     builders += [partial(_still_water, run, still), partial(_pairs, run), partial(_numbers, run, still)]
     head = Head(
@@ -97,6 +113,13 @@ def _group(run: Run, name: str) -> xr.Dataset:
 
 def _pixel(run: Run) -> float:
     return pixel_size(run.rig, run.grid) if run.rig is not None else float("nan")
+
+
+def _setup(run: Run) -> ReportSection:
+    section = setup(run)
+    if not section.items:
+        section.items.append(Text(f"No cameras are drawn: {run.reason('rig')}."))
+    return section
 
 
 def _snapshot(run: Run) -> ReportSection:
@@ -144,6 +167,7 @@ def _nonlinear(run: Run) -> ReportSection:
                 f"{low_k:.3f} over the lowest quarter of k.",
             ),
             coherence_picture(_group(run, "coherence")),
+            nonlinear_ratio_picture(_group(run, "kinematics")),
         ],
     )
 

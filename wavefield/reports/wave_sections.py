@@ -118,6 +118,17 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
     )
 
 
+def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
+    """The ratio of the nonlinear term to the vertical velocity."""
+    ratio = kinematics.nonlinear_ratio_k
+    return Picture(
+        figures.nonlinear_ratio_curves(kinematics),
+        "Ratio of the nonlinear term, relative to the mean current, to the vertical velocity over wavenumber "
+        "and frequency, with 95 % intervals.",
+        f"Two curves. Over wavenumber the median is {100 * median_of(ratio.values):.2g} %.",
+    )
+
+
 def nonlinearity(run: Run) -> ReportSection:
     """The kinematic condition."""
     snap = snapshot(run.cube)
@@ -130,6 +141,8 @@ def nonlinearity(run: Run) -> ReportSection:
     coherence, kinematics = run.wave_group("coherence"), run.wave_group("kinematics")
     if coherence is not None:
         section.items.append(coherence_picture(coherence))
+    if kinematics is not None and "nonlinear_ratio_k" in kinematics:
+        section.items.append(nonlinear_ratio_picture(kinematics))
     if kinematics is not None:
         share = 100 * float(kinematics.residual_fraction)
         section.gist = f"residual over nonlinear term {share:.0f} %"

@@ -13,7 +13,8 @@ from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, StoreLayout
 from wavefield.store.ledger_files import check_chunks
 from wavefield.store.metadata import check_metadata
-from wavefield.variables import TABLE
+from wavefield.variables import TABLE, annotate
+from wavefield.water import water_coordinates
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
@@ -75,6 +76,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     -------
     Dataset
         The variables of `wavefield.variables`, attributes with the recipe; steps not yet measured are NaN.
+        The water's depth, where it is stated, is a coordinate as well, which every variable keeps.
         Where the run found jitter of the frame times that no time stamps state, the standard uncertainties
         contain it (`with_jitter`).
         The names of the cameras and the response to waves (``gain_z``, ...) are coordinates; the recipe, the
@@ -106,7 +108,8 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     >>> missing
     True
     """
-    return with_jitter(open_without_jitter(path, chunks))
+    cube = with_jitter(open_without_jitter(path, chunks))
+    return annotate(cube.assign_coords(water_coordinates(cube.attrs)))
 
 
 def open_without_jitter(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":

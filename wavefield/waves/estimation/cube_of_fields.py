@@ -8,6 +8,7 @@ from scipy.interpolate import make_interp_spline
 
 from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS, annotate, validate
+from wavefield.water import water_coordinates
 from wavefield.waves.estimation.wave_record import check_axes
 from wavefield.waves.estimation.welch import VELOCITY, frames_of_meaning
 
@@ -48,7 +49,8 @@ def cube(
     -------
     Dataset
         The fields with their units, ``path_frames`` (1 of instantaneous velocities, 2 of displacements), and
-        the attributes ``velocity``, ``frame_rate``, Hz, and ``water_depth``, m. Lazy where the fields are.
+        the attributes ``velocity``, ``frame_rate``, Hz, and ``water_depth``, m, which is a coordinate as
+        well: ``cube.w`` keeps it. Lazy where the fields are.
 
     Raises
     ------
@@ -103,7 +105,8 @@ def cube(
     stated = {VELOCITY: velocity, "frame_rate": 1 / dt} | attrs
     if depth is not None and np.isfinite(depth):
         stated["water_depth"] = float(depth)
-    return annotate(out.assign_coords(path_frames=np.uint8(frames))).assign_attrs(stated)
+    coords: dict[str, Any] = {"path_frames": np.uint8(frames), **water_coordinates(stated)}
+    return annotate(out.assign_coords(coords)).assign_attrs(stated)
 
 
 def _seconds(name: str, field: object) -> xr.DataArray:

@@ -3,7 +3,7 @@
 Estimators of one field take that field, (time, y, x). Estimators of the surface take a cube. Estimators of
 the dispersion relation take a spectrum E(omega, ky, kx), or a cube or a field that they make it of
 (`wavefield.waves.spectra.plane_input`). Depth, surface tension and degrees of freedom that are not given are
-those that a cube or the result of `spectrum` states.
+those that the input states: a cube in its attributes, a field or a spectrum of it in its coordinates.
 """
 
 import functools
@@ -15,6 +15,7 @@ import xarray as xr
 
 from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS
+from wavefield.water import WATER, water_coordinates, water_of
 
 Estimator = TypeVar("Estimator", bound=Callable[..., Any])
 # of what an estimator is given: what it works on, and the parameters that the input states
@@ -62,13 +63,28 @@ def is_cube(given: object) -> bool:
     return isinstance(given, xr.Dataset) and set(CUBE_DIMS) <= set(given.dims)
 
 
+def stated_water(given: Any) -> dict[str, float]:
+    """Depth and surface tension over density that a cube, a field or a spectrum states; empty if none."""
+    stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
+    stated |= water_coordinates(given.attrs)
+    if not stated:
+        return {}
+    depth, gamma = water_of(stated)
+    return {"depth": depth, "gamma": gamma}
+
+
+def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
+    """A result with the water's coordinates of its field."""
+    return out.assign_coords({name: given.coords[name] for name in WATER if name in given.coords})
+
+
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
     """A field, or a refusal."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
         )
-    return given, {}
+    return given, stated_water(given)
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:

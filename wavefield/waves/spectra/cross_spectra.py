@@ -159,12 +159,12 @@ def lazy_cross_spectra(
     return label(arrays, names, pairs, welch, freedom)
 
 
-def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None) -> xr.Dataset:
+def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[str] = NAMES) -> xr.Dataset:
     """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them."""
     step = float(ring["omega"][1] - ring["omega"][0])
     duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     out = xr.Dataset(attrs=ring.attrs)
-    for name in NAMES:
+    for name in names:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
         if gain is not None and name not in ("rise", "nl"):
             factor, valid = correction(gain, _MEASURED.get(name, name), ring["k"].values)

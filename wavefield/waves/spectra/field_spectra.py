@@ -16,7 +16,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import K_UNITS, TABLE, annotate, density_units, product
 from wavefield.waves.estimation import rings, segment_variance, segments, wave_kernels
 from wavefield.waves.estimation.degrees_of_freedom import independent_cells, with_interval
-from wavefield.waves.estimation.inputs import a_field, described, is_field, takes
+from wavefield.waves.estimation.inputs import a_field, described, is_field, keep_water, takes
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.windows import interval
@@ -141,7 +141,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     out = plane_density(values, _name(field), field.attrs.get("units", "1"), welch)
     for name in ("dof", "low", "high"):
         out[name] = xr.DataArray(da.from_delayed(lazy[name], (), np.float64), attrs=out[name].attrs)
-    return finish(out, field)
+    return finish(keep_water(out, field), field)
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
@@ -259,7 +259,7 @@ def komega(
     out["E"].attrs = TABLE["komega/E"].of(
         _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
     )
-    return finish(out, field)
+    return finish(keep_water(out, field), field)
 
 
 def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataArray:

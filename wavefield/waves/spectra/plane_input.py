@@ -5,8 +5,7 @@ from typing import Any
 import xarray as xr
 
 from wavefield.errors import CubeError
-from wavefield.water import water_of
-from wavefield.waves.estimation.inputs import Convert, described, is_cube, is_field
+from wavefield.waves.estimation.inputs import Convert, described, is_cube, is_field, stated_water
 from wavefield.waves.spectra.field_spectra import spectrum
 
 PLANE = {"omega", "ky", "kx"}
@@ -16,19 +15,17 @@ def plane_of(field: str) -> Convert:
     """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's."""
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-        stated: dict[str, Any] = {}
+        water: dict[str, Any] = stated_water(given) if isinstance(given, xr.DataArray | xr.Dataset) else {}
         if isinstance(given, xr.DataArray) and set(given.dims) == PLANE:
-            return given, stated
+            return given, water
         if is_cube(given):
             if field not in given:
                 raise CubeError(f"the cube has no {field!r}, of whose spectrum {name} is made")
-            depth, gamma = water_of(given.attrs)
-            stated = {"depth": depth, "gamma": gamma}
             given = spectrum(given[field]).compute()
         elif is_field(given):
             given = spectrum(given).compute()
         if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
-            return given["E"], stated | ({"dof": float(given["dof"])} if "dof" in given else {})
+            return given["E"], water | ({"dof": float(given["dof"])} if "dof" in given else {})
         raise CubeError(
             f"{name} needs a spectrum over omega, ky and kx (`wavefield.spectrum`), a cube, or a field over"
             f" time, y and x, got {described(given)}"
