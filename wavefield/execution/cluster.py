@@ -1,4 +1,4 @@
-"""Where blocks are measured: in this process, in others of this machine, or on a Dask cluster."""
+"""Where chunks of steps are measured: in this process, in others of this machine, or on a Dask cluster."""
 
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence

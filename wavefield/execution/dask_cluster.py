@@ -306,7 +306,7 @@ class _Tasks:
         some = [indices for indices in (self._take() for _ in range(room)) if indices]
         if not some:
             return
-        keys = [f"blocks-{next(self._number)}-{self._mark}" for _ in some]
+        keys = [f"chunks-{next(self._number)}-{self._mark}" for _ in some]
         batches = [[self._items[index] for index in indices] for indices in some]
         for future, indices in zip(self._client.map(self._task, batches, pure=False, key=keys), some):
             self.futures[future] = indices

@@ -16,7 +16,7 @@ CLUSTER_PACKAGES = (
 
 
 class Between(ConfigSection):
-    """From how many to how many workers: more are asked for while blocks wait, and given back at the end."""
+    """From how many to how many workers: more are asked for while chunks wait, and given back at the end."""
 
     minimum: int = Field(ge=1, examples=["2"], description="workers to ask for at once")
     maximum: int = Field(ge=1, examples=["40"], description="most workers")

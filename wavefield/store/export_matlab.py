@@ -12,7 +12,7 @@ _HEADER = 512  # bytes before the HDF5
 _CLASS = {"float32": "single", "float64": "double"}  # numpy's types whose names differ
 
 
-def write_matlab(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> None:
+def write_matlab(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> None:
     """Write a cube as a MAT-file of version 7.3, which `load` and `matfile` read.
 
     Fields are of size (y, x, time) as MATLAB reads them, so that ``surf(x, y, z(:,:,1))`` draws a step; one
@@ -24,9 +24,9 @@ def write_matlab(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> 
         for name, variable in cube.variables.items():
             _lay_out(file, str(name), variable)
         at = 0
-        for block in blocks:
-            stop = at + block.sizes["time"]
-            for name, variable in block.variables.items():
+        for chunk in chunks:
+            stop = at + chunk.sizes["time"]
+            for name, variable in chunk.variables.items():
                 if "time" in variable.dims and variable.ndim == 3:
                     file[str(name)][at:stop] = np.asarray(variable).transpose(0, 2, 1)
             at = stop

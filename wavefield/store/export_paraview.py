@@ -17,7 +17,7 @@ _HEAD = '<?xml version="1.0"?>\n<!-- written by wavefield -->\n'
 _VELOCITY = ("u", "v", "w")
 
 
-def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
+def write_paraview(chunks: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
     """Write every step as a structured grid (.vts); returns the text of the series of them (.pvd).
 
     Points are on the surface, (x, y, z); ``velocity`` is the vector (u, v, w). Nodes where z is unknown are
@@ -25,10 +25,10 @@ def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, folder: str) -> st
     """
     draft.mkdir()
     lines: list[str] = []
-    for block in blocks:
-        x, y = np.meshgrid(np.asarray(block.x), np.asarray(block.y))
-        for k in range(block.sizes["time"]):
-            one = block.isel(time=k)
+    for chunk in chunks:
+        x, y = np.meshgrid(np.asarray(chunk.x), np.asarray(chunk.y))
+        for k in range(chunk.sizes["time"]):
+            one = chunk.isel(time=k)
             name = f"step_{len(lines):05d}.vts"
             (draft / name).write_bytes(structured_grid(x, y, one))
             place = quoteattr(f"{folder}/{name}")

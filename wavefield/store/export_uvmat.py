@@ -19,7 +19,7 @@ _ROLES = {  # name here: name and role there
 }
 
 
-def write_uvmat(blocks: Iterator[xr.Dataset], draft: Path, stem: str, dt: float) -> None:
+def write_uvmat(chunks: Iterator[xr.Dataset], draft: Path, stem: str, dt: float) -> None:
     """Write every step as a NetCDF 3 file as UVMAT's `struct2nc` does.
 
     Physical coordinates in metres, y upwards. ``FF`` is UVMAT's flag of false vectors: 0 where the node was
@@ -27,10 +27,10 @@ def write_uvmat(blocks: Iterator[xr.Dataset], draft: Path, stem: str, dt: float)
     """
     draft.mkdir()
     number = 0
-    for block in blocks:
-        for k in range(block.sizes["time"]):
+    for chunk in chunks:
+        for k in range(chunk.sizes["time"]):
             number += 1
-            _write_step(draft / f"{stem}_{number}.nc", block.isel(time=k), dt)
+            _write_step(draft / f"{stem}_{number}.nc", chunk.isel(time=k), dt)
 
 
 def _write_step(path: Path, step: xr.Dataset, dt: float) -> None:

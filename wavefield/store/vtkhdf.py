@@ -24,7 +24,7 @@ _LISTS = {
 _OFFSETS = ("PartOffsets", "CellOffsets", "ConnectivityIdOffsets")
 
 
-def write_vtkhdf(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> None:
+def write_vtkhdf(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> None:
     """Write a cube as VTKHDF, a few steps at a time.
 
     Points and fields as in a ``.pvd`` (`wavefield.store.export_paraview`), one step behind the other. Cells
@@ -51,9 +51,9 @@ def write_vtkhdf(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> 
         for name in _OFFSETS:
             steps[name] = np.zeros(count if name == "PartOffsets" else (count, 1), np.int64)
         before, at = None, 0
-        for block in blocks:
-            for k in range(block.sizes["time"]):
-                arrays = points_and_fields(x, y, block.isel(time=k))
+        for chunk in chunks:
+            for k in range(chunk.sizes["time"]):
+                arrays = points_and_fields(x, y, chunk.isel(time=k))
                 shown = (arrays["vtkGhostType"].ravel() == 0)[corners].all(axis=1)
                 if before is None or not np.array_equal(shown, before):
                     starts = _add_cells(root, corners[shown], x.size)
