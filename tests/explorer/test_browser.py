@@ -9,8 +9,8 @@ import xarray as xr
 
 from wavefield.explorer import selections
 from wavefield.explorer.map_fields import arrows, relief
-from wavefield.figures.quality import KINDS, quality_kind
-from wavefield.figures.style import limit
+from wavefield.figures.display import limit
+from wavefield.figures.quality_kinds import KINDS, quality_kind
 
 STEP = 2
 
@@ -443,12 +443,81 @@ def test_links_of_the_save_panel_bring_files_and_the_view(page, chrome, fields):
 def test_it_fits_a_phone(chrome, served):
     from browser import Browser
 
-    phone = Browser(chrome.new_page(viewport={"width": 390, "height": 844}))
+    screen = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "device_scale_factor": 3}
+    phone = Browser(chrome.new_context(**screen).new_page())
     phone.open(served.url + "?node=0.1,0.1")
-    assert phone.page.evaluate("document.documentElement.scrollWidth") <= 390
-    phone.page.close()
+    assert phone.page.evaluate("[innerWidth, document.documentElement.scrollWidth]") == [390, 390]
+    phone.page.context.close()
     assert phone.errors == []
     assert phone.outside == []
+
+
+@pytest.mark.parametrize("query", ["", "?tab=waves", "?tab=cameras", "?tab=surface&average=rms"])
+def test_screen_readers_and_weak_eyes_can_use_it(chrome, served, query):
+    from browser import Browser
+
+    window = Browser(chrome.new_page(viewport={"width": 1400, "height": 900}))
+    window.page.goto(served.url + query)
+    window.wait(f"{model('node_z_series')}.data.t.length > 0 && {model('verdict_words')}")
+    for tab in ("Save", "Mask", "Node"):
+        window.page.locator(".bk-tab").get_by_text(tab, exact=True).click()
+        window.page.wait_for_timeout(1200)  # names are given every second
+        assert window.barriers() == []
+    window.page.close()
+    assert window.errors == []
+
+
+def test_it_opens_with_a_node_whose_series_are_shown_with_the_probe(chrome, served, fields):
+    from browser import Browser
+
+    window = Browser(chrome.new_page(viewport={"width": 1400, "height": 900}))
+    window.open(served.url, "node_probe_series")
+    for axis in "xy":
+        assert abs(window.column("map_node", axis)[0]) < 0.03
+    probe = window.column("node_probe_series", "value")
+    t = window.column("node_probe_series", "t")
+    np.testing.assert_allclose(probe, np.sin(2 * np.pi * 1.1 * t), atol=1e-3)
+    bottom = window.page.evaluate(
+        f"(() => {{ const v = Bokeh.index.find_one({model('map')});"
+        " return v.frame.bbox.bottom + v.el.getBoundingClientRect().y })()"
+    )
+    assert 700 < bottom < 900  # the map fills the window
+    window.page.close()
+    assert window.errors == []
+
+
+def test_kx_and_ky_have_equal_axes(page):
+    page.page.keyboard.press("4")
+    page.wait(f"{model('wave_plane')}.data.image.length == 1")
+    page.page.wait_for_timeout(500)
+    (x0, y0), (x1, y1) = page.at("wave_map", 0, 0), page.at("wave_map", 1, 1)
+    assert x1 - x0 == pytest.approx(y0 - y1, rel=0.02)
+
+
+def test_the_pointer_is_given_name_value_and_unit(page, fields):
+    page.page.mouse.move(*page.at("map", X[7], Y[5]))
+    value = float(f"{100 * fields['w'][STEP, 5, 7]:.4g}")
+    page.page.get_by_text(f"{value} cm/s").wait_for(timeout=5000)
+    page.page.get_by_text("w:", exact=True).first.wait_for(timeout=5000)
+
+
+def test_the_mean_over_time_with_streamlines_and_logarithmic_colours(page, fields):
+    choose(page, "average", "rms over time")
+    page.wait(f"{model('map')}.title.text.endsWith('rms over time')")
+    with np.errstate(invalid="ignore"):
+        np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"].std(axis=0), atol=2e-3)
+    choose(page, "average", "mean over time")
+    choose(page, "overlay", "streamlines")
+    page.wait(f"{model('map')}.title.text.endsWith('mean over time')")
+    page.wait(f"{model('map_arrows')}.data.x.length > 0")
+    choose(page, "average", "this step")
+    page.wait(shown("w") + f"&& {at_step(STEP)}")
+    choose(page, "overlay", "arrows")
+    page.page.get_by_role("button", name="Log").click()
+    expected = np.log10(abs(100 * fields["w"][STEP].ravel()[150]))
+    page.wait(f"Math.abs({model('map_image')}.data.image[0][150] - {expected}) < 1e-4")
+    page.page.get_by_role("button", name="Log").click()
+    page.wait(f"{model('low')}.value < 0")
 
 
 def test_only_this_machine_may_talk_to_it(served):

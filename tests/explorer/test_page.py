@@ -1,5 +1,7 @@
 """The page without a browser: built for any cube, at any place; it goes on when something is amiss."""
 
+import re
+import time
 from collections import Counter
 
 import numpy as np
@@ -10,7 +12,9 @@ from explorer_cases import create_cube, make_cube, write_cube_block
 
 from wavefield.explorer.look_page import LookPage
 from wavefield.explorer.place import TABS, Place
+from wavefield.explorer.server import middle_node
 from wavefield.explorer.session import LookSession
+from wavefield.store.verdict import Remark, Verdict
 
 
 def build(path, place=None):
@@ -57,6 +61,64 @@ def test_a_place_is_shown_at_once(cube):
     assert len(page.panels.map.sources["node"].data["x"]) == 1
 
 
+def test_it_opens_at_the_measured_node_nearest_to_the_middle(cube):
+    record = LookSession.open(cube).record
+    x, y = middle_node(record, 0)
+    assert abs(x - record.x.mean()) <= 0.026
+    assert abs(y - record.y.mean()) <= 0.026
+    record._cache["z", 0] = np.full((16, 20), np.nan, np.float32)
+    record._cache["z", 0][3, 4] = 0.0
+    assert middle_node(record, 0) == (record.x[4], record.y[3])
+
+
+def test_the_head_shows_the_significant_height_and_the_verdict(cube, tmp_path):
+    path = tmp_path / "cube.zarr"
+    fields = make_cube(path)
+    focus = Remark("cam1", "focus", "remark", "its <images> are blurred")
+    Verdict.of([focus]).save(path)
+    page, _ = build(path)
+    height = float(re.search(r"Hs ([\d.]+) cm", page.header.state.text)[1])
+    assert height == pytest.approx(400 * np.nanstd(fields["z"]), rel=0.01)
+    assert "sound with remarks" in page.header.verdict.text
+    assert "cam1: its &lt;images&gt; are blurred" in page.header.verdict.text
+
+
+@pytest.mark.parametrize("average", ["mean", "rms"])
+def test_a_mean_over_time_is_shown_with_its_own_colours(cube, average):
+    page, _ = build(cube)
+    wait_for = page.averages
+    page.change(show="w", average=average)
+    page.redraw()
+    for _ in range(200):
+        if wait_for.get(page._request(), None) is not None:
+            break
+        time.sleep(0.02)
+    page.redraw()
+    values = np.array([page.session.record.field("w", k) for k in range(120)])
+    shown = page.panels.map.sources["image"].data["image"][0]
+    expected = values.mean(axis=0) if average == "mean" else values.std(axis=0)
+    np.testing.assert_allclose(shown, 100 * expected, atol=2e-3)
+    assert page.panels.map.figure.title.text.endswith(f"{average} over time")
+    assert (page.panels.map.mapper.low == 0) == (average == "rms")
+    page.change(show="quality")
+    page.redraw()
+    assert "t = " in page.panels.map.figure.title.text
+
+
+def test_logarithmic_colours_are_those_of_magnitudes(cube):
+    page, _ = build(cube)
+    page.change(show="w", log=True, colours="viridis")
+    page.redraw()
+    w = 100 * np.abs(page.session.record.field("w", 0))
+    shown = page.panels.map.sources["image"].data["image"][0]
+    np.testing.assert_allclose(10 ** shown[5:], w[5:], rtol=1e-4)
+    assert page.panels.map.mapper.palette[0].lower() == "#440154"
+    assert page.panels.map.hover.tooltips[0] == ("|w|", "@image{custom} cm/s")
+    page.change(log=False)
+    page.redraw()
+    assert page.panels.map.hover.tooltips[0] == ("w", "@image{custom} cm/s")
+
+
 def test_fitted_colours_are_nobodys_wish(cube):
     page, _ = build(cube)
     page.redraw()
@@ -71,7 +133,7 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(cube, tmp_path):
     next((path / "w" / "c").glob("0/0/0")).write_bytes(b"nonsense")
     page, document = LookPage(LookSession.open(path), Place(step=1)), Document()
     page.attach(document)
-    assert "w of steps 0 to 39 is lost" in page.state.text
+    assert "w of steps 0 to 39 is lost" in page.header.state.text
     page.change(step=50)
     page.redraw()
     assert np.isfinite(page.panels.map.sources["image"].data["image"][0]).any()
@@ -82,13 +144,13 @@ def test_an_empty_cube_is_shown_as_such(tmp_path):
     create_cube(path)
     page, _ = build(path, Place(node=(0.0, 0.0), tab="surface"))
     assert "not measured yet" in page.panels.map.figure.title.text
-    assert "measured so far: 0 (0 %)" in page.state.text
+    assert "measured so far: 0 (0 %)" in page.header.state.text
     write_cube_block(path, 0)
     page.recheck()
-    assert "measured so far: 40" in page.state.text
+    assert "measured so far: 40" in page.header.state.text
 
 
 def test_what_is_missing_beside_a_cube_is_a_sentence(cube):
     page, _ = build(cube)
     assert "no waves yet" in page.session.run.reason("waves")
-    assert "no images" in page.panels.cameras.words.text
+    assert "no images" in page.panels.cameras().words.text

@@ -156,8 +156,8 @@ def test_probes_that_cannot_be_read_are_reported(tmp_path, text):
         (tmp_path / "gauges.csv").write_text(text)
     make_cube(tmp_path / "cube.zarr", experiment_file="experiment.yaml")
     page = LookPage(LookSession.open(tmp_path / "cube.zarr"), Place())
-    page._show_state()
-    assert "gauges.csv" in page.state.text
+    page.attach(Document())
+    assert "gauges.csv" in page.header.state.text
 
 
 def test_any_value_that_is_not_offered_is_another_one(own):
@@ -179,9 +179,9 @@ def test_a_disabled_button_writes_nothing(own):
     page, _, path = own
     before = path.read_bytes()
     for corner in ((0, 0), (1, 1), (math.nan, 0), (0, math.inf)):
-        page.panels.masks._save()
-        page.panels.masks.add("water", corner)
-    page.panels.masks._save()
+        page.panels.masks()._save()
+        page.panels.masks().add("water", corner)
+    page.panels.masks()._save()
     assert path.read_bytes() == before
 
 
@@ -192,9 +192,9 @@ def test_a_mask_goes_into_the_file_of_the_session_whose_rights_stay(own):
     for count, mode in enumerate((0o600, 0o640, 0o664), 1):
         path.chmod(mode)
         for corner in ((0, 0), (0.1, 0), (0, 0.1)):
-            page.panels.masks.add("water", corner)
-        page.panels.masks._save()
-        assert f"Saved in {path}" in page.panels.masks.words.text
+            page.panels.masks().add("water", corner)
+        page.panels.masks()._save()
+        assert f"Saved in {path}" in page.panels.masks().words.text
         assert len(Experiment.load(path).mask["water"]) == count
         assert stat.S_IMODE(path.stat().st_mode) == mode
         assert {p.name for p in path.parent.iterdir()} == names
@@ -275,14 +275,14 @@ def shown(tmp_path_factory):
         return page, document
 
     page, document = page_of()
-    page.panels.masks.add("water", (0, 0))
+    page.panels.masks().add("water", (0, 0))
     for corner in ((1, 0), (0, 1)):
-        page.panels.masks.add("water", corner)
-    page.panels.masks._save()
+        page.panels.masks().add("water", corner)
+    page.panels.masks()._save()
     collect(document)
     page.session.record.preview.trouble = mark("preview")
-    page._show_state()
-    page.panels.node._reader.on_error(mark("derived"))
+    page.header.show()
+    page.panels.node._reader._on_error(mark("derived"))
     collect(document)
     at = {"probe_x": ("probe", [0.0]), "probe_y": ("probe", [0.0])}
     probes = xr.Dataset(
@@ -291,7 +291,7 @@ def shown(tmp_path_factory):
     )
     page, document = page_of(frames={mark("camera"): Frames()}, probes=probes)
     plain += map(str, page.panels.map.sources["probes"].data["name"])
-    page.panels.cameras._targets = SimpleNamespace(poses=lambda camera: [mark("pose")])
+    page.panels.cameras()._targets = SimpleNamespace(poses=lambda camera: [mark("pose")])
     page.change(tab="cameras")
     page.redraw()
     collect(document)

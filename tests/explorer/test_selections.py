@@ -8,7 +8,7 @@ from wavefield.explorer.map_fields import arrows
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import envelope, image_data
 from wavefield.figures.display import display
-from wavefield.figures.quality import KINDS, quality_kind
+from wavefield.figures.quality_kinds import KINDS, quality_kind
 
 DT = 0.05
 
@@ -141,7 +141,10 @@ def test_a_link_shows_the_same_place_again():
         "waves",
         "line",
         (-2.5, 2.5),
-        False,
+        "rms",
+        "viridis",
+        True,
+        "streamlines",
         (0.1, -0.25),
         (0, 0, 1, 0.5),
         (-1, -1, 1, 1),

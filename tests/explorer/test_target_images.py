@@ -45,7 +45,7 @@ def page(tmp_path, tank_rig):
 
 
 def test_the_nodes_that_are_found_are_drawn_over_the_image(page):
-    cameras = page.panels.cameras
+    cameras = page.panels.cameras()
     assert cameras.frame.options == ["first frame", "second frame", "target: target_a", "target: target_b"]
     cameras.frame.value = "target: target_a"
     cameras.show(page.place)
@@ -59,7 +59,7 @@ def test_the_nodes_that_are_found_are_drawn_over_the_image(page):
 
 
 def test_an_image_without_a_target_is_shown_with_a_sentence(page):
-    cameras = page.panels.cameras
+    cameras = page.panels.cameras()
     cameras.frame.value = "target: target_b"
     cameras.show(page.place)
     assert len(cameras.sources["image"].data["image"]) == 1

@@ -210,7 +210,7 @@ def test_packed_fields_come_back_to_a_percent_of_the_scale(cube):
 
 
 def test_every_variable_is_in_the_player_derived_ones_too(cube, page_text):
-    from wavefield.figures.quality import KINDS, quality_kind
+    from wavefield.figures.quality_kinds import KINDS, quality_kind
     from wavefield.waves import kinematics
 
     packed = pack(cube)

@@ -7,6 +7,7 @@ from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import (
     BLUE,
+    add_hover,
     band,
     draw_band,
     envelope,
@@ -26,13 +27,17 @@ class AreaPanel:
         self._record = record
         self._drawn: tuple[object, ...] = ()
         self.words = words_of(
-            "area_words", "Choose “rectangle” for dragging (key R, html=True) and drag over the map."
+            "area_words", "Choose “rectangle” for dragging (key R) and drag over the map.", html=True
         )
         self.sources = make_sources(
             "area", mean="t mean low high", bins="left right density", spectrum="f e low high"
         )
         self.means = make_figure("area_mean_figure", height=210, x_axis_label="t (s)")
         draw_band(self.means, self.sources["mean"], "t", "mean", line_width=1.2)
+        self.hover = add_hover(
+            self.means, ("t", "@t{0.000} s"), ("mean", "@mean"), renderers=self.means.renderers[1:2],
+            mode="vline",
+        )  # fmt: skip
         self.histogram = make_figure(
             "area_histogram", height=210, tools="pan,wheel_zoom,reset", y_axis_label="probability density"
         )
@@ -70,6 +75,7 @@ class AreaPanel:
             "right": found.edges[1:],
             "density": found.density,
         }
+        self.hover.tooltips = [("t", "@t{0.000} s"), (f"mean {name}", f"@mean{{0.[000]}} {shown.unit}")]
         self.means.yaxis.axis_label = f"mean of {shown.label}"
         self.histogram.xaxis.axis_label = shown.label
         self.spectrum.yaxis.axis_label = f"E ({shown.unit})²/Hz"

@@ -1,6 +1,5 @@
 """A camera's frame with the nodes of the grid in it, their displacements and their quality."""
 
-from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -18,6 +17,7 @@ from wavefield.explorer.plot_parts import (
     SKY,
     VERMILION,
     YELLOW,
+    PanelEvents,
     chosen,
     clear,
     draw_masks,
@@ -32,7 +32,7 @@ from wavefield.explorer.plot_parts import (
 from wavefield.explorer.selections import nearest
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.target_images import TargetImages
-from wavefield.figures.quality import KINDS, quality_kind
+from wavefield.figures.quality_kinds import KINDS, quality_kind
 from wavefield.rig import Camera
 
 FRAMES = ("first frame", "second frame")  # of a step
@@ -90,10 +90,9 @@ class CameraPanel:
     def __init__(
         self,
         session: LookSession,
-        picked: Callable[[str, tuple[float, ...]], None],
-        took_corner: Callable[[str, tuple[float, float]], bool],
+        events: PanelEvents,
     ) -> None:
-        self._session, self._picked, self._took_corner = session, picked, took_corner
+        self._session, self._picked, self._took_corner = session, events.picked, events.took_corner
         run = session.run
         self._targets = TargetImages(run.experiment) if run.experiment is not None else None
         self._nodes: Fields = {}  # as `visible_nodes`, of the displayed frame
@@ -105,6 +104,8 @@ class CameraPanel:
         self.overlay = Select(
             title="Overlay", value="nodes", options=["nodes", "displacements", "nothing"], name="camera_over"
         )
+        for widget in (self.camera, self.frame, self.overlay):
+            widget.on_change("value", lambda attr, old, new: events.image_chosen())
         absent = "" if cameras else run.reason("frames")
         self.words = words_of("camera_words", f"no images: {absent}" if absent else "")
         self.sources = make_sources(

@@ -4,9 +4,9 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError, WavefieldError
@@ -19,7 +19,9 @@ from wavefield.store.layout import WATCHED
 from wavefield.store.ledger_files import LEDGER, check_chunks
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
-from wavefield.waves.nonlinear.kinematics import kinematics
+
+if TYPE_CHECKING:  # slow to import: the first map does not need it
+    import xarray as xr
 
 _CACHED_FIELDS = 160  # steps of single variables in memory
 _STEPS_PER_READ = 8  # a chunk of the store holds so many or more
@@ -108,13 +110,34 @@ class CubeRecord:
                 "copy the complete cube again, or see `wavefield verify`"
             )
 
+    def steps(self, name: str, start: int, stop: int) -> NDArray[np.float32]:
+        """A variable at some steps, (n, ny, nx), in stored units; nothing of it is kept in memory."""
+        if name in DERIVED:
+            return np.asarray(self.derived(start, stop)[name].values)
+        self._check_chunk(name, start)
+        return np.asarray(previews.read_steps(self.group, name, start, stop))
+
+    def derived(self, start: int, stop: int, rows: slice = _ALL, columns: slice = _ALL) -> "xr.Dataset":
+        """The derived variables at some steps of a part of the cube, as `kinematics` gives them."""
+        from wavefield.waves.nonlinear.kinematics import kinematics
+
+        around = slice(max(start - 1, 0), min(stop + 1, self.layout.steps))
+        fields = {
+            name: previews.read_steps(self.group, name, around.start, around.stop, rows, columns)
+            for name in BALANCE
+        }
+        terms = kinematics(self.dataset(fields, around, rows, columns))
+        return terms.isel(time=slice(start - around.start, stop - around.start))
+
     def _derived(self, name: str, step: int) -> NDArray[np.float32]:
-        around = slice(max(step - 1, 0), min(step + 2, self.layout.steps))
-        if around.stop - around.start < 2:
+        from wavefield.waves.nonlinear.kinematics import kinematics
+
+        if self.layout.steps < 2:
             return np.full((self.y.size, self.x.size), np.nan, np.float32)
-        steps = range(around.start, around.stop)
-        fields = {n: np.array([self.field(n, k) for k in steps]) for n in BALANCE}
-        return np.asarray(kinematics(self.dataset(fields, around))[name].values[step - around.start])
+        around = range(max(step - 1, 0), min(step + 2, self.layout.steps))
+        fields = {n: np.array([self.field(n, k) for k in around]) for n in BALANCE}
+        terms = kinematics(self.dataset(fields, slice(around.start, around.stop)))
+        return np.asarray(terms[name].values[step - around.start])
 
     def dataset(
         self,
@@ -122,12 +145,14 @@ class CubeRecord:
         steps: slice,
         rows: slice = _ALL,
         columns: slice = _ALL,
-    ) -> xr.Dataset:
+    ) -> "xr.Dataset":
         """Fields (time, y, x) of a part of the cube with their coordinates, units and names."""
+        import xarray as xr
+
         coords = {"time": self.time[steps], "y": self.y[rows], "x": self.x[columns]}
         return self.annotated(xr.Dataset({n: (CUBE_DIMS, values) for n, values in fields.items()}, coords))
 
-    def annotated(self, dataset: xr.Dataset) -> xr.Dataset:
+    def annotated(self, dataset: "xr.Dataset") -> "xr.Dataset":
         """Values of this cube with units, names and the length of its paths."""
         if "path_frames" in self.group:
             dataset = dataset.assign_coords(path_frames=np.uint8(self.group["path_frames"][()]))

@@ -13,6 +13,7 @@ from wavefield.explorer.plot_parts import (
     GREY,
     IMAGE,
     INK,
+    add_hover,
     clear,
     colour_bar,
     image_data,
@@ -35,11 +36,12 @@ class LinePanel:
         self._window = (0, 0)  # steps of the diagram
         self._drawn: tuple[object, ...] = ()
         self.words = words_of(
-            "line_words", "Choose “line” for dragging (key L, html=True) and drag across the map."
+            "line_words", "Choose “line” for dragging (key L) and drag across the map.", html=True
         )
         self.sources = make_sources("line", now="s value", image=IMAGE)
         self.transect = make_figure("line_transect", height=230, tools="pan,wheel_zoom,reset")
         self.transect.line("s", "value", source=self.sources["now"], color=BLUE, line_width=1.8)
+        self.hover = add_hover(self.transect, ("", "@value"), mode="vline")
         self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=GREY)
         self.diagram = make_figure(
             "line_diagram", height=430, tools="pan,wheel_zoom,reset,save", toolbar_location="above",
@@ -48,6 +50,7 @@ class LinePanel:
         )  # fmt: skip
         self.diagram.grid.grid_line_color = None
         self.diagram.image("image", source=self.sources["image"], color_mapper=self.mapper)
+        self.diagram_hover = add_hover(self.diagram, ("", "@image"))
         self.moment = Span(dimension="width", location=0, line_color=INK, line_dash="dotted")
         self.diagram.add_layout(self.moment)
         self.diagram.add_layout(colour_bar(self.mapper), "right")
@@ -64,6 +67,11 @@ class LinePanel:
         values = interpolate(record.field(name, place.step), record.x, record.y, x, y) * shown.factor
         self.sources["now"].data = {"s": distance, "value": values}
         self.transect.yaxis.axis_label = shown.label
+        self.hover.tooltips = [("along the line", "@s{0.000} m"), (name, f"@value{{0.[000]}} {shown.unit}")]
+        self.diagram_hover.tooltips = [
+            ("along the line, t", "$x{0.000} m, $y{0.000} s"),
+            (name, f"@image{{0.[000]}} {shown.unit}"),
+        ]
         self.words.text = (
             f"<b>From ({number(start[0])}, {number(start[1])}) m to ({number(end[0])}, {number(end[1])}) m"
             f"</b>, {number(float(distance[-1]))} m. Below: space-time plot; dotted: t {time:.3f} s."
@@ -73,7 +81,7 @@ class LinePanel:
             clear(self.sources["image"])
             self.diagram.title.text = f"no diagram of {name}: it is computed step by step"
             return
-        self.mapper.update(palette=palette(shown.colour_map), low=limits[0], high=limits[1])
+        self.mapper.update(palette=palette(place.colours or shown.colour_map), low=limits[0], high=limits[1])
         self.diagram.title.text = shown.label
         drawn = (place.line, name, int(record.preview.loaded.sum()))
         if self._drawn != drawn or not self._well_inside(place.step):

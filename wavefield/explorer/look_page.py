@@ -1,23 +1,26 @@
 """The page of `wavefield look`: one session of one reader, thin over the panels."""
 
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
-from html import escape
 
+import numpy as np
 from bokeh.document import Document
 from bokeh.events import DocumentReady
-from bokeh.layouts import column
+from numpy.typing import NDArray
 
-from wavefield.errors import WavefieldError
+from wavefield.errors import StoreError, WavefieldError
+from wavefield.explorer.background_reader import BackgroundReader
 from wavefield.explorer.look_controls import LookControls
+from wavefield.explorer.look_header import LookHeader
 from wavefield.explorer.look_panels import LookPanels
-from wavefield.explorer.place import TABS, Place, Value
-from wavefield.explorer.plot_parts import alert, chosen, words_of
+from wavefield.explorer.place import AVERAGES, TABS, Place, Value
+from wavefield.explorer.plot_parts import PanelEvents, chosen, clear
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.template import apply_template
+from wavefield.explorer.time_averages import AverageRequest, TimeAverage, time_averages
 from wavefield.figures.display import display
-from wavefield.series.masks import WATER
-from wavefield.text import spell_time
 from wavefield.variables import FrameStatus
 
 _RECHECK_MS = 2000  # between checks of the ledger of a cube that is being written
@@ -33,10 +36,17 @@ class LookPage:
 
     def __init__(self, session: LookSession, place: Place) -> None:
         self.session, self.place = session, place
-        self.state = words_of("state_words", html=True)
+        self.header = LookHeader(session)
         self.controls = LookControls(session.record, place)
-        self.panels = LookPanels(
-            session, place, self.controls.drag, self.pick, self._take_corner, self._masks_changed
+        events = PanelEvents(
+            self.pick, self._take_corner, self._masks_changed, lambda: self._soon(self._show_view)
+        )
+        self.panels = LookPanels(session, place, self.controls.drag, events)
+        self.averages: BackgroundReader[AverageRequest, dict[str, TimeAverage]] = BackgroundReader(
+            lambda request, progress: time_averages(session.record, request.names, progress),
+            on_progress=lambda words: self.panels.map.figure.title.update(text=words),
+            on_error=lambda words: self.header.report(StoreError(words)),
+            on_end=lambda: self._soon(self.redraw),
         )
         self._document: Document | None = None
         self._scheduled: set[str] = set()  # names of drawings that are due
@@ -51,7 +61,12 @@ class LookPage:
             "value", lambda a, o, new: self.change(show=chosen(controls.variable), limits=None)
         )
         controls.step.on_change("value", lambda a, o, new: self.change(step=self._within(new)))
-        controls.arrows.on_change("active", lambda a, o, new: self.change(arrows=bool(new)))
+        controls.average.on_change(
+            "value", lambda a, o, new: self.change(average=chosen(controls.average), limits=None)
+        )
+        controls.colours.on_change("value", lambda a, o, new: self.change(colours=chosen(controls.colours)))
+        controls.overlay.on_change("value", lambda a, o, new: self.change(overlay=chosen(controls.overlay)))
+        controls.log.on_change("active", lambda a, o, new: self.change(log=bool(new), limits=None))
         controls.drag.on_change("value", lambda a, o, new: self._drag_mode(chosen(controls.drag)))
         controls.low.on_change("value", lambda a, o, new: self._limits_entered())
         controls.high.on_change("value", lambda a, o, new: self._limits_entered())
@@ -59,21 +74,52 @@ class LookPage:
         controls.play_on(panels.map.sources["image"])
         panels.views.on_change("active", lambda a, o, new: self.change(tab=TABS[int(new)]))
         panels.picked.on_change("active", lambda a, o, new: self._soon(self._show_picked))
-        for widget in (panels.cameras.camera, panels.cameras.frame, panels.cameras.overlay):
-            widget.on_change("value", lambda a, o, new: self._soon(self._show_view))
 
     def attach(self, document: Document) -> None:
         """Put the page into a document."""
         self._document = document
-        state = column(self.state, sizing_mode="stretch_width", name="state")
-        for root in (state, self.controls.layout, self.panels.views, self.panels.picked):
+        parts = self.controls.layout, self.controls.options, self.panels.views, self.panels.picked
+        for root in (self.header.layout, *parts):
             document.add_root(root)
-        apply_template(document, self.session.record.experiment, "look", ("controls", "views", "picked"))
-        document.on_event(DocumentReady, lambda event: self._soon(self._show_picked))
+        names = [str(part.name) for part in parts]
+        aspect = float(self.panels.map.figure.aspect_ratio)
+        apply_template(document, self.session.record.experiment, "look", names, aspect=aspect)
         document.add_periodic_callback(self.recheck, _RECHECK_MS)
-        self._show_state()
-        self.panels.show_masks()
+        self.header.show()
         self.redraw()
+        if document.session_context is None:  # no browser will report that it is ready
+            self._show_context()
+        else:
+            document.on_event(DocumentReady, lambda event: self._ready())
+
+    def _ready(self) -> None:
+        """Show what is picked, then what belongs to the cube: that takes a second to import."""
+        self._soon(self._show_picked)
+        if self.place.tab == "surface":  # which the browser projects when it changes
+            self._soon(self._show_view)
+
+        def read() -> None:
+            with suppress(WavefieldError):  # shown by `_show_context`
+                self.session.run.probes  # noqa: B018
+            if self._document is not None:
+                self._document.add_next_tick_callback(self._show_context)
+
+        threading.Thread(target=read, daemon=True, name="context").start()
+
+    def _show_context(self) -> None:
+        """Show the probes, masks and verdict that belong to the cube; a trouble with one is a sentence."""
+        run = self.session.run
+        try:
+            if run.probes is not None:
+                self.panels.show_probes(run.probes)
+            elif run.experiment is not None and run.experiment.probes is not None:
+                self.header.trouble = run.reason("probes")
+        except WavefieldError as error:
+            self.header.trouble = f"no probes: {error}"
+        self._guarded(self.panels.show_masks)
+        self.header.show_verdict()
+        self.header.show()
+        self._soon(self._show_picked)
 
     # -- actions of the reader -------------------------------------------------------------------------
 
@@ -89,7 +135,10 @@ class LookPage:
 
     def pick(self, kind: str, where: tuple[float, ...]) -> None:
         """Show the "node", "line" or "area" that was picked on the map or in an image."""
-        if kind == "node" and self._take_corner(WATER, (where[0], where[1])):
+        if kind == "node" and self.place.drag == "mask":
+            from wavefield.series.masks import WATER
+
+            self._take_corner(WATER, (where[0], where[1]))
             return
         picked: dict[str, Value] = {kind: tuple(where)}
         self.place = replace(self.place, **picked)  # type: ignore[arg-type]
@@ -110,7 +159,7 @@ class LookPage:
         if self.place.drag != "mask":
             return False
         self.panels.open_picked("mask")
-        self.panels.masks.add(image, corner)
+        self.panels.masks().add(image, corner)
         return True
 
     def _masks_changed(self) -> None:
@@ -122,11 +171,11 @@ class LookPage:
         limits = self.controls.limits
         if self._setting_limits or limits is None:
             return
-        if limits not in (self.place.limits, self.panels.map.fitted(self.place.show)):
+        if limits not in (self.place.limits, self.panels.map.fitted(self.place)):
             self.change(limits=limits)
 
     def _fit(self) -> None:
-        self.panels.map.forget(self.place.show)
+        self.panels.map.forget(self.place)
         self.place = replace(self.place, limits=None)
         self._soon(self.redraw)
 
@@ -150,32 +199,56 @@ class LookPage:
         try:
             draw()
         except WavefieldError as error:
-            self.state.text = alert(error)
+            self.header.report(error)
 
     def redraw(self) -> None:
         """Show the place anew."""
         step, record = self.place.step, self.session.record
+        self.header.forget_error()
         self._guarded(self._show_map)
         self.controls.step.title = f"Step {step} of {record.layout.steps}, t = {record.time[step]:.3f} s"
         self.controls.step.value = step
-        self.panels.node.now.location = float(record.time[step])
         self.panels.show_view(self.place)
         self.panels.show_step(self.place)
         self._write_link()
 
+    def _request(self) -> AverageRequest:
+        """The variables of the map: the displayed one, and u and v of the arrows."""
+        record = self.session.record
+        names = self.place.show, *(name for name in ("u", "v") if name in record.stored)
+        return AverageRequest(tuple(dict.fromkeys(names)), record.steps_done)
+
+    def _fields(self) -> dict[str, NDArray[np.float32]] | None:
+        """What the map shows of the displayed variable and of u and v, (ny, nx); None while it is read."""
+        record, place = self.session.record, self.place
+        if not place.averaged:
+            return {name: record.field(name, place.step) for name in self._request().names}
+        found = self.averages.get(self._request(), self._document)
+        return {name: getattr(average, place.average) for name, average in found.items()} if found else None
+
     def _show_map(self) -> None:
         record, place, panel = self.session.record, self.place, self.panels.map
-        panel.show(place)
+        fields = self._fields()
+        if fields is None:
+            panel.figure.title.text = f"{place.show}: reading all steps"
+            clear(panel.sources["image"], panel.sources["arrows"])
+            return
+        panel.show(place, fields)
         panel.mark(place)
+        for widget in self.controls.of_scale:
+            widget.disabled = place.show == "quality"
         self._setting_limits = True
         self.controls.low.value, self.controls.high.value = self.panels.limits(place)
         self._setting_limits = False
         self._status_shown = int(record.ledger[place.step])
         shown = display(place.show)
-        panel.figure.title.text = (
-            f"{place.show}: {shown.long_name}{shown.in_unit}, t = {record.time[place.step]:.3f} s"
-            + _STATUS_WORDS.get(FrameStatus(self._status_shown), "")
-        )
+        what = f"{place.show}: {shown.long_name}{shown.in_unit}"
+        if place.averaged:
+            words = f"{what}, {AVERAGES[place.averaged]}"
+        else:
+            status = _STATUS_WORDS.get(FrameStatus(self._status_shown), "")
+            words = f"{what}, t = {record.time[place.step]:.3f} s{status}"
+        panel.figure.title.text = words
 
     def _show_view(self) -> None:
         self.panels.show_view(self.place)
@@ -195,6 +268,7 @@ class LookPage:
         record = self.session.record
         if record.steps_done < record.layout.steps and record.refresh():
             self.session.load()
+            self.header.show_verdict()
         if record.ledger[self.place.step] != self._status_shown:
             self.redraw()
         chunks = int(record.preview.loaded.sum())
@@ -203,18 +277,4 @@ class LookPage:
         self._chunks_shown = chunks
         if self.place.tab == "waves":
             self.panels.waves().show()
-        self._show_state()
-
-    def _show_state(self) -> None:
-        """Show how far the run and the reading of its preview are."""
-        record, preview = self.session.record, self.session.record.preview
-        done, steps = record.steps_done, record.layout.steps
-        words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
-        if done < steps:
-            words += f"; measured so far: {done} ({100 * done // steps} %)"
-        if not preview.complete:
-            percent = 100 * int(preview.loaded.sum()) // max(int(preview.measured.sum()), 1)
-            words += f"; reading the preview for series: {percent} %"
-        for trouble in filter(None, (preview.trouble, self.panels.trouble)):
-            words += f"; {escape(trouble, quote=False)}"
-        self.state.text = words
+        self.header.show()

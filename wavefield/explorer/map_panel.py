@@ -1,6 +1,6 @@
 """The map: any variable with arrows, adjustable colours, and what is picked on it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from bokeh.events import PanEnd, PanStart
@@ -8,6 +8,8 @@ from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
     CustomJS,
+    CustomJSHover,
+    CustomJSTickFormatter,
     HoverTool,
     Label,
     LinearColorMapper,
@@ -23,7 +25,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.map_fields import arrows, palette, top_speed
+from wavefield.explorer.map_fields import arrows, colour_limits, palette, streamlines, top_speed
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import (
     GREY,
@@ -42,8 +44,8 @@ from wavefield.explorer.plot_parts import (
     on_click,
     quality_mapper,
 )
-from wavefield.figures.display import display
-from wavefield.figures.quality import KINDS, quality_kind
+from wavefield.figures.display import POSITIVE, SIGNED, display
+from wavefield.figures.quality_kinds import KINDS, quality_kind
 
 # draws the line or the rectangle while it is dragged; Python gets it at the end
 _DRAG = """
@@ -55,7 +57,22 @@ if (kind == "line") line.data = {x: [x0, x1], y: [y0, y1]}
 else area.data = {left: [Math.min(x0, x1)], right: [Math.max(x0, x1)],
                   bottom: [Math.min(y0, y1)], top: [Math.max(y0, y1)]}
 """
+_POWER = "return (10 ** tick).toPrecision(2) * 1"  # the labels of a logarithmic scale
 _PAN = "move.active = cb_obj.value == 'move'; bar.active_drag = move.active ? move : null"
+
+
+_WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
+Fields = Mapping[str, NDArray[np.float32]]
+
+
+def map_aspect(ratio: float) -> float:
+    """Width to height of a map with axes and colour bar that a field of this ratio fills at 900 px."""
+    return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
+
+
+def _scale(place: Place) -> tuple[str, str, bool]:
+    """What has a colour scale of its own."""
+    return place.show, place.averaged, place.log
 
 
 class MapPanel:
@@ -66,7 +83,7 @@ class MapPanel:
     ) -> None:
         self._record, self._drag, self._picked = record, drag, picked
         self._start: tuple[float, float] | None = None  # of the drag that goes on
-        self._fitted: dict[str, tuple[float, float]] = {}  # limits of the colour scales, by variable
+        self._fitted: dict[tuple[str, str, bool], tuple[float, float]] = {}  # limits, by `_scale`
         self._fastest = 0.0  # speed of the longest arrows, m/s
         self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=GREY)
         self.bar = colour_bar(self.mapper)
@@ -88,7 +105,7 @@ class MapPanel:
         made = make_figure(
             "map", tools=[move, *zoom, ResetTool(), SaveTool()], active_scroll=wheel, active_drag=move,
             match_aspect=True, toolbar_location="above", x_axis_label="x (m)", y_axis_label="y (m)",
-            aspect_ratio=float(np.clip(1.22 * width / height, 1.2, 2.4)),
+            aspect_ratio=map_aspect(width / height),
         )  # fmt: skip
         made.x_range.range_padding = made.y_range.range_padding = 0.0
         made.grid.grid_line_color = None
@@ -107,9 +124,8 @@ class MapPanel:
         draw_ring(made, source["node"], "x", "y", INK, 13)
         made.add_layout(self.bar, "right")
         made.add_layout(self.arrow_key)
-        made.add_tools(
-            HoverTool(renderers=[image], tooltips=[("x, y", "$x{0.000}, $y{0.000} m"), ("", "@image")])
-        )
+        self.hover = HoverTool(renderers=[image])
+        made.add_tools(self.hover)
         self._listen(made, move)
         return made
 
@@ -134,50 +150,85 @@ class MapPanel:
 
     # -- showing ---------------------------------------------------------------------------------------
 
-    def show(self, place: Place) -> None:
-        """Draw a step."""
-        values = self._record.field(place.show, place.step)
+    def show(self, place: Place, fields: Fields) -> None:
+        """Draw fields (ny, nx) in stored units: that of a place, and u and v if there are any."""
+        values = fields[place.show]
         if place.show == "quality":
             kinds = quality_kind(values).astype(np.float32)
             kinds[kinds == len(KINDS)] = np.nan
             fresh = quality_mapper()
             self.mapper.update(palette=fresh.palette, low=fresh.low, high=fresh.high)
             label_kinds(self.bar)
+            self._name_values(place, f"return {[words for _, words, _ in KINDS]}[value] ?? 'none'")
             self.sources["image"].data = image_data(kinds, self._record.x, self._record.y)
         else:
             self._show_values(values * np.float32(display(place.show).factor), place)
-        self._show_arrows(place)
+        self._show_overlay(place, fields)
 
     def _show_values(self, values: NDArray[np.float32], place: Place) -> None:
-        if place.show not in self._fitted and np.isfinite(values).any():
-            self._fitted[place.show] = display(place.show).limits(values)
-        low, high = place.limits or self.fitted(place.show)
-        if self.bar.major_label_overrides:  # those of the kinds of quality
-            self.bar.update(ticker=colour_bar(self.mapper).ticker, major_label_overrides={})
-        self.mapper.update(palette=palette(display(place.show).colour_map), low=low, high=high)
+        signed = display(place.show).signed and place.averaged != "rms" and not place.log
+        if _scale(place) not in self._fitted and np.isfinite(values).any():
+            self._fitted[_scale(place)] = colour_limits(values, signed, place.log)
+        low, high = place.limits or self.fitted(place)
+        if place.log:
+            with np.errstate(divide="ignore"):
+                values = np.log10(np.abs(values))
+            low, high = (float(np.log10(end)) for end in (low if low > 0 else 1e-4 * high, high))
+        code = "10 ** value" if place.log else "value"
+        if self._name_values(place, f"return Number(({code}).toPrecision(4))"):
+            plain = colour_bar(self.mapper)
+            labels = CustomJSTickFormatter(code=_POWER) if place.log else plain.formatter
+            self.bar.update(ticker=plain.ticker, formatter=labels, major_label_overrides={})
+        colours = palette(place.colours or (SIGNED if signed else POSITIVE))
+        if self.mapper.palette != colours:  # 256 colours take 10 ms to check
+            self.mapper.palette = colours
+        self.mapper.update(low=low, high=high)
         self.sources["image"].data = image_data(values, self._record.x, self._record.y)
 
-    def fitted(self, name: str) -> tuple[float, float]:
-        """Limits of the colour scale that fit a variable: those of the first step that was shown."""
-        return self._fitted.get(name, (-1.0 if display(name).signed else 0.0, 1.0))
+    def _name_values(self, place: Place, code: str) -> bool:
+        """Name what is under the pointer, its value by a script; returns whether it was named otherwise."""
+        shown = display(place.show)
+        words = f"{place.averaged} {shown.name}".strip()
+        rows = [(f"|{words}|" if place.log else words, f"@image{{custom}} {shown.unit}")]
+        changed = bool(self.hover.tooltips != [*rows, _WHERE])
+        if changed:  # what is set is sent
+            self.hover.formatters = {"@image": CustomJSHover(code=code)}
+            self.hover.tooltips = [*rows, _WHERE]
+        return changed
 
-    def forget(self, name: str) -> None:
-        """Fit the colours of a variable, and the arrows, again to the next step that is shown."""
-        self._fitted.pop(name, None)
+    def fitted(self, place: Place) -> tuple[float, float]:
+        """Limits of the colour scale that fit what a place shows: those of its first step that was shown."""
+        signed = display(place.show).signed and not place.log
+        return self._fitted.get(_scale(place), (-1.0 if signed else 0.0, 1.0))
+
+    def fitted_to(self, place: Place, values: NDArray[np.float32]) -> tuple[float, float]:
+        """The same for a variable in stored units that the map has perhaps not shown yet."""
+        if _scale(place) not in self._fitted and np.isfinite(values).any():
+            shown = display(place.show)
+            self._fitted[_scale(place)] = shown.limits(values * shown.factor)
+        return self.fitted(place)
+
+    def forget(self, place: Place) -> None:
+        """Fit the colours, and the arrows, again to the next step that is shown."""
+        self._fitted.pop(_scale(place), None)
         self._fastest = 0.0
 
-    def _show_arrows(self, place: Place) -> None:
-        record = self._record
-        if not place.arrows or not {"u", "v"} <= set(record.stored):
+    def _show_overlay(self, place: Place, fields: Fields) -> None:
+        """Draw arrows or streamlines of u and v, of the step or of the mean flow."""
+        self.arrow_key.text = ""
+        if place.overlay == "nothing" or place.averaged == "rms" or not {"u", "v"} <= set(fields):
             clear(self.sources["arrows"])
-            self.arrow_key.text = ""
             return
-        u, v = record.field("u", place.step), record.field("v", place.step)
-        self._fastest = self._fastest or top_speed(u, v)
-        xs, ys, metres = arrows(u, v, record.x, record.y, self._fastest)
+        u, v, x, y = fields["u"], fields["v"], self._record.x, self._record.y
+        if place.overlay == "streamlines":
+            xs, ys = streamlines(u, v, x, y)
+        else:
+            fastest = top_speed(u, v) if place.averaged else self._fastest or top_speed(u, v)
+            self._fastest = self._fastest or (0.0 if place.averaged else fastest)
+            xs, ys, metres = arrows(u, v, x, y, fastest)
+            speed = number(float(f"{100 * fastest:.1g}"))
+            self.arrow_key.text = f"longest arrows: {speed} cm/s" if metres else ""
         self.sources["arrows"].data = {"x": xs, "y": ys}
-        speed = float(f"{100 * self._fastest:.1g}")
-        self.arrow_key.text = f"longest arrows: {number(speed)} cm/s" if metres else ""
 
     def mark(self, place: Place) -> None:
         """Draw what is picked."""

@@ -1,23 +1,26 @@
 """Time series at a node with their uncertainty and quality, and its spectrum."""
 
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from bokeh.layouts import column, row
 from bokeh.models import Select, Span
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from wavefield.explorer.background_reader import BackgroundReader
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.derived_series import DerivedReader
+from wavefield.explorer.derived_series import SeriesRequest, derived_series
 from wavefield.explorer.map_fields import readings
-from wavefield.explorer.node_spectrum import NodeSpectrum
+from wavefield.explorer.node_spectrum import NodeSpectrum, nearest_probe
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import (
     BLUE,
     INK,
     MOST_POINTS,
+    VERMILION,
+    add_hover,
     band,
     chosen,
     draw_band,
@@ -30,36 +33,43 @@ from wavefield.explorer.plot_parts import (
 )
 from wavefield.explorer.selections import nearest
 from wavefield.figures.display import DERIVED, display
-from wavefield.figures.quality import KINDS, quality_kind
+from wavefield.figures.quality_kinds import KINDS, quality_kind
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _MAIN = ("z", "u", "v", "w")
+_SERIES_PX = 84  # height of a series
 _ZOOM_DELAY_MS = 120  # one refinement per burst of wheel turns
 
 
 class NodePanel:
     """The values of the cube at one node."""
 
-    def __init__(self, record: CubeRecord, probes: xr.Dataset | None = None) -> None:
+    def __init__(self, record: CubeRecord) -> None:
         self._record = record
+        self.probes: xr.Dataset | None = None  # of the experiment, when they are read
         self._main = tuple(name for name in _MAIN if name in record.stored)
         self._node: tuple[float, float] | None = None  # the picked one, m
         self._refining = False
         self.words = words_of("node_words", "Click a node of the map.", html=True)
         others = self._others(record.names)
         self.other = Select(
-            title="Below", value=others[0] if others else "", options=others, name="node_other"
+            title="Fifth series", value=others[0] if others else "", options=others, name="node_other"
         )
         # One source per figure: what arrives together is painted once, and all of it must fit a browser's
         # buffer of 128 kB, or half of it is painted first.
         series = {f"{name}_series": "t value low high" for name in self._main}
-        self.sources = make_sources("node", **series, other_series="t value", quality="left right kind")
+        self.sources = make_sources(
+            "node", **series, other_series="t value", quality="left right kind", probe_series="t value"
+        )
         self.now = Span(dimension="height", location=0, line_color=INK, line_dash="dotted")
         self.figures: dict[str, figure] = {}
         for name in (*self._main, "other"):
             self.figures[name] = self._draw_series(name)
-        self.spectrum = NodeSpectrum(self._main, record.frame_rate, probes)
-        self._reader = DerivedReader(
-            record,
+        self.spectrum = NodeSpectrum(self._main, record.frame_rate)
+        self._reader: BackgroundReader[SeriesRequest, dict[str, NDArray[np.float32]]] = BackgroundReader(
+            lambda request, progress: derived_series(record, request.j, request.i, progress),
             on_progress=lambda words: self.figures["other"].yaxis.update(axis_label=words),
             on_error=lambda words: self.words.update(text=escape(words, quote=False)),
             on_end=self._show_other,
@@ -67,7 +77,7 @@ class NodePanel:
         self.other.on_change("value", lambda attr, old, new: self._show_other())
         self.spectrum.variable.on_change("value", lambda attr, old, new: self._show_spectrum())
         self.layout = column(
-            self.words, *self.figures.values(), self._draw_strip(), row(self.spectrum.variable, self.other),
+            self.words, *self.figures.values(), self._draw_strip(), row(self.other, self.spectrum.variable),
             self.spectrum.figure, sizing_mode="stretch_width",
         )  # fmt: skip
 
@@ -79,7 +89,7 @@ class NodePanel:
         x_range = next(iter(self.figures.values())).x_range if self.figures else (time[0], time[-1])
         shown = chosen(self.other) if name == "other" else name
         label = display(shown).label if shown else ""
-        made = make_figure(f"node_{name}_figure", height=96, y_axis_label=label, x_range=x_range)
+        made = make_figure(f"node_{name}_figure", height=_SERIES_PX, y_axis_label=label, x_range=x_range)
         if not self.figures:
             made.x_range.on_change("start", lambda attr, old, new: self._zoomed())
         made.xaxis.visible = False
@@ -88,6 +98,17 @@ class NodePanel:
             made.line("t", "value", source=source, color=BLUE, line_width=1.1)
         else:
             draw_band(made, source, "t", "value", line_width=1.1)
+        if name == "z":
+            made.line(
+                "t", "value", source=self.sources["probe_series"], color=VERMILION, line_width=1.3,
+                line_dash="dashed",
+            )  # fmt: skip
+        if name != "other":
+            unit = display(name).unit
+            rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {unit}")
+            add_hover(made, *rows, renderers=made.renderers[1:2], mode="vline")
+        else:
+            self.other_hover = add_hover(made, ("t", "@t{0.000} s"), ("", "@value"), mode="vline")
         made.add_layout(self.now)
         return made
 
@@ -124,6 +145,7 @@ class NodePanel:
         values = {name: float(record.field(name, place.step)[j, i]) for name in record.stored}
         kind = quality_kind(np.array([int(values.get("quality", 0))]))[0]
         every = record.preview.thin.every
+        near = nearest_probe(self.probes, record.x[i], record.y[j])
         self.words.text = (
             f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, "
             f"t {record.time[place.step]:.3f} s:</b> "
@@ -131,6 +153,7 @@ class NodePanel:
             f"{readings(values, self._others(record.stored))}; "
             f"{KINDS[kind][1] if kind < len(KINDS) else 'nothing measured'}."
             + (f" Series: the nearest of every {_ordinal(every)} node." if every > 1 else "")
+            + (f" Dashed: {escape(near.words, quote=False)}." if near is not None else "")
         )
 
     def _index(self, y: NDArray[np.floating], x: NDArray[np.floating]) -> tuple[int, int]:
@@ -162,7 +185,22 @@ class NodePanel:
             t, value, std = envelope(time, values, std)
             low, high = band(value, std, thinned=t.size < time.size)
             self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
+        self._show_probe(part)
         self._show_other()
+
+    def _show_probe(self, part: slice) -> None:
+        """Draw the elevation at the nearest probe over that of the node, at some steps of the cube."""
+        data: dict[str, NDArray[np.floating]] = {"t": np.empty(0), "value": np.empty(0)}
+        preview = self._record.preview
+        j, i = self._index(preview.y, preview.x)
+        found = nearest_probe(self.probes, preview.x[i], preview.y[j])
+        if found is not None:
+            time, half_step = self._record.time[part], 0.5 / self._record.frame_rate
+            near = found.probe.sel(time=slice(time[0] - half_step, time[-1] + half_step))
+            values = near.elevation.values * display("z").factor
+            data = dict(zip(("t", "value"), envelope(near.time.values, values)))
+        if data["t"].size or len(self.sources["probe_series"].data["t"]):
+            self.sources["probe_series"].data = data
 
     def _show_other(self) -> None:
         name = chosen(self.other)
@@ -170,9 +208,12 @@ class NodePanel:
             return
         shown, part, record = display(name), self._window(), self._record
         self.figures["other"].yaxis.axis_label = shown.label
+        self.other_hover.tooltips = [("t", "@t{0.000} s"), (name, f"@value{{0.[0000]}} {shown.unit}")]
         if name in DERIVED:
             j, i = self._index(record.y, record.x)
-            series = self._reader.series(name, j, i, self.layout.document) * np.float32(shown.factor)
+            found = self._reader.get(SeriesRequest(j, i, record.steps_done), self.layout.document)
+            series = np.full(record.time.size, np.nan, np.float32) if not found else found[name]
+            series = series * np.float32(shown.factor)
         else:
             series = self._series(name, shown.factor)
         t, value = envelope(record.time[part], series[part])
@@ -199,7 +240,8 @@ class NodePanel:
             name, preview = chosen(self.spectrum.variable), self._record.preview
             j, i = self._index(preview.y, preview.x)
             values = self._series(name, display(name).factor)
-            self.spectrum.show(values, self._record.time, preview.x[i], preview.y[j])
+            probe = nearest_probe(self.probes, preview.x[i], preview.y[j])
+            self.spectrum.show(values, self._record.time, probe)
 
     def _zoomed(self) -> None:
         """Draw finer series for a narrower view."""

@@ -5,6 +5,10 @@ from dataclasses import asdict, dataclass, replace
 from urllib.parse import urlencode
 
 TABS = ("map", "surface", "cameras", "waves")
+AVERAGES = {"": "this step", "mean": "mean over time", "rms": "rms over time"}  # as they are called
+COLOUR_MAPS = ("", "RdBu_r", "cividis", "viridis", "inferno", "turbo", "gray")  # "": that of the variable
+OVERLAYS = ("arrows", "streamlines", "nothing")  # of the velocity, on the map
+MAX_MOVIE_FRAMES = 2000
 DRAGS = {"move": "pan", "line": "line", "rectangle": "rectangle", "mask": "mask"}  # as they are called
 _COUNTS = {"limits": 2, "node": 2, "line": 4, "area": 4}  # of numbers
 Value = str | int | bool | tuple[float, ...] | None
@@ -27,11 +31,24 @@ class Place:
     tab: str = "map"  # one of `TABS`
     drag: str = "move"  # what dragging does, one of `DRAGS`
     limits: tuple[float, float] | None = None  # of the colour scale, in the displayed unit; None: fitted
-    arrows: bool = True  # whether velocity arrows are drawn
+    average: str = ""  # over time, on the map, one of `AVERAGES`
+    colours: str = ""  # one of `COLOUR_MAPS`
+    log: bool = False  # whether the colours of the map are logarithmic, of magnitudes
+    overlay: str = "arrows"  # one of `OVERLAYS`
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
     line: tuple[float, float, float, float] | None = None  # its ends x0, y0, x1, y1, metres
     area: tuple[float, float, float, float] | None = None  # opposite corners of the rectangle, metres
     camera: str = ""  # camera whose frame is shown
+
+    @property
+    def averaged(self) -> str:
+        """The average over time that the map shows: the quality, a bit mask, has none."""
+        return "" if self.show == "quality" else self.average
+
+    def of_step(self) -> "Place":
+        """This place as panels see it that show single steps: without averages, logarithms, quality."""
+        shown = replace(self, show=self.coloured, average="", log=False)
+        return shown if shown == self else replace(shown, limits=None)
 
     @property
     def coloured(self) -> str:
@@ -57,7 +74,10 @@ class Place:
     ) -> "Place":
         """Inverse of `query` for a cube with these variables and steps; ignores what is not valid."""
         out = cls(step=first, show="w" if "w" in names or not names else names[0])
-        allowed = {"show": names, "tab": TABS, "drag": tuple(DRAGS)}
+        allowed = {
+            "show": names, "tab": TABS, "drag": tuple(DRAGS), "average": tuple(AVERAGES),
+            "colours": COLOUR_MAPS, "overlay": OVERLAYS,
+        }  # fmt: skip
         for name, text in query.items():
             value = _parse(name, text)
             if value is not None and (not allowed.get(name) or value in allowed[name]):
@@ -77,6 +97,6 @@ def _parse(name: str, text: str) -> Value:
             return int(text)
     except ValueError:
         return None
-    if name == "arrows":
+    if name == "log":
         return text != "0"
-    return text if name in ("show", "tab", "drag", "camera") else None
+    return text if name in ("show", "tab", "drag", "average", "colours", "overlay", "camera") else None

@@ -1,6 +1,7 @@
 """What all panels share: figures of one look, data sources, colour bars, long series thinned for a screen."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Generic, Protocol, TypeVar
 
@@ -14,6 +15,7 @@ from bokeh.models import (
     CustomJS,
     Div,
     FixedTicker,
+    HoverTool,
     LinearColorMapper,
     NumeralTickFormatter,
     Select,
@@ -26,7 +28,7 @@ from bokeh.plotting import figure
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from wavefield.figures.quality import KINDS
+from wavefield.figures.quality_kinds import KINDS
 
 INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
 SKY, YELLOW = "#56B4E9", "#F0E442"
@@ -64,7 +66,21 @@ def make_figure(name: str, **settings: object) -> figure:
     made.axis.axis_label_standoff = 4
     made.title.text_font_size = "13px"
     made.title.text_color = INK
+    made.toolbar.logo = None
+    if "height" in settings and settings.get("y_axis_type") != "log":
+        made.yaxis.ticker = BasicTicker(desired_num_ticks=max(3, made.height // 40), num_minor_ticks=0)
     return made
+
+
+def add_hover(
+    made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
+) -> HoverTool:
+    """Show names, values and units of what is under the pointer."""
+    hover = HoverTool(
+        tooltips=list(rows), mode=mode, renderers=list(renderers) or "auto", line_policy="nearest"
+    )
+    made.add_tools(hover)
+    return hover
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
@@ -105,6 +121,16 @@ def alert(error: Exception) -> str:
     return f'<span role="alert">{escape(str(error), quote=False)}</span>'
 
 
+@dataclass(frozen=True)
+class PanelEvents:
+    """What the page does when something happens in a panel."""
+
+    picked: Callable[[str, tuple[float, ...]], None]  # a "node", "line" or "area", at metres
+    took_corner: Callable[[str, tuple[float, float]], bool]  # a click in an image, perhaps of a mask
+    masks_changed: Callable[[], None]
+    image_chosen: Callable[[], None]  # another camera, frame or overlay
+
+
 class LazyPanel(Generic[P]):
     """A panel that is made when its tab is first opened, so that the page appears sooner."""
 
@@ -112,6 +138,11 @@ class LazyPanel(Generic[P]):
         self.body = column(Spacer(height=1), sizing_mode="stretch_width")  # Bokeh warns of an empty column
         self._make = make
         self._made: P | None = None
+
+    @property
+    def made(self) -> bool:
+        """Whether it was opened."""
+        return self._made is not None
 
     def __call__(self) -> P:
         """The panel, in its place."""

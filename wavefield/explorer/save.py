@@ -10,22 +10,23 @@ import cv2
 import numpy as np
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.derived_series import derived_series
-from wavefield.explorer.map_fields import arrows, top_speed
-from wavefield.explorer.place import Place
+from wavefield.explorer.map_fields import arrows, colour_limits, streamlines, top_speed
+from wavefield.explorer.place import AVERAGES, MAX_MOVIE_FRAMES, Place
 from wavefield.explorer.selections import decode, interpolate, line_points, nearest, span
-from wavefield.figures.display import display
-from wavefield.figures.quality import KINDS, quality_kind
+from wavefield.explorer.time_averages import time_averages
+from wavefield.figures.display import POSITIVE, SIGNED, display
+from wavefield.figures.quality_kinds import KINDS, quality_kind
 from wavefield.figures.style import draw_map, map_panels
 from wavefield.variables import CUBE_DIMS
 
 MAX_FRAMES_PER_S = 25.0
-MAX_MOVIE_FRAMES = 2000
 Pictures = Iterator[NDArray[np.uint8]]  # (row, column, 3): red first
 
 
@@ -34,22 +35,41 @@ def draw(
 ) -> Figure:
     """The map as a figure; colours between limits in the displayed unit, longest arrows of `fastest` m/s."""
     shown = display(place.show)
-    values = record.field(place.show, place.step)
+    fields = map_of(record, place)
+    values = fields[place.show]
     if place.show == "quality":
         kinds = quality_kind(values)
         values = np.where(kinds < len(KINDS), kinds, np.nan).astype(np.float32)
         limits = (0.0, float(len(KINDS) - 1))
     field = xr.DataArray(values * shown.factor, dims=("y", "x"), coords={"y": record.y, "x": record.x})
-    limits = limits or place.limits or shown.limits(field.values)
+    signed = shown.signed and place.averaged != "rms" and not place.log
+    limits = limits or place.limits or colour_limits(field.values, signed, place.log)
     figure, axes = map_panels(field, 1, width=7.0)
-    title = f"{record.experiment}, t = {record.time[place.step]:.3f} s"
+    moment = AVERAGES[place.averaged] if place.averaged else f"t = {record.time[place.step]:.3f} s"
     label = shown.long_name + shown.in_unit
-    draw_map(axes[0, 0], field, label, cmap=shown.colour_map, scale=limits, title=title)
-    if place.arrows:
-        u, v = record.field("u", place.step), record.field("v", place.step)
-        xs, ys, _ = arrows(u, v, record.x, record.y, fastest or top_speed(u, v))
+    colours = place.colours or (SIGNED if signed else POSITIVE)
+    norm = None
+    if place.log:
+        field, norm = abs(field), LogNorm(limits[0] if limits[0] > 0 else 1e-4 * limits[1], limits[1])
+    title = f"{record.experiment}, {moment}"
+    draw_map(axes[0, 0], field, label, cmap=colours, scale=limits, title=title, norm=norm)
+    if place.overlay != "nothing" and place.averaged != "rms" and {"u", "v"} <= set(fields):
+        u, v, x, y = fields["u"], fields["v"], record.x, record.y
+        if place.overlay == "streamlines":
+            xs, ys = streamlines(u, v, x, y)
+        else:
+            xs, ys, _ = arrows(u, v, x, y, fastest or top_speed(u, v))
         axes[0, 0].plot(xs, ys, color="black", linewidth=0.7)
     return figure
+
+
+def map_of(record: CubeRecord, place: Place) -> dict[str, NDArray[np.float32]]:
+    """What the map shows of the displayed variable and of u and v, (ny, nx), in stored units."""
+    names = tuple(dict.fromkeys((place.show, *(name for name in ("u", "v") if name in record.stored))))
+    if not place.averaged:
+        return {name: record.field(name, place.step) for name in names}
+    found = time_averages(record, names)
+    return {name: getattr(average, place.averaged) for name, average in found.items()}
 
 
 def picture(record: CubeRecord, place: Place, kind: str) -> bytes:
@@ -61,6 +81,7 @@ def picture(record: CubeRecord, place: Place, kind: str) -> bytes:
 
 def movie(record: CubeRecord, place: Place, encode: Callable[[Pictures, float], bytes], frames: int) -> bytes:
     """The playback from a step on."""
+    place = replace(place, average="")
     stop = min(place.step + min(frames, MAX_MOVIE_FRAMES), record.layout.steps)
     if stop - place.step < 2:
         raise StoreError("a movie needs at least two steps: begin it earlier")
@@ -72,7 +93,8 @@ def _pictures(record: CubeRecord, place: Place, stop: int) -> Pictures:
     shown = display(place.show)
     samples = np.unique(np.linspace(place.step, stop - 1, 5).astype(int))
     values = np.array([record.field(place.show, k) for k in samples]) * shown.factor
-    limits = place.limits or shown.limits(values)
+    signed = shown.signed and not place.log
+    limits = place.limits or colour_limits(values, signed, place.log)
     fastest = top_speed(record.field("u", place.step), record.field("v", place.step))
     for step in range(place.step, stop):
         figure = draw(record, replace(place, step=step), limits, fastest)

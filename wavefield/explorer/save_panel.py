@@ -4,9 +4,8 @@ from bokeh.layouts import column
 from bokeh.models import Spinner
 from jinja2 import Environment
 
-from wavefield.explorer.place import Place
+from wavefield.explorer.place import MAX_MOVIE_FRAMES, Place
 from wavefield.explorer.plot_parts import words_of
-from wavefield.explorer.save import MAX_MOVIE_FRAMES
 
 _TABLE = Environment(autoescape=True).from_string(
     """<table>{% for title, links in rows %}<tr><td style="padding: 3px 12px 3px 0">{{ title }}</td><td>

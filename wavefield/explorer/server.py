@@ -8,8 +8,11 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
@@ -20,10 +23,10 @@ from tornado.httputil import HTTPMessageDelegate, HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
-from wavefield.errors import WavefieldError
+from wavefield.errors import StoreError, WavefieldError
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.look_page import LookPage
 from wavefield.explorer.place import Place
-from wavefield.explorer.save import FILES
 from wavefield.explorer.session import LookSession
 
 DEFAULT_PORTS = range(5006, 5026)
@@ -42,6 +45,8 @@ class SaveHandler(RequestHandler):
 
     async def get(self, name: str) -> None:
         """Make a file of what is shown; a sentence where that is not possible."""
+        from wavefield.explorer.save import FILES  # with matplotlib, which the page does not need
+
         if name not in FILES:
             raise HTTPError(404)
         content_type, make = FILES[name]
@@ -63,6 +68,17 @@ def record_place(session: LookSession, query: dict[str, str]) -> Place:
     """The place of a link to a cube."""
     record = session.record
     return Place.read(query, record.names, record.layout.steps, record.first_step())
+
+
+def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
+    """The measured node nearest to the middle of the grid, x and y in metres."""
+    x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
+    distance = np.hypot(x, y)
+    with suppress(StoreError):  # the map reports it
+        measured = np.isfinite(record.field(record.stored[0], step))
+        distance = np.where(measured, distance, np.inf if measured.any() else distance)
+    j, i = np.unravel_index(np.argmin(distance), distance.shape)
+    return float(record.x[i]), float(record.y[j])
 
 
 class Refused(RequestHandler):
@@ -156,7 +172,10 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
     def make_page(document: Document) -> None:
         arguments = document.session_context.request.arguments or {}
         query = {key: values[0].decode(errors="replace") for key, values in arguments.items()}
-        LookPage(session, record_place(session, query)).attach(document)
+        place = record_place(session, query)
+        if place.node is None:
+            place = replace(place, node=middle_node(session.record, place.step))
+        LookPage(session, place).attach(document)
 
     return make_server(make_page, port, [(r"/save/([\w.]+)", SaveHandler, {"session": session})])
 

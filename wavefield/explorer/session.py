@@ -2,14 +2,16 @@
 
 import threading
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-
-import xarray as xr
+from typing import TYPE_CHECKING
 
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.pipeline import Run
 from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS
+
+if TYPE_CHECKING:
+    from wavefield.pipeline import Run
 
 
 @dataclass
@@ -17,16 +19,24 @@ class LookSession:
     """A cube that is shown, finished or not."""
 
     record: CubeRecord
-    run: Run  # its rig, experiment, images, waves and probes
+    waves_path: Path
 
     @classmethod
     def open(cls, path: str | Path, waves: str | Path | None = None) -> "LookSession":
         """Open a cube, also one of which a part is damaged or absent: the pages show the others."""
         record = CubeRecord(path)
-        attrs = dict(record.group.attrs)
-        axes = xr.Dataset(coords={name: getattr(record, name) for name in CUBE_DIMS}, attrs=attrs)
-        waves_path = Path(waves) if waves is not None else beside(record.path, "waves", ".zarr")
-        return cls(record, Run(axes, record.path, waves_path))
+        return cls(record, Path(waves) if waves is not None else beside(record.path, "waves", ".zarr"))
+
+    @cached_property
+    def run(self) -> "Run":
+        """Rig, experiment, images, waves and probes of the cube; slow to import, so after the first map."""
+        import xarray as xr
+
+        from wavefield.pipeline import Run
+
+        attrs = dict(self.record.group.attrs)
+        axes = xr.Dataset(coords={name: getattr(self.record, name) for name in CUBE_DIMS}, attrs=attrs)
+        return Run(axes, self.record.path, self.waves_path)
 
     def reopen(self) -> None:
         """Forget what belongs to the cube, to read it again when it is next used: it has changed."""

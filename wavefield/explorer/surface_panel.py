@@ -8,8 +8,7 @@ from wavefield.explorer.map_fields import palette, relief
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import GREY, INK, colour_bar, make_figure, make_sources, number
 from wavefield.explorer.template import asset
-from wavefield.figures.display import display
-from wavefield.figures.style import limit
+from wavefield.figures.display import display, limit
 
 INITIAL_VIEW = {"turn": [-0.7], "tilt": [0.62]}  # radians
 _LIFT = 0.1  # height of the highest water, in diagonals of the grid
@@ -64,7 +63,7 @@ class SurfacePanel:
         if not self._highest and np.isfinite(z).any():
             self._highest = limit(z)
         lift = _LIFT * self._diagonal / self._highest if self._highest else 0.0
-        self.mapper.update(palette=palette(shown.colour_map), low=limits[0], high=limits[1])
+        self.mapper.update(palette=palette(place.colours or shown.colour_map), low=limits[0], high=limits[1])
         self.layout.title.text = (
             f"elevation z, coloured by {shown.label}, t = {record.time[place.step]:.3f} s"
         )

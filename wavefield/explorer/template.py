@@ -11,7 +11,7 @@ from jinja2 import Environment
 
 _KEYS = (
     ("← →", "step"), ("space", "play"), ("1–4", "views"), ("P L R M", "pan, line, rectangle, mask"),
-    ("A", "arrows"), ("Home End", "first, last step"),
+    ("A", "overlay"), ("Home End", "first, last step"),
 )  # fmt: skip
 
 
@@ -22,13 +22,21 @@ def asset(name: str) -> str:
 
 
 def apply_template(
-    document: Document, heading: str, command: str, places: Sequence[str], keys: bool = True
+    document: Document,
+    heading: str,
+    command: str,
+    places: Sequence[str],
+    keys: bool = True,
+    aspect: float = 1.3,
 ) -> None:
-    """Give a document its frame: the roots named in `places` below a heading, with the list of the keys."""
+    """Give a document its frame: the roots named in `places` below a heading, with the list of the keys.
+
+    The views are as wide as a map of an aspect (width to height) can be without reaching below the window.
+    """
     document.title = f"{heading} – wavefield {command}"
     document.template = Environment(autoescape=True).from_string(asset("page.html"))
     document.template_variables.update(
         heading=heading, command=command, places=list(places), css=asset("page.css"), script=asset("page.js"),
-        keys=_KEYS if keys else (),
+        keys=_KEYS if keys else (), aspect=f"{aspect:.4f}",
     )  # fmt: skip
     document.js_on_event(ConnectionLost, CustomJS(code='document.getElementById("lost").hidden = false'))

@@ -16,6 +16,7 @@ from wavefield.explorer.plot_parts import (
     IMAGE,
     INK,
     VERMILION,
+    add_hover,
     chosen,
     colour_bar,
     image_data,
@@ -26,9 +27,10 @@ from wavefield.explorer.plot_parts import (
     words_of,
 )
 from wavefield.explorer.session import LookSession
-from wavefield.figures.style import POSITIVE
+from wavefield.figures.display import POSITIVE
 
 DECADES = 6.0  # of the colour scale, below the largest density
+_PLANE_PX = 340  # height of the map of (kx, ky)
 DEEP_WATER_M = 5.0  # in place of an unknown depth
 _SPECTRUM, _MAP = "E_komega_", "E_kxky_"  # before the name of a variable
 _WRAP = {"flex-wrap": "wrap"}
@@ -76,7 +78,7 @@ class WavePanel:
             name="wave_depth", width=230,
         )  # fmt: skip
         self.sources = make_sources(
-            "wave", image=IMAGE, plane=IMAGE, ruler="k f", circle="kx ky",
+            "wave", image=IMAGE, plane=IMAGE, ruler="k f", circle="kx ky", window="left right",
             coherence="k w nl tot level", direction="angle density",
         )  # fmt: skip
         self.picked = Span(
@@ -106,21 +108,35 @@ class WavePanel:
         spectrum.image("image", source=source["image"], color_mapper=mapper)
         spectrum.line("k", "f", source=source["ruler"], color="white", line_width=4)
         spectrum.line("k", "f", source=source["ruler"], color=INK, line_width=1.8, line_dash=[7, 4])
+        add_hover(
+            spectrum, ("k / 2π", "$x{0.00} 1/m"), ("ω / 2π", "$y{0.00} Hz"),
+            ("log₁₀ of E relative to its largest", "@image{0.00}"), renderers=spectrum.renderers[:1],
+        )  # fmt: skip
         spectrum.add_layout(self.picked)
         spectrum.add_layout(colour_bar(mapper), "right")
         on_click(spectrum, lambda event: self.choose(event.y))
-        plane = make_figure(
-            "wave_map", height=300, min_width=280, match_aspect=True, tools="pan,wheel_zoom,reset,save",
+        plane = make_figure(  # kx and ky on equal axes
+            "wave_map", height=_PLANE_PX, min_width=280, match_aspect=True,
+            tools="pan,wheel_zoom,reset,save", toolbar_location="above",
             x_axis_label="kx / 2π (1/m)", y_axis_label="ky / 2π (1/m)",
-            x_range=Range1d(-1, 1), y_range=Range1d(-1, 1),
         )  # fmt: skip
-        plane.image("image", source=source["plane"], color_mapper=mapper)
+        window = plane.quad(
+            "left", "right", "left", "right", source=source["window"], fill_color=None, line_color=None
+        )
+        for axis in (plane.x_range, plane.y_range):
+            axis.update(renderers=[window], range_padding=0.0)
+        image = plane.image("image", source=source["plane"], color_mapper=mapper)
         plane.line("kx", "ky", source=source["circle"], color="white", line_dash=[6, 4], line_width=1.6)
+        add_hover(
+            plane, ("kx, ky / 2π", "$x{0.00}, $y{0.00} 1/m"),
+            ("log₁₀ of E relative to its largest", "@image{0.00}"), renderers=[image],
+        )  # fmt: skip
         directions = make_figure(
-            "wave_directions", height=300, min_width=280, x_axis_label="direction (degrees)",
+            "wave_directions", height=_PLANE_PX, min_width=280, x_axis_label="direction (degrees)",
             y_axis_label="D (1/rad)", tools="reset",
         )  # fmt: skip
         directions.line("angle", "density", source=source["direction"], color=BLUE, line_width=1.8)
+        add_hover(directions, ("direction", "@angle{0}°"), ("D", "@density{0.000} 1/rad"), mode="vline")
         curves = make_figure(
             "wave_coherence_figure", height=240, x_axis_label="k / 2π (1/m)", y_axis_label="coherence γ²",
             x_range=Range1d(0, 1), y_range=Range1d(0, 1.02), tools="xpan,xwheel_zoom,reset",
@@ -130,6 +146,8 @@ class WavePanel:
                 "k", name, source=source["coherence"], color=colour, line_dash=dash, line_width=1.8,
                 legend_label=label,
             )  # fmt: skip
+        rows = ((label, f"@{name}{{0.000}}") for name, _, label, *_ in _CURVES)
+        add_hover(curves, ("k / 2π", "@k{0.00} 1/m"), *rows, renderers=curves.renderers[:1], mode="vline")
         curves.legend.update(label_text_font_size="11px", background_fill_alpha=0.7)
         return {"spectrum": spectrum, "map": plane, "directions": directions, "coherence": curves}
 
@@ -216,8 +234,7 @@ class WavePanel:
         turn = np.linspace(0, 2 * np.pi, 181)
         self.sources["circle"].data = {"kx": radius * np.cos(turn), "ky": radius * np.sin(turn)}
         half = min(3 * radius, float(np.abs(spectra.kx.values).max()) / (2 * np.pi))
-        self.figures["map"].x_range.update(start=-half, end=half)
-        self.figures["map"].y_range.update(start=-half, end=half)
+        self.sources["window"].data = {"left": [-half], "right": [half]}
 
     def _show_directions(self, omega: float) -> None:
         found = self._session.run.wave_group("direction")

@@ -4,91 +4,10 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 `matplotlib.figure.Figure`, which a notebook shows and `savefig` writes.
 """
 
-from wavefield.figures.distributions import (
-    distributions,
-    error_distributions,
-    error_maps,
-    rest_distributions,
-)
-from wavefield.figures.kinematics_figures import (
-    balance_history,
-    coherence_curves,
-    kinematics_maps,
-    nonlinear_maps,
-    nonlinear_ratio_curves,
-    plane_coherence_maps,
-    vorticity_map,
-)
-from wavefield.figures.nonlinear import bicoherence_map, bound_spectra, resonance_map
-from wavefield.figures.oceans import breaking_map, current_profile
-from wavefield.figures.quality import (
-    coverage_map,
-    fault_history,
-    misfit_distributions,
-    misfit_maps,
-    quality_shares,
-    uncertainty_maps,
-)
-from wavefield.figures.rig_figures import camera_frames, method_diagram, rig_views
-from wavefield.figures.spectra_figures import (
-    directions,
-    dispersion_ridge,
-    elevation_spectra,
-    komega_map,
-    noise_spectra,
-    probe_series,
-    wavenumber_spectra,
-    wavevector_map,
-)
-from wavefield.figures.surface_figures import elevation_map, surface_3d, velocity_map
-from wavefield.figures.turbulence import (
-    crest_curves,
-    energy_bars,
-    flatness_curves,
-    path_map,
-    vortex_spectra,
-)
+from wavefield.lazy_names import lazy_names
 
-__all__ = [
-    "balance_history",
-    "bicoherence_map",
-    "bound_spectra",
-    "breaking_map",
-    "camera_frames",
-    "coherence_curves",
-    "coverage_map",
-    "crest_curves",
-    "current_profile",
-    "directions",
-    "dispersion_ridge",
-    "distributions",
-    "elevation_map",
-    "elevation_spectra",
-    "energy_bars",
-    "error_distributions",
-    "error_maps",
-    "fault_history",
-    "flatness_curves",
-    "kinematics_maps",
-    "komega_map",
-    "method_diagram",
-    "misfit_distributions",
-    "misfit_maps",
-    "noise_spectra",
-    "nonlinear_maps",
-    "nonlinear_ratio_curves",
-    "path_map",
-    "plane_coherence_maps",
-    "probe_series",
-    "quality_shares",
-    "resonance_map",
-    "rest_distributions",
-    "rig_views",
-    "surface_3d",
-    "uncertainty_maps",
-    "velocity_map",
-    "vortex_spectra",
-    "vorticity_map",
-    "wavenumber_spectra",
-    "wavevector_map",
-]
+__all__, __getattr__ = lazy_names(__name__, __file__)
+
+
+def __dir__() -> list[str]:
+    return __all__

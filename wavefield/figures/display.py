@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from wavefield.figures.style import POSITIVE, SIGNED, limit
 from wavefield.variables import TABLE
 
+SIGNED, POSITIVE = "RdBu_r", "cividis"  # colour maps that keep their order for colour-blind readers
 BALANCE = ("z", "z_t", "u", "v", "w")  # the variables of the kinematic condition
 DERIVED = ("vorticity", "divergence", "residual")  # computed from those
 
@@ -19,6 +19,13 @@ _UNITS = {
     "pixel": (1.0, "px"),
     "1": (1.0, ""),
 }
+
+
+def limit(values: ArrayLike, percent: float = 99.5) -> float:
+    """Half-width of a balanced colour scale."""
+    finite = np.abs(np.asarray(values, float))
+    finite = finite[np.isfinite(finite)]
+    return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ import xarray as xr
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from wavefield.figures.display import POSITIVE, limit
 from wavefield.figures.style import (
     CYCLES,
     HERTZ,
     LINES,
-    POSITIVE,
     RIGHT,
     cycles,
     draw_cells,
@@ -17,7 +17,6 @@ from wavefield.figures.style import (
     draw_map,
     finish,
     hertz,
-    limit,
     map_panels,
     moment_title,
     panels,

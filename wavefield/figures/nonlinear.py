@@ -5,16 +5,8 @@ import xarray as xr
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import (
-    HERTZ,
-    LINES,
-    POSITIVE,
-    draw_cells,
-    draw_curves,
-    finish,
-    hertz,
-    panels,
-)
+from wavefield.figures.display import POSITIVE
+from wavefield.figures.style import HERTZ, LINES, draw_cells, draw_curves, finish, hertz, panels
 
 
 def bound_spectra(bound: xr.Dataset) -> Figure:

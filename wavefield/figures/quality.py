@@ -1,15 +1,12 @@
 """Coverage, faults, misfits and uncertainties of a measurement."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from wavefield.figures.display import POSITIVE
 from wavefield.figures.style import (
     LINES,
-    POSITIVE,
     RIGHT,
     densities,
     draw_map,
@@ -31,35 +28,6 @@ _REASONS = {
     "rejected by neighbours": Quality.REJECTED_NEIGHBOURS,
     "beyond the range searched": Quality.REJECTED_RANGE,
 }
-
-
-# one kind for each node, the first that applies: bit of `quality`, in words, colour (of Okabe and Ito's)
-KINDS: tuple[tuple[str, str, str], ...] = (
-    ("OUTSIDE", "outside the view", "#d9d9d9"),
-    ("MASKED", "masked", "#000000"),
-    ("REJECTED_RANGE", "rejected: beyond the range", "#009E73"),
-    ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
-    ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
-    ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
-    ("FILLED", "filled", "#56B4E9"),
-    ("FEWER_CAMERAS", "measured without a camera", "#F0E442"),
-    ("MEASURED", "measured", "#0072B2"),
-)
-
-
-def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """Index into `KINDS` of each node, by the gravest of its bits.
-
-    Examples
-    --------
-    >>> kinds = quality_kind(np.array([1, 2 | 8, 4, 0]))
-    >>> [KINDS[k][1] if k < len(KINDS) else "nothing" for k in kinds]
-    ['measured', 'rejected: correlation', 'outside the view', 'nothing']
-    """
-    out = np.full(np.shape(quality), len(KINDS), np.uint8)
-    for index in range(len(KINDS) - 1, -1, -1):
-        out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
-    return out
 
 
 def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:

@@ -17,7 +17,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-SIGNED, POSITIVE = "RdBu_r", "cividis"
+from wavefield.figures.display import POSITIVE, SIGNED, limit
 
 # Okabe and Ito's colours that contrast with white, each with its own dash
 LINES: tuple[dict[str, Any], ...] = (
@@ -85,13 +85,6 @@ def edges(centres: np.ndarray) -> np.ndarray:
     return np.concatenate([centres - step / 2, centres[-1:] + step / 2])
 
 
-def limit(values: ArrayLike, percent: float = 99.5) -> float:
-    """Half-width of a balanced colour scale."""
-    finite = np.abs(np.asarray(values, float))
-    finite = finite[np.isfinite(finite)]
-    return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
-
-
 def draw_cells(
     axes: Axes,
     x: np.ndarray,
@@ -125,8 +118,9 @@ def draw_map(
     cmap: str = SIGNED,
     scale: tuple[float, float] | None = None,
     title: str = "",
+    norm: Normalize | None = None,
 ) -> None:
-    """Draw a field (y, x) over the physical plane, with its colour bar."""
+    """Draw a field (y, x) over the physical plane, with its colour bar; linear between a scale's ends."""
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
         half = limit(values)
@@ -134,7 +128,7 @@ def draw_map(
     axes.set_facecolor("0.85")
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=title)
     extend = "neither" if scale == (0, 100) else "max" if scale[0] == 0 else "both"
-    norm = Normalize(*scale)
+    norm = norm or Normalize(*scale)
     draw_cells(axes, field.x.values, field.y.values, values, label, norm=norm, cmap=cmap, extend=extend)
 
 

@@ -8,7 +8,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from wavefield.figures.style import SIGNED, draw_map, limit, map_panels, moment_title, panels
+from wavefield.figures.display import SIGNED, limit
+from wavefield.figures.style import draw_map, map_panels, moment_title, panels
 
 MAX_POLYGONS = 70  # per axis in 3D: more takes seconds without a visible difference
 ARROWS_ACROSS = 26

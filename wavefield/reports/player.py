@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 
-from wavefield.figures.display import BALANCE, DERIVED, display
-from wavefield.figures.quality import KINDS, quality_kind
-from wavefield.figures.style import POSITIVE, SIGNED, limit
+from wavefield.figures.display import BALANCE, DERIVED, POSITIVE, SIGNED, display, limit
+from wavefield.figures.quality_kinds import KINDS, quality_kind
 from wavefield.reports.html_page import Picture, Player
 from wavefield.variables import TABLE
 from wavefield.waves.nonlinear.kinematics import kinematics

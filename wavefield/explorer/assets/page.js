@@ -4,13 +4,22 @@ const step = (by) => {
   const slider = find("step")
   if (slider) slider.value = Math.max(slider.start, Math.min(slider.end, slider.value + by))
 }
+// Bokeh gives the handles of its sliders and the buttons of its spinners no names, which screen readers need.
+const nameControls = (root) => {
+  for (const handle of root.querySelectorAll("[role=slider]:not([aria-label])"))
+    handle.setAttribute("aria-label", root.querySelector(".bk-slider-title")?.textContent || "value")
+  for (const button of root.querySelectorAll(".bk-spin-btn:not([aria-label])"))
+    button.setAttribute("aria-label", button.matches(".bk-spin-btn-up") ? "increase" : "decrease")
+  for (const element of root.querySelectorAll("*")) if (element.shadowRoot) nameControls(element.shadowRoot)
+}
+setInterval(() => nameControls(document), 1000)
 const keys = {
   ArrowRight: () => step(1), ArrowLeft: () => step(-1), PageUp: () => step(20), PageDown: () => step(-20),
   Home: () => { find("step").value = find("step").start }, End: () => { find("step").value = find("step").end },
   " ": () => { find("play").active = !find("play").active },
   p: () => { find("drag").value = "move" }, l: () => { find("drag").value = "line" },
   r: () => { find("drag").value = "rectangle" }, m: () => { find("drag").value = "mask" },
-  a: () => { find("arrows").active = !find("arrows").active },
+  a: () => { find("overlay").value = find("overlay").value == "nothing" ? "arrows" : "nothing" },
   1: () => { find("views").active = 0 }, 2: () => { find("views").active = 1 },
   3: () => { find("views").active = 2 }, 4: () => { find("views").active = 3 },
 }

@@ -1,0 +1,36 @@
+"""What the quality of a node is in one word, with its colour."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.variables import Quality
+
+# one kind for each node, the first that applies: bit of `quality`, in words, colour (of Okabe and Ito's)
+KINDS: tuple[tuple[str, str, str], ...] = (
+    ("OUTSIDE", "outside the view", "#d9d9d9"),
+    ("MASKED", "masked", "#000000"),
+    ("REJECTED_RANGE", "rejected: beyond the range", "#009E73"),
+    ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
+    ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
+    ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
+    ("FILLED", "filled", "#56B4E9"),
+    ("FEWER_CAMERAS", "measured without a camera", "#F0E442"),
+    ("MEASURED", "measured", "#0072B2"),
+)
+
+
+def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
+    """Index into `KINDS` of each node, by the gravest of its bits.
+
+    Examples
+    --------
+    >>> kinds = quality_kind(np.array([1, 2 | 8, 4, 0]))
+    >>> [KINDS[k][1] if k < len(KINDS) else "nothing" for k in kinds]
+    ['measured', 'rejected: correlation', 'outside the view', 'nothing']
+    """
+    out = np.full(np.shape(quality), len(KINDS), np.uint8)
+    for index in range(len(KINDS) - 1, -1, -1):
+        out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
+    return out
