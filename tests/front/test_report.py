@@ -255,9 +255,13 @@ def test_the_verdict_with_description_and_dates_stands_first(cube, tmp_path):
 def test_no_folder_of_this_machine_is_reported(cube, tmp_path, undrawn):
     attrs = {"experiment_file": "/home/somebody/tank/experiment.yaml"}
     recipe = json.dumps({"images": {"cam1": "/home/somebody/tank/cam1/*.tif"}, "settings": {}})
-    run = run_of(cube.assign_attrs(attrs | {"recipe": recipe}))
+    run = replace(
+        run_of(cube.assign_attrs(attrs | {"recipe": recipe})), store=Path("/home/somebody/tank/cube.zarr")
+    )
+    vars(run)["pair_statistics"] = None
     text = write_report(run, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "/home/" not in text
+    assert "wavefield analyze cube.zarr" in text
     assert "experiment.yaml" in text
 
 

@@ -18,7 +18,7 @@ from wavefield import __version__
 from wavefield.store.verdict import Remark
 
 _DPI = 120  # shown at 96 per inch: sharp on dense screens, and small
-_COLOURS = 256  # of a picture's palette: a third of the bytes, and no visible difference
+_COLOURS = 128  # of a picture's palette: a third of the bytes, and no visible difference
 WIDE_PX = 1000  # a wider PNG holds several panels: on a phone it is moved sideways instead of shrunk
 SENTENCE_LETTERS = 60  # a longer cell is a sentence: on a phone such rows are stacked
 MAX_OPEN_ROWS = 12  # a longer table is folded below its caption

@@ -18,7 +18,8 @@ MAX_NODES = 8_000  # per field: a screen shows no more
 MAX_BYTES = 5_500_000  # of the fields before they are compressed, to a third or less
 _ARROWS = 24  # along the longer side
 _VARIABLES = ("w", "z", "z_t", "u", "v", *DERIVED, "eps_y", "eps_piv", "z_std", "u_std", "v_std", "w_std")
-_COARSE = {"residual": 8, "eps_y": 8, "eps_piv": 8}  # mostly noise: 32 levels of its scale are enough
+# steps of 255 levels, of fields that are mostly noise
+_COARSE = {"residual": 8, "eps_y": 8, "eps_piv": 8, "vorticity": 2, "divergence": 2}
 
 
 def player(cube: xr.Dataset, still: Picture) -> Player:

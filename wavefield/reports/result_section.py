@@ -6,7 +6,7 @@ from wavefield.reports.elevation_section import probes_of
 from wavefield.reports.html_page import Facts, Item, Picture, RemarkList, ReportSection, Text
 from wavefield.reports.number_text import number
 from wavefield.reports.player import player
-from wavefield.reports.run_data import extremes_of, snapshot
+from wavefield.reports.run_data import extremes_of, in_folder, reason_of, snapshot
 from wavefield.reports.run_numbers import RunNumbers
 from wavefield.store.verdict import Verdict
 from wavefield.text import spell_time
@@ -73,7 +73,7 @@ def _height(numbers: RunNumbers) -> tuple[str, str, str]:
 def _peak(run: Run) -> tuple[str, str, str]:
     name, statistics = "Peak period", run.wave_group("statistics")
     if statistics is None:
-        return name, "–", run.reason("waves") or "the waves have no statistics"
+        return name, "–", reason_of(run, "waves") or "the waves have no statistics"
     if "peak_frequency" in statistics:
         frequency = float(statistics["peak_frequency"])
         return name, number(1 / frequency, "s"), f"frequency {number(frequency, 'Hz')}"
@@ -92,9 +92,9 @@ def attention(run: Run, verdict: Verdict | None) -> ReportSection:
     if verdict is not None and verdict.remarks:
         items.append(RemarkList(verdict.remarks))
     absent = {
-        "spectra and coherence": run.reason("waves"),
-        "pictures of the cameras' frames": run.reason("frames"),
-        "wave probes": probes_of(run)[1],
+        "spectra and coherence": reason_of(run, "waves"),
+        "pictures of the cameras' frames": reason_of(run, "frames"),
+        "wave probes": in_folder(run, probes_of(run)[1]),
     }
     missing = [f"{what} ({reason})" for what, reason in absent.items() if reason]
     if missing:

@@ -38,6 +38,20 @@ def extremes_of(snap: xr.Dataset) -> str:
     )
 
 
+def reason_of(run: Run, name: str) -> str:
+    """Why something of a run is absent, without the folders of this machine; empty where nothing is."""
+    return in_folder(run, run.reason(name))
+
+
+def in_folder(run: Run, words: str) -> str:
+    """Words with paths relative to the folders of the cube and of its experiment."""
+    experiment = run.experiment.path.parent if run.experiment is not None else run.store.parent
+    for folder in (run.store.parent, run.store.absolute().parent, experiment, experiment.absolute()):
+        if folder != Path():
+            words = words.replace(f"{folder}/", "")
+    return words
+
+
 def dates_of(run: Run) -> list[str]:
     """When the images were written and the steps measured, as far as the files' dates show."""
     ends = (entry for one in run.frames.values() for entry in (one.entries[0], one.entries[-1]) if entry)

@@ -32,6 +32,9 @@
     for (let v = Math.ceil(lo / step - 1e-9) * step; v <= hi + 1e-9 * step; v += step) out.push(Math.abs(v) < 1e-9 * step ? 0 : v);
     return out;
   }
+  // ends of the map: half a cell beyond the outer nodes
+  const cell = (ends, n) => (ends[1] - ends[0]) / Math.max(n - 1, 1) / 2;
+  const beyond = (ends, n) => [ends[0] - cell(ends, n), ends[1] + cell(ends, n)];
   const label = (v) => Number(v.toPrecision(6)).toString().replace("-", "\u2212");
 
   function bar(c, x, y, w, h, f) {
@@ -64,18 +67,18 @@
     }
     s.putImageData(image, 0, 0);
     const left = 84, top = 54, right = 118, bottom = 74;
-    const wide = d.x[1] - d.x[0], high = d.y[1] - d.y[0];
+    const [x0, x1] = beyond(d.x, d.nx), [y1, y2] = beyond(d.y, d.ny), wide = x1 - x0, high = y2 - y1;
     const scale = Math.min((W - left - right) / wide, (H - top - bottom) / high);
     const w = wide * scale, h = high * scale, y0 = top + (H - top - bottom - h) / 2;
     c.imageSmoothingEnabled = f.colours != "kinds"; c.drawImage(small, left, y0, w, h);
     c.strokeStyle = "#333"; c.lineWidth = 1.5; c.strokeRect(left, y0, w, h);
-    const px = (x) => left + (x - d.x[0]) * scale, py = (y) => y0 + h - (y - d.y[0]) * scale;
+    const px = (x) => left + (x - x0) * scale, py = (y) => y0 + h - (y - y1) * scale;
     c.fillStyle = "#1b1f24"; c.font = font(20);
     c.textAlign = "center"; c.textBaseline = "top";
-    for (const v of ticks(d.x[0], d.x[1], 5)) { c.fillRect(px(v) - .75, y0 + h, 1.5, 6); c.fillText(label(v), px(v), y0 + h + 9); }
+    for (const v of ticks(x0, x1, 5)) { c.fillRect(px(v) - .75, y0 + h, 1.5, 6); c.fillText(label(v), px(v), y0 + h + 9); }
     c.fillText("x (m)", left + w / 2, y0 + h + 36);
     c.textAlign = "right"; c.textBaseline = "middle";
-    for (const v of ticks(d.y[0], d.y[1], 5)) { c.fillRect(left - 6, py(v) - .75, 6, 1.5); c.fillText(label(v), left - 10, py(v)); }
+    for (const v of ticks(y1, y2, 5)) { c.fillRect(left - 6, py(v) - .75, 6, 1.5); c.fillText(label(v), left - 10, py(v)); }
     c.save(); c.translate(18, y0 + h / 2); c.rotate(-Math.PI / 2); c.textAlign = "center"; c.fillText("y (m)", 0, 0); c.restore();
     bar(c, left + w + 22, y0, 20, h, f);
     const a = d.arrows, grow = a.length * scale / a.fastest, top1 = a.fastest * 1.3;
