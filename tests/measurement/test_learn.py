@@ -1,10 +1,14 @@
 """What sample frames say of a record: how much of what is learned is waves."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 from measurement_cases import around
 
 from wavefield.grid import Grid
-from wavefield.measurement import GridGeometry, Model, learn, measure
+from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
+from wavefield.measurement.learn import _mean_flow
 from wavefield.tank import Scene, Tank
 
 
@@ -27,3 +31,22 @@ def test_water_at_rest_has_no_waves_and_its_uncertainty_is_that_of_noise(model):
         assert np.mean(np.abs(off) > 3 * std) < 0.02, name
     sea = model.record
     assert [sea.elevation.waves, *(prior.waves for _, prior in sea.displacement)] == [1.0] * 4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_mean_flow_of_a_sample_step_is_that_of_the_cameras_together(seed):
+    rig = Scene.load("demo").with_(rig={"crop": 0.4}).build_rig()
+    geometry = GridGeometry(rig, Grid((-0.2, 0.2), (-0.15, 0.15), 0.05), Settings())
+    flow = np.random.default_rng(seed).normal(0, 0.02, 3)
+    found = {}
+    for name in geometry.velocity_cameras:
+        sight = geometry.sights[name]
+        x, y, z = (np.full(geometry.grid.shape, v) for v in (*geometry.middle, 0.0))
+        moved = np.einsum("...ij,j->...i", sight.camera.jacobian(x, y, z), flow)
+        valid = np.random.default_rng(1).random(x.shape) < 0.8
+        noise = np.where(valid, 0.0, 30.0)
+        found[name] = SimpleNamespace(u=moved[..., 0] + noise, v=moved[..., 1] - noise, valid=valid)
+    dx, dy = _mean_flow(SimpleNamespace(displacements=found), geometry)
+    assert (dx, dy) == pytest.approx(flow[:2], abs=1e-4)
+    nothing = SimpleNamespace(displacements=dict(list(found.items())[:1]))
+    assert _mean_flow(nothing, geometry) == (0.0, 0.0), "one camera determines no flow"

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.explorer.features import FrameFeatures
+from wavefield.quality.quality_limits import RECORD_LIMITS
+from wavefield.quality.stored_values import kinematic_misfit
 from wavefield.text import spell_time
 from wavefield.variables import Quality
 
@@ -18,7 +20,7 @@ T = TypeVar("T")
 _RANK: dict[State, int] = {"good": 0, "unknown": 1, "doubtful": 2, "bad": 3}
 # the order in which bad lights are named: causes before their consequences
 _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "focus", "eps_y", "eps'",
-          "range of z", "coverage", "tilt")  # fmt: skip
+          "kinematics", "range of z", "coverage", "tilt")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class LightLimits:
     eps_y: Limits = (0.5, 1.0)  # mismatch of sight lines, px
     matched: Limits = (0.5, 0.2)  # fraction of the visible blocks
     eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
+    # of the rise that the water's motion does not explain, over its standard uncertainty
+    kinematics: Limits = (RECORD_LIMITS.kinematic_misfit, RECORD_LIMITS.kinematic_misfit_grave)
     coverage: Limits = (0.6, 0.3)  # fraction of measured nodes
     range_used: Limits = (0.8, 0.95)  # largest elevation, as a fraction of the searched range
     tilt: Limits = (3e-3, 1e-2)  # slope of the mean surface in excess of twice its uncertainty, rad
@@ -77,6 +81,7 @@ class StepSummary:
     slope_x: float  # of the plane through the water
     slope_y: float
     height: float  # of that plane at the origin, m
+    kinematic_misfit: float = np.nan  # of the rise with the water's motion, over its standard uncertainty
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,16 @@ def summarize_step(
         slope_x=slope_x,
         slope_y=slope_y,
         height=height,
+        kinematic_misfit=float(kinematic_misfit(_as_series(fields), measured[None], _spacing(x))[0]),
     )
+
+
+def _as_series(fields: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {name: np.asarray(values)[None] for name, values in fields.items()}
+
+
+def _spacing(x: Array) -> float:
+    return float((x[0, -1] - x[0, 0]) / (x.shape[1] - 1))
 
 
 @dataclass
@@ -199,16 +213,22 @@ def arrival_lights(
 
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
-    """Misfit, coverage and range of a measured step."""
+    """Misfit, kinematics, coverage and range of a measured step."""
     coverage = _state(now.coverage, LIMITS.coverage)
     if first is not None:
         coverage = _worse(coverage, _state(_ratio(now.coverage, first.coverage), RELATIVE.coverage))
     misfit, used = _state(now.eps_piv, LIMITS.eps_piv), _state(now.range_used, LIMITS.range_used)
+    rise = _state(now.kinematic_misfit, LIMITS.kinematics)
+    words = "" if np.isfinite(now.kinematic_misfit) else "too little is measured"
     return [
         StatusLight("eps'", "", misfit, f"displacements differ by {now.eps_piv:.2f} px"),
+        StatusLight(
+            "kinematics", "", rise if not words else "unknown",
+            words or f"the surface rises as its water moves to {now.kinematic_misfit:.1f} std",
+        ),
         StatusLight("coverage", "", coverage, f"{100 * now.coverage:.0f} % of the nodes measured"),
         StatusLight("range of z", "", used, f"{100 * now.range_used:.0f} % of it used"),
-    ]
+    ]  # fmt: skip
 
 
 def tilt_light(steps: Sequence[StepSummary]) -> StatusLight:

@@ -33,6 +33,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
 
 SAMPLES = 4  # steps of a record
+_SLOW_FLOW = 0.25  # nodes per step: slower water leaves the phases of waves nearly as they are
 _NOISE_FACTORS = 0.1, 10.0  # accepted range
 _FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
 
@@ -142,7 +143,7 @@ def _learned(
     model = Model(geometry, record)
     surfaces = list(pool.map(partial(_elevations, geometry, model), samples))
     truncation = temporal_truncation(
-        [pair for pair in surfaces if pair is not None],
+        [(first, moved) for first, _, moved in (one for one in surfaces if one is not None)],
         geometry.grid.step,
         partial(_node_noise, prior, geometry),
         partial(_matching_gain, record, geometry),
@@ -242,18 +243,42 @@ def _matching_gain(record: LearnedRecord, geometry: GridGeometry, k: Float) -> t
     return gain, matching.footprint_excess(blocks)
 
 
-def _elevations(geometry: GridGeometry, model: Model, step: _SampleStep) -> tuple[Float, Float] | None:
-    """Elevation at the nodes at two frames, metres."""
+def _elevations(geometry: GridGeometry, model: Model, step: _SampleStep) -> tuple[Float, Float, Float] | None:
+    """Elevation at the nodes at two frames, and at the second where the mean flow has taken them, metres.
+
+    z and velocities follow the water: beside nodes that stand still, waves on a current would seem to turn as
+    fast as they pass.
+    """
     if step.pairs is None:
         first = elevation.surface(step.first.flat, geometry, model)
     else:
         first = elevation.surface_of(*step.pairs, step.first.flat, geometry, model)
     second = elevation.surface(step.second.flat, geometry, model)
-    return None if first is None or second is None else (first.z, second.z)
+    if first is None or second is None:
+        return None
+    dx, dy = _mean_flow(step, geometry)
+    if np.hypot(dx, dy) < _SLOW_FLOW * geometry.grid.step:
+        return first.z, second.z, second.z
+    return first.z, second.z, second.read(geometry.x + dx, geometry.y + dy)
+
+
+def _mean_flow(step: _SampleStep, geometry: GridGeometry) -> tuple[float, float]:
+    """Median displacement of the water in a step, by all cameras, metres."""
+    rows, moved = [], []
+    ny, nx = geometry.grid.shape
+    for name, found in step.displacements.items():
+        if found.valid.any():
+            jacobian = geometry.sights[name].at(np.zeros((ny, nx), np.float32))[2:, ny // 2, nx // 2]
+            rows.append(jacobian.reshape(2, 3))
+            moved += [float(np.median(part[found.valid])) for part in (found.u, found.v)]
+    if len(rows) < 2:
+        return 0.0, 0.0
+    dx, dy, _ = np.linalg.lstsq(np.concatenate(rows).astype(np.float64), np.array(moved))[0]
+    return float(dx), float(dy)
 
 
 def _differences(
-    geometry: GridGeometry, model: Model, step: _SampleStep, surfaces: tuple[Float, Float] | None
+    geometry: GridGeometry, model: Model, step: _SampleStep, surfaces: tuple[Float, Float, Float] | None
 ) -> Differences | None:
     """What the cameras' differences show of noise, waves and their own motion."""
     if surfaces is None:
