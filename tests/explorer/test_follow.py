@@ -294,7 +294,7 @@ def test_the_page_shows_map_lights_and_cameras(followed):
     expected = 100 * follower.latest.fields["w"]
     np.testing.assert_allclose(page.sources["image"].data["image"][0], expected, rtol=1e-6)
     assert "frame 4; measured 5, skipped 0" in page.words["state"].text
-    assert page.words["lights"].text.count("<tr>") == 13
+    assert page.words["lights"].text.count("<tr>") == 14
     assert page.cameras["cam1"].sources["image"].data["image"]
     document.to_json()
 
