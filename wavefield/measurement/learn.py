@@ -141,7 +141,9 @@ def _learned(
     priors = {name: measured.get(name, some).prior for name in geometry.velocity_cameras}
     record = LearnedRecord(tuple(beads.items()), prior, tuple(priors.items()), (1.0, 1.0, 1.0))
     model = Model(geometry, record)
-    surfaces = list(pool.map(partial(_elevations, geometry, model), samples))
+    flow = np.mean([_mean_flow(step, geometry) for step in samples], axis=0)
+    current = bool(np.hypot(*flow) > _SLOW_FLOW * geometry.grid.step)
+    surfaces = list(pool.map(partial(_elevations, geometry, model, current), samples))
     truncation = temporal_truncation(
         [(first, moved) for first, _, moved in (one for one in surfaces if one is not None)],
         geometry.grid.step,
@@ -256,9 +258,9 @@ def _elevations(geometry: GridGeometry, model: Model, step: _SampleStep) -> tupl
     second = elevation.surface(step.second.flat, geometry, model)
     if first is None or second is None:
         return None
-    dx, dy = _mean_flow(step, geometry)
-    if np.hypot(dx, dy) < _SLOW_FLOW * geometry.grid.step:
+    if not current:
         return first.z, second.z, second.z
+    dx, dy = _mean_flow(step, geometry)
     return first.z, second.z, second.read(geometry.x + dx, geometry.y + dy)
 
 
