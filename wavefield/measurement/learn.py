@@ -245,8 +245,10 @@ def _matching_gain(record: LearnedRecord, geometry: GridGeometry, k: Float) -> t
     return gain, matching.footprint_excess(blocks)
 
 
-def _elevations(geometry: GridGeometry, model: Model, step: _SampleStep) -> tuple[Float, Float, Float] | None:
-    """Elevation at the nodes at two frames, and at the second where the mean flow has taken them, metres.
+def _elevations(
+    geometry: GridGeometry, model: Model, current: bool, step: _SampleStep
+) -> tuple[Float, Float, Float] | None:
+    """Elevation at the nodes at two frames, and at the second where a current has taken them, metres.
 
     z and velocities follow the water: beside nodes that stand still, waves on a current would seem to turn as
     fast as they pass.
