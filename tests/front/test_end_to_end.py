@@ -112,6 +112,12 @@ def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
     assert not (folder / "waves.log").exists()  # one process analysed it
 
 
+def test_calibrate_prints_what_shows_a_wrong_mesh(folder):
+    said = (folder.parent / "calibrate.txt").read_text()
+    assert re.search(r"Distance from the target's origin: cam1 4\.\d\d m, cam2 4\.\d\d m", said)
+    assert re.search(r"On the water a pixel is 1\.\d mm; all cameras see x -0\.\d+ to 0\.\d+ m", said)
+
+
 def test_check_says_that_the_cameras_agree(checked):
     assert checked.startswith("verdict: sound\n")
     assert re.search(r"patches matched: cam1-cam2 \d+ %, epipolar error 0.0\d px", checked)

@@ -70,3 +70,16 @@ def test_a_failure_says_stopped(clock):
     with pytest.raises(ValueError, match="no"), Progress("Measuring", "steps", stream):
         raise ValueError("no")
     assert stream.getvalue().splitlines()[-1] == "Measuring: stopped after 0 s"
+
+
+def test_a_later_stage_has_its_own_lines_and_begins_when_it_reports(clock):
+    stream = io.StringIO()
+    with Progress("Finding", "images", stream) as report:
+        solving = report.stage_of("Solving", "models")
+        report(2, 2)
+        clock[0] += 3
+        for done in (0, 4):
+            solving(done, 4)
+    lines = stream.getvalue().splitlines()
+    assert lines.index("Finding: done in 3 s, 2 images") < lines.index("Solving ...")
+    assert lines[-1] == "Solving: done in 0 s, 4 models"

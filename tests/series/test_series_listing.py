@@ -1,5 +1,7 @@
 """Every frame at its place in time, whatever holds it and whatever is missing."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -266,3 +268,29 @@ def test_two_files_of_one_frame_number_are_refused(tmp_path, pattern):
         (tmp_path / name).touch()
     with pytest.raises(ExperimentError, match=r"cam1: 'img_00004.tif' and 'img_4.tif' are both frame 4"):
         number_frames(pattern, tmp_path, "cam1")
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("img_%05d.tif", "img_{frame:05d}.tif"),
+        ("img_%d.tif", "img_{frame}.tif"),
+        ("img_%3i.tif", "img_{frame:03d}.tif"),
+        ("img_####.tif", "img_{frame:04d}.tif"),
+        ("img_{number:05d}.tif", "img_{frame:05d}.tif"),
+        ("img_{}.tif", "img_{frame}.tif"),
+    ],
+)
+def test_frame_numbers_as_other_programs_write_them_are_refused_with_ours(tmp_path, written, meant):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "img_00001.tif").touch()
+    with pytest.raises(ExperimentError, match=re.escape(f"as in {meant}, not ")):
+        number_frames(f"a/{written}", tmp_path, "cam1")
+
+
+def test_names_that_look_like_the_placeholders_of_other_programs_are_read(tmp_path):
+    (tmp_path / "run#1 at 50%d").mkdir()
+    for name in ("img_1.tif", "img_2.tif"):
+        (tmp_path / "run#1 at 50%d" / name).touch()
+    assert list(number_frames("run#1 at 50%d/img_{frame}.tif", tmp_path, "cam1")) == [1, 2]
+    assert list(number_frames("run#1 at 50%d/*.tif", tmp_path, "cam1")) == [1, 2]

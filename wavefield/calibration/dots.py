@@ -21,7 +21,7 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
     best: tuple[Nodes, Array, Image] | None = None
     most = 0
     for polarity in (image, 255.0 - image):
-        lattice = _dot_lattice(*find_blobs(polarity), polarity.shape[::-1])
+        lattice = dot_lattice(*find_blobs(polarity), polarity.shape[::-1])
         if lattice is None:
             continue
         node, pixel = lattice.node, lattice.pixel
@@ -44,7 +44,7 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
     return make_points(image, node, pixel, (*notes, *more), noise)
 
 
-def _dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
+def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
     """The largest lattice grown from dots near the middle and their nearest neighbours."""
     if len(centre) < MIN_DOTS:
         return None

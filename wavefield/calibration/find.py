@@ -45,7 +45,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
     CalibrationError
         If the image is empty or overexposed, or shows no such target, or a mirrored one, or too little of it.
     """
-    grey = _scaled(image)
+    grey = scaled(image)
     try:
         return FINDERS[target.kind](grey, target)
     except CalibrationError as error:
@@ -57,7 +57,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
         raise
 
 
-def _scaled(image: NDArray[np.generic]) -> Image:
+def scaled(image: NDArray[np.generic]) -> Image:
     """The image as float32 with its brightest grey at 255, refused when it cannot show a target."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE:

@@ -15,11 +15,13 @@ import cv2
 import numpy as np
 
 from wavefield.calibration.find import find_target
+from wavefield.calibration.likely_kind import likely_target
 from wavefield.calibration.pointfile import read_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.solve import calibrate
 from wavefield.calibration.target import Target
+from wavefield.config_files import place_of
 from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.images import read_image
 from wavefield.series import Experiment
@@ -27,6 +29,7 @@ from wavefield.series.target_listing import find_views
 
 TABLES = (".csv", ".txt")  # points found by another program
 MAX_WORKERS = 8
+MAX_FAILED = 0.5  # of the target images: if more show no target, what they show is examined
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,9 @@ def placed_at(points: TargetPoints, height: float) -> TargetPoints:
 
 
 def calibrate_experiment(
-    experiment: str | Path | Experiment, progress: Callable[[int, int], None] | None = None
+    experiment: str | Path | Experiment,
+    progress: Callable[[int, int], None] | None = None,
+    solving: Callable[[int, int], None] | None = None,
 ) -> TargetRig:
     """Find the rig of an experiment from its target images.
 
@@ -108,6 +113,8 @@ def calibrate_experiment(
         With a calibration block.
     progress : callable, optional
         Called with (images done, all images).
+    solving : callable, optional
+        Called with (camera models fitted, all of them).
 
     Returns
     -------
@@ -116,7 +123,7 @@ def calibrate_experiment(
     Raises
     ------
     CalibrationError
-        If target images are missing.
+        If target images are missing, or all show another target than is stated.
 
     Examples
     --------
@@ -154,6 +161,13 @@ def calibrate_experiment(
                 views[camera][pose] = points if height is None else placed_at(points, height)
             if progress:
                 progress(done, len(jobs))
+    failed = [path for camera, pose, path in jobs if pose not in views[camera]]
+    if len(failed) > MAX_FAILED * len(jobs):
+        words = likely_target([path for path in failed if path.suffix.lower() not in TABLES], target)
+        sentence = f"no {target.kind} in {len(failed)} of {len(jobs)} target images: {words}"
+        if words and len(failed) == len(jobs):
+            raise CalibrationError(f"{place_of(experiment.path, ('calibration', 'target'))}: {sentence}")
+        notes = [sentence] if words else notes
     named = {
         camera: {pose: os.path.relpath(path, experiment.path.parent) for pose, path in by_pose.items()}
         for camera, by_pose in images.items()
@@ -166,5 +180,6 @@ def calibrate_experiment(
         target_std=section.target_std,
         camera_distance=section.camera_distance,
         provenance={"experiment": experiment.name, "target": dict(section.target), "images": named},
+        progress=solving,
     )
     return TargetRig(calibration, views, images, tuple(notes), target.mesh)

@@ -78,7 +78,10 @@ def significant_terms(fit: Fit, sizes: Sequence[tuple[int, int]]) -> set[str]:
 
 
 def choose(
-    fit_model: Callable[[tuple[str, ...]], Fit], observations: Observations, level: bool
+    fit_model: Callable[[tuple[str, ...]], Fit],
+    observations: Observations,
+    level: bool,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, dict[str, Fit], list[Choice]]:
     """Fit the candidates and choose the one that predicts best where the rig will be used.
 
@@ -93,7 +96,9 @@ def choose(
     fits: dict[str, Fit] = {}
     bic: dict[str, float] = {}
     needed: set[str] = set()
-    for name in CANDIDATES:
+    for done, name in enumerate(CANDIDATES):
+        if progress:
+            progress(done, len(CANDIDATES))
         terms = MODELS[name]
         if needed - set(terms) - ({"c"} if "tilt" in terms else set()):
             continue
@@ -101,6 +106,8 @@ def choose(
         needed = needed or significant_terms(result, o.sizes)
         k = len(result.layout.names)
         bic[name] = float(count * np.log(max(result.chi2, 1e-300) / count) + k * np.log(count))
+    if progress:
+        progress(len(CANDIDATES), len(CANDIDATES))
     reference = min(bic, key=lambda name: bic[name])
     expected = _expected(fits, reference, o, volume(o, fits[reference], level))
     table = [

@@ -1,6 +1,6 @@
 """From target points to a rig, with a sentence for everything that may be wrong."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from wavefield.calibration.bundle import Fit, fit
 from wavefield.calibration.findings import Findings
 from wavefield.calibration.joint_start import PhysicalFrame, physical_frame, start_geometry
-from wavefield.calibration.model_choice import MODELS, Choice, choose, terms_of
+from wavefield.calibration.model_choice import CANDIDATES, MODELS, Choice, choose, terms_of
 from wavefield.calibration.observations import Geometry, Observations, collect
 from wavefield.calibration.points import Mask
 from wavefield.calibration.predicted_errors import predict_errors
@@ -35,6 +35,7 @@ def calibrate(
     target_std: float = 0.0,
     camera_distance: Mapping[str, float] | None = None,
     provenance: Mapping[str, object] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Calibration:
     """Calibrate a rig from views of a plane target.
 
@@ -59,6 +60,8 @@ def calibrate(
         Distance of cameras from the origin as measured by hand, metres: the only check on the mesh.
     provenance : mapping, optional
         Added to the rig's provenance, such as the images' names.
+    progress : callable, optional
+        Called with (camera models fitted, all of them).
 
     Returns
     -------
@@ -93,6 +96,8 @@ def calibrate(
     mesh, origin = (target, (0.0, 0.0)) if isinstance(target, float | int) else (target.mesh, target.origin)
     flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
     findings = Findings()
+    if progress:
+        progress(0, len(CANDIDATES))
     usable = usable_views(views, findings)
     single = calibrate_each(usable, mesh, origin, flats, findings)
     if not single:
@@ -106,7 +111,7 @@ def calibrate(
     frame = physical_frame(observations, flats, findings)
     geometry = start_geometry(observations, consistent, frame)
     observations, result, chosen, table = _fit_and_choose(
-        observations, geometry, frame, terms_of(model), target_std, findings
+        observations, geometry, frame, terms_of(model), target_std, findings, progress
     )
     predicted = predict_errors(observations, result, frame.level)
     assess_rig(observations, result, predicted, target_std, camera_distance or {}, findings)
@@ -135,6 +140,7 @@ def _fit_and_choose(
     model: tuple[str, tuple[str, ...]] | None,
     target_std: float,
     findings: Findings,
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[Observations, Fit, str, list[Choice]]:
     """Joint fit without outliers, and the choice of the model."""
     o = observations
@@ -155,7 +161,7 @@ def _fit_and_choose(
     if model:
         return o, result, name, []
     scale, begin = result.scale, result.geometry
-    name, fits, table = choose(lambda terms: run(terms, begin, scale), o, frame.level)
+    name, fits, table = choose(lambda terms: run(terms, begin, scale), o, frame.level, progress)
     return o, fits[name], name, table
 
 

@@ -33,6 +33,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     from wavefield.atomic_write import PAGE, RIG, check_writable
     from wavefield.calibration.images import calibrate_experiment, leave_with_parent, worker_context
     from wavefield.reports.calibration import NUMBERS, write_calibration
+    from wavefield.reports.rig_sentences import rig_sentences
     from wavefield.reports.target_pictures import draw_found
     from wavefield.series import Experiment
 
@@ -44,9 +45,10 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     check_writable(folder / "index.html", PAGE)
     check_writable(folder / "numbers.yaml", NUMBERS)
     with Progress("Finding the target", "images") as progress:
-        result = calibrate_experiment(loaded, progress)
+        solving = progress.stage_of("Solving for the cameras", "models")
+        result = calibrate_experiment(loaded, progress, solving)
     calibration = result.calibration
-    with ProcessPoolExecutor(1, worker_context(), leave_with_parent) as pool:
+    with Progress("Drawing the report"), ProcessPoolExecutor(1, worker_context(), leave_with_parent) as pool:
         drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
         page = write_calibration(calibration, folder, drawn.result)
     for note in (*result.notes, *calibration.notes):
@@ -66,9 +68,11 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         with Progress("Matching the water at rest", "frames") as progress:
             rig, found, plane = level_at_rest(loaded.at_rest(), rig, progress=progress)
         click.echo(f"{found.sentence}\n{plane_sentence(plane)}")
+    for sentence in rig_sentences(rig):
+        click.echo(sentence)
     rig.save(output)
     refused = "" if calibration.usable else ", REFUSED (usable: false in the file)"
-    click.echo(f"Wrote {output} with {', '.join(rig)}{refused}; how far to trust it: {page}")
+    click.echo(f"Wrote {output} with {', '.join(rig)}{refused}; calibration report: {page}")
     if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
         click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
     print_next("check", experiment)

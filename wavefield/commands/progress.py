@@ -3,6 +3,7 @@
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import TextIO
 
@@ -19,15 +20,30 @@ class Progress:
     """
 
     def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
-        self.stage, self.unit = stage, unit
         self.stream = stream if stream is not None else sys.stderr
         context = click.get_current_context(silent=True)
         self.quiet = bool(context and context.meta.get("wavefield.quiet"))
         self.terminal = self.stream.isatty()
+        self._begin(stage, unit)
+
+    def _begin(self, stage: str, unit: str) -> None:
+        self.stage, self.unit = stage, unit
         self.start = time.monotonic()
         self.first: tuple[float, int] | None = None
         self.last_line, self.last_quarter = -1e9, -1
         self.done, self.total = 0, 0
+
+    def stage_of(self, stage: str, unit: str = "") -> Callable[[int, int], None]:
+        """A callable like this one for a later stage, which begins when it is first called."""
+
+        def report(done: int, total: int) -> None:
+            if self.stage != stage:
+                self.__exit__(None, None, None)
+                self._begin(stage, unit)
+                self.__enter__()
+            self(done, total)
+
+        return report
 
     def __enter__(self) -> "Progress":
         self._write(f"{self.stage} ...", final=not self.terminal)

@@ -24,6 +24,7 @@ Numbered = dict[int, FrameEntry]
 Images = str | Sequence[str | None]  # as in the experiment file
 
 SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
+_OTHER_PLACEHOLDER = re.compile(r"%\d*[diu]|##+|\{\w*(:\d*d?)?\}")  # of other programs
 MAX_TRIED = 20  # frames, for one that can be read
 _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
@@ -38,6 +39,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
+    _refuse_other_placeholders(name, folder, camera)
     if is_remote(name):
         return _from_store(name, camera)
     path = folder / name
@@ -47,6 +49,21 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
         return {number: FrameEntry("file", prefix + name) for number, name in sorted(names.items())}
     kind, count = _count_images(path, camera)
     return {i: FrameEntry(kind, str(path), i) for i in range(count)}
+
+
+def _refuse_other_placeholders(name: str, folder: Path, camera: str) -> None:
+    """Refuse the numbers of frames as other programs write them: ``img_%05d.tif``, ``img_#####.tif``."""
+    file = name.rpartition("/")[2]
+    found = _OTHER_PLACEHOLDER.search(file)
+    if found is None or has_pattern(name) or (folder / name).exists():
+        return
+    digits = re.search(r"\d+", found[0])
+    width = int(digits[0]) if digits else found[0].count("#")
+    frame = f"{{frame:0{width}d}}" if width > 1 else "{frame}"
+    raise ExperimentError(
+        f"images of {camera}: {name}: write the number of the frame as in {file.replace(found[0], frame)}, "
+        f"not {found[0]}"
+    )
 
 
 def newest_frames(images: Images, folder: Path, camera: str, count: int) -> Numbered:
