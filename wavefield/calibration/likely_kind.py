@@ -81,7 +81,7 @@ def _chessboard(image: NDArray[np.uint8]) -> tuple[int, int] | None:
         return None
     rows, columns = meta.shape[:2]
     node = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
-    if len(node) < MIN_CORNERS or not _is_plane_grid(node, corners.reshape(-1, 2)):
+    if len(node) < MIN_CORNERS or not _is_plane_grid(node, np.asarray(corners.reshape(-1, 2), float)):
         return None
     return max(rows, columns), min(rows, columns)
 
