@@ -121,8 +121,6 @@ def _report(
     found: Check, experiment: Path | Experiment, rig: Path | None, workflow: Path | None, pairs: bool
 ) -> None:
     click.echo(str(found))
-    if words := _probes_line(experiment):
-        click.echo(f"  probes: {words}")
     if pairs and not found.problems:
         from wavefield.pipeline.prepare import prepare
         from wavefield.pipeline.run_quality import synchrony_of
@@ -136,23 +134,6 @@ def _report(
 
 def _reader(prepared: PreparedRun) -> Callable[[str, int], Any]:
     return lambda camera, frame: prepared.series[camera].read_uncovered(frame)
-
-
-def _probes_line(source: Path | Experiment) -> str:
-    """The experiment's probes and their clock and the cameras', or what is wrong with their file."""
-    from wavefield.errors import ExperimentError
-    from wavefield.series import Experiment
-
-    experiment = source if isinstance(source, Experiment) else Experiment.load(source)
-    if not experiment.probes:
-        return ""
-    try:
-        probes = experiment.read_probes()
-    except ExperimentError as error:
-        return str(error)
-    times = experiment.frame_times(next(iter(experiment.open_frames().values())))
-    names, clock = ", ".join(probes.probe.values), probes.time.values
-    return f"{names}, from {clock[0]:g} to {clock[-1]:g} s; frames from {times[0]:g} to {times[-1]:g} s"
 
 
 def _pairs_table(prepared: PreparedRun) -> str:

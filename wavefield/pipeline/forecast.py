@@ -22,7 +22,8 @@ from wavefield.pipeline.magnitudes import (
     remark_on_speed,
 )
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
-from wavefield.pipeline.run_quality import clocks, compare_cameras
+from wavefield.pipeline.probe_check import check_probes
+from wavefield.pipeline.run_quality import clocks, compare_cameras, record_span
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
 from wavefield.quality.frame_remarks import FrameInspection, inspect_frames, remark_on_frames, sample_frames
@@ -112,7 +113,8 @@ class Check:
         On the cameras' images; None if they could not be compared.
     sentences : mapping of str to str
         ``motion`` of the water from frame to frame, ``heights`` that it rises to, ``advice`` where little is
-        measured, ``clocks``: whether the cameras take their frames at the same moment.
+        measured, ``clocks``: whether the cameras take their frames at the same moment, ``probes``: their
+        times, and their correlation with z of the cube next to the experiment, if there is one.
     first_frame : int
         Number of the first frame.
     """
@@ -148,7 +150,9 @@ class Check:
         out: dict[str, object] = asdict(self)
         del out["shares"], out["sentences"]
         shares = {"coverage": None, "measured": None, **self.shares}
-        sentences = dict.fromkeys(("motion", "heights", "clocks", "advice"), "") | dict(self.sentences)
+        sentences = dict.fromkeys(("motion", "heights", "clocks", "advice", "probes"), "") | dict(
+            self.sentences
+        )
         verdict = self.verdict.to_dict() if self.verdict else None
         more = {"path": str(self.path), "exit_status": self.exit_status, "verdict": verdict}
         return out | shares | sentences | more
@@ -198,6 +202,7 @@ class Check:
         elif self.verdict and len(self.rig) > 1 and "coverage" in self.shares:
             lines.append("  patches matched: none, the cameras have too small a part of the water in common")
         lines += [f"  clocks: {self.sentences['clocks']}"] if self.sentences.get("clocks") else []
+        lines += [f"  probes: {self.sentences['probes']}"] if self.sentences.get("probes") else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
@@ -280,6 +285,8 @@ def check(
             sentences["clocks"], late = clocks(prepared)
             remarks += late
     remarks += remark_on_recordings(experiment, series)
+    of_probes, sentences["probes"] = check_probes(experiment, record_span(experiment, series))
+    remarks += of_probes
     if prepared:
         remarks += _remarks_on_trial(prepared, shares["coverage"], fields or {})
     verdict = None

@@ -1,6 +1,6 @@
 """The verdict on an experiment before its run, and on a cube after it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.quality.stored_values import remark_on_stored_values
 from wavefield.sampling import evenly_spaced
+from wavefield.series import Experiment, FrameSeries
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_group
@@ -92,12 +93,20 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
         ),
         remark_on_rest(prepared.experiment, prepared.rig, _level_std(status.store)),
         *remark_on_recordings(prepared.experiment, prepared.series),
-        *remark_on_probes(prepared.experiment, status.store),
+        *remark_on_probes(
+            prepared.experiment, status.store, record_span(prepared.experiment, prepared.series)
+        ),
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
         *_stored_values(prepared, status),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
+
+
+def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
+    """Times of the first and the last frame, s."""
+    times = experiment.frame_times(next(iter(series.values())))
+    return float(times[0]), float(times[-1])
 
 
 def _level_std(store: Path) -> float:

@@ -83,15 +83,11 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
         "rig",
         "no rest",
         "note",
-        "no still-water record: z = 0 is the target's plane, and visible beads are above the water "
-        + (
-            f"(z = 0 is uncertain by {1e3 * level_std:.2g} mm, `z_level_std`, which z_std does not contain)"
-            if level_std > 0
-            else "(beads of 3 to 5 mm by about 0.4 mm, which z_std does not contain)"
-        )
-        + ", which lowers u and v of 12 cm waves by about 2 %",
+        "no still-water record, so z = 0 is the target's plane"
+        + (f", uncertain by {1e3 * level_std:.2g} mm" if level_std > 0 else "")
+        + ": visible beads are above the water, which lowers u and v of 12 cm waves by about 2 %",
         "z = 0 on the still water",
-        "record some twenty frames of still, seeded water and name them as `rest:` in the experiment file",
+        "record some twenty frames of still, seeded water and name them as `rest:`",
         {"level_std_m": level_std} if level_std > 0 else {},
     )
 

@@ -1,7 +1,8 @@
 """Compare probes with the cube, and state what to write into the experiment file where they differ."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -12,13 +13,16 @@ from wavefield.store.preview import read_steps
 from wavefield.store.read import open_group
 from wavefield.store.verdict import Remark
 
+if TYPE_CHECKING:
+    from wavefield.waves.probes.probe_fit import ProbeFit
+
 MAX_STEPS = 1500  # of a long record, in its middle
 MAX_NODES = 2000  # of each
 STEPS_PER_READ = 64  # steps read at once
 
 
-def remark_on_probes(experiment: Experiment, store: Path) -> Iterator[Remark]:
-    """Compare the probes of an experiment with its cube."""
+def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> Iterator[Remark]:
+    """Report probes that cannot be read, or that were recorded at other times than the frames (s)."""
     try:
         probes = experiment.read_probes()
     except ExperimentError as error:
@@ -26,16 +30,44 @@ def remark_on_probes(experiment: Experiment, store: Path) -> Iterator[Remark]:
         return
     if probes is None:
         return
+    first, last = float(probes["time"][0]), float(probes["time"][-1])
+    if first > span[1] or last < span[0]:
+        yield Remark(
+            "probes",
+            "no overlap",
+            "remark",
+            f"they were recorded from {first:g} to {last:g} s, the frames from {span[0]:g} to {span[1]:g} s",
+            "some time in common",
+            "state the difference of the clocks as `clock` in `probes:`",
+            {"first": first, "last": last},
+        )
+
+
+def compare_probes(experiment: Experiment, store: Path) -> "tuple[list[ProbeFit], float]":
+    """How the probes of an experiment fit the elevation of its cube, and the interval of its steps, s."""
     from wavefield.waves.probes.probe_fit import fit_probes  # imports all of the analysis
 
     z = _elevation(store)
     dt = float(z["time"][1] - z["time"][0]) if z.sizes["time"] > 1 else 1.0
-    for fit in fit_probes(z, probes):
+    return fit_probes(z, experiment.read_probes()), dt
+
+
+def remark_on_fits(fits: "Iterable[ProbeFit]", dt: float) -> Iterator[Remark]:
+    """Report what does not fit of each probe."""
+    for fit in fits:
         values = {"correlation": fit.peak_correlation, "best": fit.best, "lag": fit.lag, "gain": fit.gain}
         for kind, sentence, remedy in fit.problems(dt):
             yield Remark(
                 f"probe {fit.name}", kind, "remark", sentence, "as the elevation there", remedy, values
             )
+
+
+def remark_on_probes(experiment: Experiment, store: Path, span: tuple[float, float]) -> Iterator[Remark]:
+    """Report what is wrong with the probes of an experiment, or between them and its cube."""
+    of_file = list(remark_on_probe_file(experiment, span))
+    yield from of_file
+    if experiment.probes and not of_file:
+        yield from remark_on_fits(*compare_probes(experiment, store))
 
 
 def _elevation(store: Path) -> xr.DataArray:

@@ -1,6 +1,7 @@
 """The verdict on a measurement: one line, and remarks with what to do."""
 
 import json
+import re
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -30,10 +31,14 @@ class Remark:
     remedy: str = ""  # What to do
     values: Mapping[str, float] = field(default_factory=dict)  # The numbers behind it
 
+    @property
+    def code(self) -> str:
+        """The word that `wavefield explain` takes."""
+        return re.sub(r"[^a-z0-9]+", "-", self.kind.lower()).strip("-")
+
     def __str__(self) -> str:
-        expected = f" (expected: {self.expected})" if self.expected else ""
         remedy = f"; {self.remedy}" if self.remedy else ""
-        return f"{self.subject}: {self.sentence}{expected}{remedy}"
+        return f"{self.subject}: {self.sentence}{remedy} [{self.code}]"
 
 
 @dataclass(frozen=True)

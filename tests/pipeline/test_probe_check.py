@@ -1,0 +1,82 @@
+"""`check` reports probes that cannot be read or share no time, and compares them with z of a cube."""
+
+import json
+
+import numpy as np
+import pytest
+
+from wavefield.pipeline.experiment_of_cube import image_names, labels
+from wavefield.pipeline.probe_check import check_probes
+from wavefield.series import Experiment
+
+SPAN = (0.0, 5.0)
+
+
+def experiment(folder, table, more=""):
+    (folder / "probes.csv").write_text(table)
+    path = folder / "experiment.yaml"
+    path.write_text(
+        f"name: tank\nframe_rate: 20\ncameras: {{left: left/*.tif}}\nprobes: {{file: probes.csv{more}}}\n"
+    )
+    return Experiment.load(path)
+
+
+def table(times, heights, unit="mm"):
+    rows = "".join(f"{t:.3f},{h:.5f}\n" for t, h in zip(times, heights))
+    return f"# p1 0.1 0.05\ntime,p1 [{unit}]\n{rows}"
+
+
+def test_probes_that_cannot_be_read_are_a_remark(tmp_path):
+    remarks, line = check_probes(experiment(tmp_path, "nothing\n"), SPAN)
+    assert [one.code for one in remarks] == ["unreadable"]
+    assert "probes.csv" in remarks[0].sentence
+    assert line == ""
+
+
+def test_probes_that_share_no_time_with_the_frames_are_a_remark(tmp_path):
+    times = 3600 + np.arange(50) / 10
+    remarks, line = check_probes(experiment(tmp_path, table(times, np.sin(times))), SPAN)
+    assert [one.code for one in remarks] == ["no-overlap"]
+    assert "from 3600 to 3604.9 s; frames from 0 to 5 s" in line
+    assert check_probes(experiment(tmp_path, table(times, np.sin(times)), ", clock: -3600"), SPAN)[0] == []
+
+
+@pytest.fixture
+def cube(tmp_path):
+    """A cube next to its experiment: a wave along x."""
+    from wavefield.store.layout import StoreLayout, create_store
+    from wavefield.store.read import open_group
+    from wavefield.store.recipe import Recipe
+
+    x, y, steps = np.arange(12) * 0.02, np.arange(8) * 0.02, 100
+    note = experiment(tmp_path, table([0.0, 1.0], [0.0, 0.0]))
+    names = {"left": image_names(note, "left")}
+    recipe = Recipe("tank", names, (0, steps), 20.0, {}, {}, {})
+    store = tmp_path / "cube.zarr"
+    create_store(store, recipe, x, y, StoreLayout(steps, steps, ("left",), 0), labels(note, store))
+    time = np.asarray(open_group(store)["time"][:])
+    z = wave(time[:, None, None], x) * np.ones((1, len(y), 1))
+    open_group(store, "r+")["z"][:] = z.astype(np.float32)
+    assert json.loads(open_group(store).attrs["recipe"])["images"] == names
+    return time
+
+
+def wave(time, x):
+    """Irregular waves that travel along x, m."""
+    phases = np.random.default_rng(1).uniform(0, 2 * np.pi, 8)
+    return sum(
+        0.004 * np.cos(2 * np.pi * f * (time - x / 0.6) + phase)
+        for f, phase in zip(np.linspace(0.7, 2.9, 8), phases)
+    )
+
+
+@pytest.mark.parametrize(
+    ("factor", "late", "codes"),
+    [(1e3, 0.0, []), (-1e3, 0.0, ["sign"]), (1.0, 0.0, ["unit"]), (1e3, 0.2, ["clock"])],
+)
+def test_probes_are_compared_with_z_of_the_cube_that_is_there(tmp_path, cube, factor, late, codes):
+    times = np.arange(-1, 7, 0.02)
+    note = experiment(tmp_path, table(times, factor * wave(times - late, 0.1)))
+    remarks, line = check_probes(note, SPAN)
+    assert [one.code for one in remarks] == codes
+    assert "; correlation with z of cube.zarr: p1 " in line

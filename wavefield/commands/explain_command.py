@@ -1,0 +1,37 @@
+"""`wavefield explain`: what a remark of a verdict means and what to do."""
+
+import difflib
+
+import click
+from click.shell_completion import CompletionItem
+
+
+def _complete(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    from wavefield.quality.explanations import EXPLANATIONS
+
+    return [CompletionItem(code) for code in EXPLANATIONS if code.startswith(begun)]
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield explain             # all codes
+  wavefield explain no-rest
+"""
+)
+@click.argument("code", required=False, shell_complete=_complete)
+def explain(code: str | None) -> None:
+    """Explain a remark of `check`, `run` or `status` by its code, the word in brackets at its end."""
+    from wavefield.quality.explanations import EXPLANATIONS, first_sentence
+
+    if code is None:
+        width = max(map(len, EXPLANATIONS))
+        for name, text in EXPLANATIONS.items():
+            click.echo(f"{name:<{width}}  {first_sentence(text)}")
+        return
+    name = code.strip("[]").lower()
+    if name not in EXPLANATIONS:
+        near = difflib.get_close_matches(name, EXPLANATIONS, n=1)
+        remedy = f"did you mean {near[0]}?" if near else "`wavefield explain` lists all codes"
+        raise click.UsageError(f"there is no remark {code!r}; {remedy}")
+    click.echo(click.wrap_text(EXPLANATIONS[name], 90))
