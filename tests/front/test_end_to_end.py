@@ -8,6 +8,7 @@ from contextlib import redirect_stdout
 import numpy as np
 import pytest
 import yaml
+from test_cli import examples_of
 
 from wavefield.commands.cli import main
 from wavefield.commands.demo import comparison, inside
@@ -252,6 +253,26 @@ def test_poses_are_named_alike_in_all_cameras(tmp_path):
         (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(note))
         views = find_views(Experiment.load(tmp_path / "experiment.yaml"))
         assert {camera: set(found) for camera, found in views.items()} == {"left": poses, "right": poses}
+
+
+def test_examples_of_helps_run_as_they_are_written(folder, tmp_path, monkeypatch, capsys):
+    """Those of the other commands are what the fixture `folder` runs, or take minutes."""
+    (tmp_path / "run07").mkdir()
+    for name in ("cube.zarr", "experiment.yaml", "rig.yaml", "verdict.json", "cam1", "cam2", "cam3"):
+        (tmp_path / name).symlink_to(folder / name)
+        (tmp_path / "run07" / name).symlink_to(folder / name)
+    (tmp_path / "run07" / "experiment.yaml").rename(tmp_path / "run07" / "other.yaml")
+    monkeypatch.chdir(tmp_path)
+    for words in ("init", "status", "verify", "rig convert", "explain", "target"):
+        for example in examples_of(words)[:2]:
+            if "cal.xml" not in example and "campaign.yaml" not in example:
+                assert main(["-q", *words.split(), *example]) == 0, f"{words} {example}"
+    assert main(["-q", "export", *examples_of("export")[0]]) == 0
+    assert (tmp_path / "cube.nc").exists()
+    assert (
+        main(["-q", "catalog", "add", *examples_of("catalog add")[0]]) == 1
+    )  # what init wrote is incomplete
+    assert "frame_rate is empty; fill it in" in capsys.readouterr().err
 
 
 def test_margin_leaves_out_the_edge_of_what_was_measured():

@@ -17,7 +17,7 @@ FOUND = {
     "the first frame of another size": "1 of 13 frames read have another size or type than the others",
     "grid of four times the field": "of the grid's nodes in common view",
     "depth in millimetres": "water.depth of experiment.yaml is 700 m",
-    "frame rate in Hz of microseconds": "30 m/s at most",
+    "frame rate in Hz of microseconds": "which is 828 m/s at 50000 Hz",
     "no room on the disk": "free some room",
 }
 
