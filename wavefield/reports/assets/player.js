@@ -41,7 +41,7 @@
     if (f.colours == "kinds") return;
     const name = f.unit ? `${f.name} (${f.unit})` : f.name;
     for (let i = 0; i < h; i++) {
-      const [r, g, b] = d.colours[f.colours][Math.round(255 * (1 - i / (h - 1)))];
+      const [r, g, b] = d.colours[f.colours][Math.max(0, Math.round(255 * (1 - i / (h - 1))))];
       c.fillStyle = `rgb(${r},${g},${b})`;
       c.fillRect(x, y + i, w, 1.5);
     }
