@@ -53,6 +53,7 @@ def opened(chrome, path, width=1400, height=900, **how):
     if "report" in path.name:
         window.locator("#map").wait_for(state="visible")
     assert errors == []
+    window.errors = errors
     return window
 
 
@@ -92,6 +93,14 @@ def test_the_surface_moves_in_the_colours_of_the_chosen_variable(chrome, report_
     right = [np.sign(_redness(image, u.shape, *node)) == np.sign(u[tuple(node)]) for node in nodes]
     assert len(right) > 20
     assert np.mean(right) > 0.95
+
+
+def test_maps_of_every_shape_are_drawn(chrome, report_page):
+    window = opened(chrome, report_page)
+    for width in range(560, 720, 7):
+        window.evaluate("(width) => { document.getElementById('map').width = width }", width)
+        window.locator("#moment").press("ArrowRight")
+    assert window.errors == []
 
 
 def _redness(image, shape, j, i):

@@ -294,3 +294,8 @@ def test_a_label_through_a_line_over_another_or_cut_off_is_found():
         "'under' overlaps 'over'",
         "'cut off at the right' is cut off",
     }
+
+
+def test_a_name_of_the_room_is_the_function_each_time_it_is_used():
+    for _ in range(2):
+        assert all(callable(getattr(figures, name)) for name in figures.__all__)

@@ -158,7 +158,7 @@ def test_a_long_table_is_folded_and_a_short_one_is_not():
         return render(Head(""), [ReportSection("", [Table("errors", ("a", "b"), [("x", "1")] * rows)])])
 
     assert "<summary>errors (24 rows)</summary>" in html(24)
-    assert "<summary>" not in html(12)
+    assert "<summary>" not in html(20)
 
 
 def test_probes_are_compared_with_the_elevation_at_their_places(cube, tmp_path, undrawn):

@@ -1,5 +1,5 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
-from wavefield.figures.distributions import (
+from wavefield.figures.distribution_figures import (
     distributions,
     error_distributions,
     error_maps,

@@ -21,7 +21,7 @@ _DPI = 120  # shown at 96 per inch: sharp on dense screens, and small
 _COLOURS = 128  # of a picture's palette: a third of the bytes, and no visible difference
 WIDE_PX = 1000  # a wider PNG holds several panels: on a phone it is moved sideways instead of shrunk
 SENTENCE_LETTERS = 60  # a longer cell is a sentence: on a phone such rows are stacked
-MAX_OPEN_ROWS = 12  # a longer table is folded below its caption
+MAX_OPEN_ROWS = 20  # a longer table is folded below its caption
 
 
 @dataclass
