@@ -58,7 +58,13 @@ LABELS = {  # on the validation page
     "glare": "path-traced beads and glare",
     "tank_small": "path-traced small beads, two frames only",
 }
-COLUMNS = ("images", "z", "u dt, v dt, w dt", "nodes measured", "within one std: z, u, v, w")
+COLUMNS = (
+    "images",
+    "z",
+    "u dt, v dt, w dt",
+    "nodes measured",
+    "within one standard uncertainty (ideal: 68 %): z, u, v, w",
+)
 RESIDUAL = {"random": "; residual .08", "steep": "; residual .04"}
 
 

@@ -120,7 +120,13 @@ def main(words: Sequence[str]) -> int:
         print(f"    seeds {options.seeds}; CPU {time.process_time() - began:.0f} s", flush=True)
         rows.append([row, *score.cells()])
     if options.save:
-        columns = ("sea", "z", "u dt, v dt, w dt", "nodes measured", "within one std: z, u, v, w")
+        columns = (
+            "sea",
+            "z",
+            "u dt, v dt, w dt",
+            "nodes measured",
+            "within one standard uncertainty (ideal: 68 %): z, u, v, w",
+        )
         save_result("short_waves", columns, rows)
     return 0
 

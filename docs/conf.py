@@ -1,7 +1,7 @@
 """The pages as a site: `sphinx-build -W docs docs/_build/html`; CONTRIBUTING.md says how it is published.
 
-Nothing is fetched. The gallery draws a small experiment that is simulated, measured and analysed here, and
-kept; the notebooks are executed.
+Nothing is fetched, neither while it is made nor while it is read. Gallery and notebooks use the demo, which
+is run here and kept; the notebooks are executed.
 """
 
 import os
@@ -26,17 +26,19 @@ version = release = wavefield.__version__
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+    "sphinx_design",
     "numpydoc",
     "myst_nb",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "examples", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "_made", "examples", "gallery/*.ipynb"]
 templates_path = ["_templates"]
 nitpicky = False
 
 html_theme = "pydata_sphinx_theme"
-html_title = "wavefield"
+html_title = f"wavefield {version.split('+')[0]}"
+html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_theme_options = {
     "show_prev_next": False,
@@ -44,13 +46,15 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": [],
+    "use_edit_page_button": False,
+    "header_links_before_dropdown": 7,
 }
 
-myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 suppress_warnings = ["mystnb.mime_priority"]
 
-autosummary_generate = True
+autosummary_generate = ["reference.md", "_made/by_task.md"]
 autosummary_ignore_module_all = False
 autosummary_imported_members = True
 autodoc_typehints = "none"
@@ -79,7 +83,12 @@ sphinx_gallery_conf = {
 def setup(app: Sphinx) -> None:
     """Read docstrings as they are meant, before numpydoc does."""
     app.connect("autodoc-process-docstring", site_parts.keep_formulas, priority=100)
+    app.add_html_math_renderer("mathml", (site_parts.inline_formula, None), (site_parts.block_formula, None))
 
 
-shutil.copytree(ROOT / "notebooks", HERE / "notebooks", dirs_exist_ok=True)
-site_parts.simulate(HERE / "examples" / "wavefield-demo")
+shutil.rmtree(HERE / "notebooks", ignore_errors=True)
+shutil.copytree(ROOT / "notebooks", HERE / "notebooks")
+site_parts.demo(HERE / "examples" / "wavefield-demo")
+(HERE / "notebooks" / "wavefield-demo").symlink_to(HERE / "examples" / "wavefield-demo")
+site_parts.write_commands(HERE / "commands")
+site_parts.write_reference(HERE / "_made" / "by_task.md")

@@ -1,46 +1,132 @@
-"""What the site is made from beside its pages: a small simulated experiment, and pictures of figures."""
+"""What the site is made from beside its pages: the demo, pages of the commands, groups of the reference."""
 
+import ast
 import hashlib
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
+from latex2mathml.converter import convert
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
-SCENE = {
-    "name": "gallery",
-    "frames": 43,
-    "rig": {"crop": 0.3},
-    "grid": {"x": [-0.26, 0.26], "y": [-0.18, 0.18], "step": 0.01},
-    "sea": {
-        "kind": "random",
-        "rms": 0.012,
-        "spectrum": {"kind": "power", "peak": 1.5, "exponent": 6},
-        "shortest": 0.06,
-    },
-    "calibration": {"tilted": 0},
+HERE = Path(__file__).resolve().parent
+
+# tasks, and the modules whose public names belong to them: a new name finds its group by its module
+TASKS = {
+    "Describe an experiment": ("series.", "grid", "measurement.", "execution."),
+    "Calibrate the cameras": ("calibration.", "rig."),
+    "Plan and simulate": ("tank.", "pipeline.plan", "pipeline.forecast", "pipeline.gain_prediction"),
+    "Measure": ("pipeline.lazy", "pipeline.running", "pipeline.catalog", "matching.", "store.ledger"),
+    "Open, check and export": ("pipeline.opened_run", "store.", "waves.estimation."),
+    "Spectra": ("waves.spectra.", "waves.wave_analysis", "pipeline.analysis"),
+    "Dispersion, current, directions": ("waves.dispersion_relation.", "waves.fused."),
+    "Bound waves and interactions": ("waves.nonlinear.",),
+    "Statistics of the surface": ("waves.surface.", "waves.probes."),
+    "See and report": ("explorer.", "reports.", "figures."),
 }
+OTHER = "Other"
 
 
-def simulate(folder: Path) -> None:
-    """Simulate, measure and analyse a small experiment, unless the folder has one by this very code."""
+def demo(folder: Path) -> None:
+    """Run the demo, unless the folder has one by this very code."""
     import wavefield as wf
     from wavefield.commands.cli import main
 
     sources = sorted(Path(wf.__file__).parent.rglob("*.py"))
-    made = hashlib.sha256(repr(SCENE).encode() + b"".join(path.read_bytes() for path in sources)).hexdigest()
+    made = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     done = folder / "made_by"
     if done.exists() and done.read_text(encoding="utf-8") == made:
         return
     shutil.rmtree(folder, ignore_errors=True)
-    experiment = wf.simulate(wf.Scene.from_dict(SCENE), folder)
-    rig = folder / "truth" / "rig.yaml"
-    for words in (["run", experiment, "--rig", rig], ["analyze", folder / "cube.zarr"]):
-        if main(["-q", *map(str, words)]):
-            raise RuntimeError(f"wavefield {words[0]} failed on the experiment of the gallery")
+    if main(["-q", "demo", str(folder)]):
+        raise RuntimeError("the demo of the site failed")
     done.write_text(made, encoding="utf-8")
+
+
+def tasks() -> dict[str, list[str]]:
+    """Public names of the package by task."""
+    stub = ast.parse((HERE.parent / "wavefield" / "__init__.pyi").read_text(encoding="utf-8"))
+    found: dict[str, list[str]] = {task: [] for task in (*TASKS, OTHER)}
+    for statement in stub.body:
+        if isinstance(statement, ast.ImportFrom):
+            module = (statement.module or "").removeprefix("wavefield.")
+            starts = [(start, task) for task, modules in TASKS.items() for start in modules]
+            fits = [(len(start), task) for start, task in starts if module.startswith(start)]
+            task = max(fits, default=(0, OTHER))[1]
+            found[task] += [alias.asname or alias.name for alias in statement.names]
+    return {task: sorted(names) for task, names in found.items() if names}
+
+
+def write_reference(path: Path) -> None:
+    """Write tables of the public names, one for each task."""
+    head = ".. autosummary::\n   :toctree: api\n   :nosignatures:\n\n"
+    parts = []
+    for task, names in tasks().items():
+        table = head + "".join(f"   wavefield.{name}\n" for name in names)
+        parts.append(f"## {task}\n\n```{{eval-rst}}\n{table}```\n")
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("\n".join(parts), encoding="utf-8")
+
+
+def commands() -> Iterator[tuple[str, click.Command]]:
+    """Every command with its full name."""
+    from wavefield.commands.cli import cli
+
+    for name, command in cli.commands.items():
+        yield name, command
+        if isinstance(command, click.Group):
+            yield from ((f"{name} {inner}", part) for inner, part in command.commands.items())
+
+
+def command_page(name: str, command: click.Command) -> str:
+    """The page of a command: usage, what it does, arguments and options, examples."""
+    context = click.Context(command, info_name=f"wavefield {name}")
+    usage = " ".join(command.collect_usage_pieces(context))
+    rows = []
+    for parameter in command.get_params(context):
+        if isinstance(parameter, click.Option) and not parameter.hidden and parameter.name != "help":
+            left, right = parameter.get_help_record(context) or ("", "")
+            left, right = (text.replace("|", "\\|") for text in (left, right))
+            rows.append(f"| `{left}` | {right} |")
+    text = [f"# wavefield {name}", f"```text\nwavefield {name} {usage}\n```", _paragraphs(command.help or "")]
+    if rows:
+        text.append("\n".join(["| option | meaning |", "|---|---|", *rows]))
+    if command.epilog:
+        text.append(_paragraphs(command.epilog))
+    if isinstance(command, click.Group):
+        links = [f"- [wavefield {name} {inner}]({name}-{inner}.md)" for inner in command.commands]
+        text.append("\n".join(links))
+    return "\n\n".join(text) + "\n"
+
+
+def _paragraphs(text: str) -> str:
+    """Help of a command as Markdown: what click leaves as it is becomes a block of its own."""
+    out = []
+    for part in re.split(r"\n\s*\n", text.replace("\f", "")):
+        if part.lstrip().startswith("\b"):
+            lines = part.split("\b", 1)[1].strip("\n").splitlines()
+            indent = min((len(line) - len(line.lstrip()) for line in lines if line.strip()), default=0)
+            lines = [line[indent:] for line in lines]
+            if lines and lines[0].rstrip().endswith(":") and not lines[0].startswith(" "):
+                out.append(lines.pop(0))
+                indent = min((len(line) - len(line.lstrip()) for line in lines if line.strip()), default=0)
+                lines = [line[indent:] for line in lines]
+            out.append("```text\n" + "\n".join(lines) + "\n```")
+        else:
+            words = " ".join(part.split())
+            out.append(re.sub(r"(?<!`)`([^`]+)`(?!`)", r"`\1`", words).replace("<", "&lt;"))
+    return "\n\n".join(out)
+
+
+def write_commands(folder: Path) -> None:
+    """Write a page for every command."""
+    folder.mkdir(exist_ok=True)
+    for name, command in commands():
+        (folder / f"{name.replace(' ', '-')}.md").write_text(command_page(name, command), encoding="utf-8")
 
 
 def last_figure(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
@@ -63,3 +149,21 @@ def keep_formulas(app: Any, what: str, name: str, thing: Any, options: Any, line
                 re.sub(r"(\||(?<=\s)\*(?=[\s)])|(?<=\w)_(?![\w`]))", r"\\\1", p) for p in parts[::2]
             ]
             lines[i] = "".join(parts)
+
+
+def inline_formula(writer: Any, node: Any) -> None:
+    """A formula in a line as MathML, which browsers draw without a script."""
+    import docutils.nodes
+
+    writer.body.append(convert(node.astext()))
+    raise docutils.nodes.SkipNode
+
+
+def block_formula(writer: Any, node: Any) -> None:
+    """A formula of its own as MathML, with its number if it has one."""
+    import docutils.nodes
+
+    number = f'<span class="eqno">({node["number"]})</span>' if node.get("number") else ""
+    formula = convert(node.astext().strip(), display="block")
+    writer.body.append(f'<div class="math">{number}{formula}</div>')
+    raise docutils.nodes.SkipNode

@@ -17,7 +17,7 @@ import wavefield.figures
 from wavefield.commands.cli import cli
 
 ROOT = Path(__file__).resolve().parents[1]
-BUILT = ("_build", "gallery")  # folders that the site makes
+BUILT = ("_build", "gallery", "commands", "_made", "api", "notebooks")  # folders that the site makes
 PAGES = sorted(
     page
     for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
@@ -106,22 +106,22 @@ def test_notebook_is_kept_clean(path):
             assert cell["execution_count"] is None
 
 
-def test_there_are_four_notebooks():
-    assert len(NOTEBOOKS) == 4
+def test_there_are_five_notebooks():
+    assert len(NOTEBOOKS) == 5
 
 
 def test_every_page_of_the_guide_is_on_the_site():
     text = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
     trees = re.findall(r"```\{toctree\}\n:hidden:\n:caption: [^\n]+\n(.*?)```", text, re.S)
     listed = set(" ".join(trees).split())
-    on_the_front = {"notebooks", "reference"}  # in the list of index.md
+    on_the_front = set("notebooks reference commands install first-experiment".split())  # of index.md
     linked = {target.removesuffix(".md") for target in re.findall(r"\]\((\S+\.md)\)", text)} - on_the_front
     index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8") + (
         ROOT / "docs" / "notebooks.md"
     ).read_text()
     docs = ROOT / "docs"
     pages = {page.relative_to(docs).with_suffix("").as_posix() for page in docs.glob("**/*.md")} - {"index"}
-    pages = {page for page in pages if not page.startswith(("_build/", "gallery/"))}
+    pages = {page for page in pages if page.split("/")[0] not in BUILT or "/" not in page}
     assert listed == linked
     assert not [page for page in pages - listed if not re.search(rf"^{page}$", index, re.M)]
     assert not [path.stem for path in NOTEBOOKS if f"notebooks/{path.stem}" not in index]
@@ -208,3 +208,29 @@ def test_the_map_of_the_house_names_every_room_and_nothing_else():
     assert named == (rooms - {"waves"}) | files | nested
     for path in re.findall(r"`((?:[a-z_]+/)+[a-z_]+\.py)`", table):
         assert (package / path).exists() or (ROOT / path).exists(), f"CONTRIBUTING.md names {path}"
+
+
+@pytest.fixture(scope="module")
+def site_parts():
+    for needed in ("latex2mathml", "sphinx_gallery"):
+        pytest.importorskip(needed, reason="needs group docs")
+    spec = importlib.util.spec_from_file_location("site_parts", ROOT / "docs" / "site_parts.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_command_has_a_page_with_its_options_and_an_example(site_parts):
+    pages = {name: site_parts.command_page(name, command) for name, command in site_parts.commands()}
+    assert {"calibrate", "run", "look", "rig convert", "catalog add"} <= set(pages)
+    for name, command in site_parts.commands():
+        for option in (o for p in command.params for o in p.opts if o.startswith("--")):
+            assert option in pages[name] or option == "--help", f"{name}: {option}"
+        assert isinstance(command, click.Group) or "wavefield " + name in pages[name].split("```")[-2], name
+
+
+def test_every_public_name_belongs_to_a_task_of_the_reference(site_parts):
+    tasks = site_parts.tasks()
+    listed = [name for names in tasks.values() for name in names]
+    assert sorted([*listed, "__version__"]) == sorted(wavefield.__all__)
+    assert site_parts.OTHER not in tasks, f"add the module of {tasks.get(site_parts.OTHER)} to TASKS"

@@ -33,7 +33,11 @@ REPLACED = {
 def texts():
     for folder in FOLDERS:
         for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in TEXT and path != Path(__file__) and "_build" not in path.parts:
+            if (
+                path.suffix in TEXT
+                and path != Path(__file__)
+                and not {"_build", "wavefield-demo"} & set(path.parts)
+            ):
                 yield path
     yield from (ROOT / page for page in PAGES)
 

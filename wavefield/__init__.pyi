@@ -14,6 +14,7 @@ from wavefield.pipeline.forecast import check
 from wavefield.pipeline.gain_prediction import predicted_gain
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
+from wavefield.pipeline.plan import plan
 from wavefield.pipeline.running import run
 from wavefield.reports.compose import report
 from wavefield.reports.paper_page import paper
@@ -94,6 +95,7 @@ __all__ = [
     "open_run",
     "open_waves",
     "paper",
+    "plan",
     "predicted_gain",
     "propose",
     "reconstruct",

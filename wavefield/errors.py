@@ -30,7 +30,7 @@ class StoreError(WavefieldError):
 
 
 class RunStopped(WavefieldError):
-    """A run was stopped before its end; nothing is lost and the same command goes on."""
+    """A run was stopped before its end; nothing is lost and the same command resumes it."""
 
 
 class CubeError(WavefieldError):

@@ -3,7 +3,7 @@ Current by depth
 ================
 
 Short waves feel the water near the surface, long ones that further down. Here a sea runs over a current that
-falls off as .1 exp(z / .1 m) m/s; its waves are shifted as linear theory has it.
+falls off as 0.1 exp(z / 0.1 m) m/s; its waves are shifted as linear theory has it.
 """
 
 import numpy as np

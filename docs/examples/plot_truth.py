@@ -1,5 +1,5 @@
 """
-A simulated tank knows the truth
+The truth of a simulated tank
 ================================
 
 Errors of the measurement against the exact fields of the experiment.

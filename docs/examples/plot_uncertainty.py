@@ -1,8 +1,8 @@
 """
-What a cube says of its own errors
+The errors that a cube states
 ==================================
 
-Every value has a standard uncertainty; sight lines that miss one another and displacements that disagree say
+Every value has a standard uncertainty; sight lines that miss one another and displacements that disagree show
 more.
 """
 

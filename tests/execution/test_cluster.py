@@ -132,7 +132,7 @@ def test_ctrl_c_on_a_terminal_stops_cleanly(tank, reference, tmp_path):
             worker.send_signal(signal.SIGINT)
     code, text = finish(process)
     assert code != 0
-    assert "nothing is lost, and the same command goes on" in text
+    assert "nothing is lost, and the same command resumes" in text
     assert "Traceback" not in text
     assert not any(worker.is_running() for worker in workers)
     assert different(out, reference, slice(0, 1)) == []

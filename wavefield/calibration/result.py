@@ -24,7 +24,7 @@ class Calibration:
     usable : bool
         Whether measurements may be made with it.
     problems : tuple of str
-        Why not, and what to photograph again.
+        Why not, and which target images to retake.
     notes : tuple of str
         What was left out, and other remarks.
     model : str

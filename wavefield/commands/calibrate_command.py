@@ -26,7 +26,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     Reads the calibration chunk of EXPERIMENT, finds the target in its tilted and flat views, solves for all
     cameras together, and writes the rig and a report with pictures. Where the experiment names a record of
     the water at rest (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
-    trusted the exit status is 1 and the report lists what to photograph again.
+    trusted the exit status is 1 and the report lists the target images to retake.
     """
     from concurrent.futures import ProcessPoolExecutor
 
@@ -59,7 +59,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         if not anyway or not len(calibration.rig):
             again = "" if anyway or not len(calibration.rig) else "; --anyway writes it, marked as refused"
             click.echo(f"No rig was written{again}; the pictures are in {page}.", err=True)
-            print_next("calibrate", experiment, first="photograph again what is listed")
+            print_next("calibrate", experiment, first="retake the target images that are listed")
             context.exit(1)
     rig = calibration.rig
     if loaded.rest and calibration.usable:

@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         error.show()
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        print("wavefield: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        print("wavefield: interrupted; the same command resumes", file=sys.stderr)
         return 130
     except WavefieldError as error:
         if debug:

@@ -244,7 +244,7 @@ def tilt_light(steps: Sequence[StepSummary]) -> StatusLight:
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:
-    """The bad lights, causes before consequences."""
+    """The bad lights, root causes first."""
     bad = [light for light in lights if light.state == "bad"]
     return sorted(bad, key=lambda light: _ORDER.index(light.name))
 

@@ -45,7 +45,7 @@ class FirstGuess:
         along = (f"{low:+.0f} to {high:+.0f} px" for low, high in (self.x, self.y))
         return (
             f"motion: {next(along)} along x, {next(along)} along y from frame to frame "
-            f"({self.found} of {self.tried} patches of {self.steps} steps found)"
+            f"({self.found} of {self.tried} test patches matched)"
         )
 
 

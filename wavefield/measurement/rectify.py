@@ -1,7 +1,7 @@
 """Images to apparent coordinates on z = 0.
 
 The image is sampled on a grid twice as fine by quintic B-splines without prefilter, then read there by linear
-interpolation: bias .002 px, where plain cubic interpolation of the image has .04 px.
+interpolation: bias 0.002 px, where plain cubic interpolation of the image has 0.04 px.
 """
 
 import threading

@@ -6,6 +6,7 @@ from wavefield.pipeline.forecast import Check, check
 from wavefield.pipeline.gain_prediction import predicted_gain
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
+from wavefield.pipeline.plan import plan
 from wavefield.pipeline.running import run
 from wavefield.store.export import export
 from wavefield.store.ledger import Status, status
@@ -23,6 +24,7 @@ __all__ = [
     "is_catalog",
     "open_cube",
     "open_run",
+    "plan",
     "predicted_gain",
     "reconstruct",
     "run",

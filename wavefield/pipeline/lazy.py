@@ -100,7 +100,7 @@ def reconstruct(
         ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
         ``mask`` next to an image, (row, column) or (time, row, column), is true where pixels do not count.
         All have the same times, evenly spaced; a coordinate ``departure`` (time) of the images, which
-        an experiment with time stamps has, says by how many intervals later each was really taken.
+        an experiment with time stamps has, states by how many intervals later each was really taken.
     rig : Rig or path
         The cameras, or their file: ``rig.yaml``, or one of another program (`load_rig`).
     grid : Grid, optional

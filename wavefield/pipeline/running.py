@@ -1,6 +1,6 @@
 """Processing a whole experiment into a store, chunk by chunk, on one process or many.
 
-Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the same command goes on from the
+Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the same command resumes from the
 ledger: only chunks that are not marked done are measured.
 """
 
@@ -149,7 +149,7 @@ def process(
             _go_on(prepared, lock, map_unordered, progress)
         except KeyboardInterrupt as stop:
             raise RunStopped(
-                f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
+                f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
             ) from None
     with deferred_signals():  # what only the end needs comes when the rest is done
         from wavefield.pipeline.pair_statistics import store_pair_statistics

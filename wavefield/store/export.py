@@ -114,7 +114,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     path = Path(path)
     kind = ENDINGS.get(path.suffix.lower())
     if kind is None:
-        raise StoreError(f"{path} is no format that is written: let its name end in {KNOWN}")
+        raise StoreError(f"{path} is not a supported output format: let its name end in {KNOWN}")
     check_writable(path, PRODUCTS[kind])
     if note := unfinished_note(store):
         warnings.warn(note, stacklevel=2)

@@ -7,7 +7,7 @@ from typing import Any
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
 from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
 
-AROUND = 2  # frames before and after those of a step that have a say in it
+AROUND = 2  # frames before and after those of a step that enter it
 # by frames: what the displacement from frame to frame weighs in that at mid-time, and those beside it either
 # way; exact for a cubic in time. Those of six frames let less noise pass than those of four, and leave 1/6 of
 # the displacement of the fastest waves that frames show: the weights of least noise would leave none of some

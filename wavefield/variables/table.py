@@ -29,7 +29,7 @@ class Variable:
     standard_name: str = ""  # CF standard name
     meaning: str = ""  # A sentence for the documentation
     extra: Mapping[str, Any] = field(default_factory=dict)  # Further attributes
-    # Dataset that it belongs to, where its name alone does not say: a group of the wave store
+    # Dataset that it belongs to, where its name alone does not show it: a group of the wave store
     group: str = ""
     family: str = ""  # Name with a star, shared by variables that the documentation describes in one line
 

@@ -155,7 +155,7 @@ class Welch:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes that say how a spectrum was estimated."""
+        """Attributes that state how a spectrum was estimated."""
         record = self.record
         return {
             "estimator": "Welch, Hann windows in t, y and x, half overlap, mean and trend removed",
@@ -223,7 +223,7 @@ def along_paths(fields: xr.DataArray | xr.Dataset) -> bool:
 
 
 def frames_of_z(fields: xr.DataArray | xr.Dataset) -> int:
-    """Frames that the elevations of a cube come from: 6, or 4 where it does not say."""
+    """Frames that the elevations of a cube come from: 6, or 4 where it does not state it."""
     if not hasattr(fields, "data_vars"):
         return int(fields.attrs.get("frames", 4)) if fields.name == "z" else 4
     return int(fields["z"].attrs.get("frames", 4)) if "z" in fields else 4

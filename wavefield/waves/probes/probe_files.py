@@ -56,9 +56,9 @@ def read_probes(
         With `columns` lines above the header and columns that are not named are passed over, and numbers may
         have decimal commas where columns are parted otherwise.
     columns : Columns, optional
-        Which columns are what, where the header does not say it.
+        Which columns are what, where the header does not state it.
     unit : str
-        Of the probes, where the file does not say it: m, cm, mm, um.
+        Of the probes, where the file does not state it: m, cm, mm, um.
     factor : float
         On their values, such as -1 for gauges that count downwards.
     clock : float

@@ -65,7 +65,7 @@ class ProbeFit:
             yield (
                 "gain",
                 f"it is {self.gain:.2f} times the elevation",
-                "calibrate it, or say its `factor` in `probes:`",
+                "calibrate it, or give its `factor` in `probes:`",
             )
 
 

@@ -1,0 +1,100 @@
+"""Errors to expect of an experiment before it is built: one step of a simulated tank, measured."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
+from wavefield.variables import AROUND, Quality
+
+if TYPE_CHECKING:
+    from wavefield.tank import Scene
+
+_EDGE = 0.04  # m inside the edge of the grid, where errors are counted
+
+
+def plan(
+    scene: "Scene | str | Path" = "demo", *, rig: Rig | Mapping[str, object] | None = None, **changes: object
+) -> xr.Dataset:
+    """Predict the errors of an experiment from one simulated step of it.
+
+    Images of the scene are rendered and measured, and compared with the exact truth, 4 cm inside the edge
+    of the grid. It takes some seconds for a small grid.
+
+    Parameters
+    ----------
+    scene : Scene, path or str
+        The experiment: cameras, grid, waves, beads, light. A scene, a file of one, or the name of a preset.
+    rig : Rig or mapping, optional
+        Other cameras than those of the scene, or settings of its cameras that differ.
+    **changes
+        Settings of the scene that differ, as in `Scene.with_`: ``surface={"density": 4000}``.
+
+    Returns
+    -------
+    Dataset, (quantity,)
+        For z and the displacements u dt, v dt, w dt: ``error``, the rms error, and ``stated``, the rms of the
+        stated standard uncertainty, both in px (one is ``attrs["pixel_size"]`` metres); ``within``, the share
+        of errors within one standard uncertainty (68 % if it is right); ``measured``, the share of nodes that
+        are measured.
+
+    Raises
+    ------
+    ExperimentError
+        If a setting of the scene is wrong.
+
+    Examples
+    --------
+    Half as many beads, on a field of 20 x 16 cm:
+
+    >>> import wavefield as wf
+    >>> grid = {"x": (-0.1, 0.1), "y": (-0.08, 0.08), "step": 0.01}
+    >>> found = wf.plan(grid=grid, surface={"density": 5000}, light={"bits": 8})  # doctest: +SKIP
+    >>> found.error.sel(quantity="z")  # doctest: +SKIP
+    """
+    from wavefield.measurement import GridGeometry, measure
+    from wavefield.tank import Scene, Tank
+
+    with TemporaryDirectory() as folder:
+        if isinstance(rig, Rig):
+            rig.save(Path(folder) / "rig.yaml")
+            changes = {**changes, "rig": {"file": str(Path(folder) / "rig.yaml")}}
+        elif rig is not None:
+            changes = {**changes, "rig": rig}
+        given = scene if isinstance(scene, Scene) else Scene.load(scene)
+        frames = 2 * AROUND + 2  # of one step
+        tank = Tank(given.with_(**changes, frames=frames))
+    images: dict[str, list[np.ndarray | None]] = {name: [] for name in tank.rig}
+    for number in range(frames):
+        for name, image in tank.render(number).items():
+            images[name].append(image)
+    grid, rate = tank.scene.grid, tank.scene.frame_rate
+    measured = measure(images, GridGeometry(tank.rig, grid), rate)
+    truth, pixel = tank.truth(AROUND), pixel_size(tank.rig, grid)
+    edge = min(round(_EDGE / grid.step), (min(grid.shape) - 1) // 2)
+    inner = (slice(edge, -edge or None),) * 2
+    rows = []
+    for name in "zuvw":
+        unit = pixel if name == "z" else rate * pixel
+        error = (measured[name][0] - getattr(truth, name))[inner] / unit
+        std = measured[f"{name}_std"][0][inner] / unit
+        there = np.isfinite(error)
+        rms = (float(np.sqrt(np.mean(part[there] ** 2))) if there.any() else np.nan for part in (error, std))
+        rows.append((*rms, float(np.mean(np.abs(error[there]) < std[there])) if there.any() else np.nan))
+    error, stated, within = zip(*rows)
+    quality = measured["quality"][0][inner]
+    return xr.Dataset(
+        {
+            "error": ("quantity", list(error), {"long_name": "rms error", "units": "pixel"}),
+            "stated": ("quantity", list(stated), {"long_name": "rms of the stated std", "units": "pixel"}),
+            "within": ("quantity", list(within), {"long_name": "share within one std", "units": "1"}),
+            "measured": ((), float(np.mean((quality & Quality.MEASURED) != 0)), {"units": "1"}),
+        },
+        {"quantity": ["z", "u dt", "v dt", "w dt"]},
+        {"pixel_size": pixel, "frame_rate": rate},
+    )
