@@ -32,13 +32,15 @@ extensions = [
     "myst_nb",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_made", "examples", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "by_task.md", "examples", "gallery/*.ipynb"]
 templates_path = ["_templates"]
 nitpicky = False
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"wavefield {version.split('+')[0]}"
 html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_theme_options = {
     "show_prev_next": False,
@@ -54,7 +56,7 @@ myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 suppress_warnings = ["mystnb.mime_priority"]
 
-autosummary_generate = ["reference.md", "_made/by_task.md"]
+autosummary_generate = ["reference.md", "by_task.md"]
 autosummary_ignore_module_all = False
 autosummary_imported_members = True
 autodoc_typehints = "none"
@@ -91,4 +93,4 @@ shutil.copytree(ROOT / "notebooks", HERE / "notebooks")
 site_parts.demo(HERE / "examples" / "wavefield-demo")
 (HERE / "notebooks" / "wavefield-demo").symlink_to(HERE / "examples" / "wavefield-demo")
 site_parts.write_commands(HERE / "commands")
-site_parts.write_reference(HERE / "_made" / "by_task.md")
+site_parts.write_reference(HERE / "by_task.md")

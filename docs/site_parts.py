@@ -68,7 +68,6 @@ def write_reference(path: Path) -> None:
     for task, names in tasks().items():
         table = head + "".join(f"   wavefield.{name}\n" for name in names)
         parts.append(f"## {task}\n\n```{{eval-rst}}\n{table}```\n")
-    path.parent.mkdir(exist_ok=True)
     path.write_text("\n".join(parts), encoding="utf-8")
 
 
@@ -165,5 +164,5 @@ def block_formula(writer: Any, node: Any) -> None:
 
     number = f'<span class="eqno">({node["number"]})</span>' if node.get("number") else ""
     formula = convert(node.astext().strip(), display="block")
-    writer.body.append(f'<div class="math">{number}{formula}</div>')
+    writer.body.append(f'<div class="formula">{number}{formula}</div>')
     raise docutils.nodes.SkipNode

@@ -17,7 +17,7 @@ import wavefield.figures
 from wavefield.commands.cli import cli
 
 ROOT = Path(__file__).resolve().parents[1]
-BUILT = ("_build", "gallery", "commands", "_made", "api", "notebooks")  # folders that the site makes
+BUILT = ("_build", "gallery", "commands", "api", "notebooks")  # folders that the site makes
 PAGES = sorted(
     page
     for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]

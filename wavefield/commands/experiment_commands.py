@@ -85,7 +85,7 @@ def run(
 ) -> None:
     """Measure an experiment, or all or some entries of a catalog.
 
-    A run that was interrupted goes on where it stopped when the same command is given again, or the command
+    A run that was interrupted resumes when the same command is given again, or the command
     with its cube. The exit status is 1 where nothing could be measured, 3 where the verdict has remarks that
     matter.
     """
