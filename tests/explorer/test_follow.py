@@ -13,9 +13,16 @@ import xarray as xr
 
 from wavefield.explorer import learner as learning
 from wavefield.explorer.features import bead_size, frame_features
+from wavefield.explorer.follow_page import lights_table
 from wavefield.explorer.follower import Follower
 from wavefield.explorer.learner import Learner
-from wavefield.explorer.lights import arrival_lights, red_lights
+from wavefield.explorer.lights import (
+    HISTORY_S,
+    LightHistory,
+    StatusLight,
+    arrival_lights,
+    red_lights,
+)
 from wavefield.explorer.watch import FolderWatch
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -297,6 +304,26 @@ def test_the_page_shows_map_lights_and_cameras(followed):
     assert page.words["lights"].text.count("<tr>") == 14
     assert page.cameras["cam1"].sources["image"].data["image"]
     document.to_json()
+
+
+def test_the_history_of_a_light_is_drawn_beside_it(monkeypatch):
+    now, history = [0.0], LightHistory()
+    monkeypatch.setattr("wavefield.explorer.lights.time.monotonic", lambda: now[0])
+    for state in ("good", "good", "good", "bad"):
+        for _ in range(3):  # more often than once a second
+            light = StatusLight("focus", "cam1", state, "beads of 1.00 px")
+            history.add([light])
+            now[0] += 0.4
+    assert len(history.entries) == 4
+    table = lights_table((light,), list(history.entries))
+    assert "#007a5a 0.0% 75.0%" in table
+    assert "#b34700 75.0% 100.0%" in table
+    assert 'aria-label="the last minutes: good, fix it"' in table
+    now[0] += 1e4
+    for _ in range(2 * HISTORY_S):
+        now[0] += 1.0
+        history.add([light])
+    assert len(history.entries) == HISTORY_S
 
 
 def test_what_is_masked_is_masked_while_following(small_tank, tmp_path):

@@ -1,5 +1,6 @@
 """The page of `wavefield follow`: map, cameras and lights while the cameras write."""
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from wavefield.errors import WavefieldError
 from wavefield.explorer.camera_panel import frame_columns, shrink
 from wavefield.explorer.follower import FollowedSet, Follower
-from wavefield.explorer.lights import StatusLight, red_lights
+from wavefield.explorer.lights import State, StatusLight, red_lights, state_runs
 from wavefield.explorer.map_fields import arrows, palette, top_speed
 from wavefield.explorer.plot_parts import (
     GREY,
@@ -40,19 +41,28 @@ from wavefield.figures.display import display
 from wavefield.text import spell_time
 
 _REFRESH_MS = 200
-_MAX_CAMERA_PX = 400  # three images next to each other
+_MAX_CAMERA_PX = 800  # three images next to each other, in detail
 _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
-def lights_table(lights: tuple[StatusLight, ...]) -> str:
+History = Sequence[Mapping[tuple[str, str], State]]  # states of lights by name and camera, the newest last
+
+
+def lights_table(lights: tuple[StatusLight, ...], history: History = ()) -> str:
     """Lights as a table: a row per quantity, a column per camera; those of pairs and of the rig below."""
+    past = {
+        (light.name, light.camera): state_runs(
+            [states.get((light.name, light.camera), "unknown") for states in history]
+        )
+        for light in lights
+    }
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}
     names = list(dict.fromkeys(light.name for light in of_cameras))
     others = [light for light in lights if light not in of_cameras]
     template = Environment(autoescape=True).from_string(asset("lights.html"))
-    return template.render(cameras=cameras, names=names, cells=cells, others=others)
+    return template.render(cameras=cameras, names=names, cells=cells, others=others, past=past)
 
 
 @dataclass
@@ -68,7 +78,7 @@ class CameraView:
         sources = make_sources(name, image=IMAGE, nodes="x y")
         made = make_figure(
             f"{name}_view", tools="pan,wheel_zoom,reset", x_range=(0, 100), y_range=(100, 0),
-            aspect_ratio=1.25, min_border_left=34, min_width=150, title=name,
+            aspect_ratio=1.25, min_border_left=34, min_width=300, title=name,
         )  # fmt: skip
         made.grid.grid_line_color = None
         made.image("image", source=sources["image"], color_mapper=grey_mapper())
@@ -96,6 +106,7 @@ class FollowPage:
         self._follower, self._targets = follower, targets
         self._count = -1  # of the sets that were published, when the page was drawn
         self._lights: tuple[StatusLight, ...] = ()
+        self._remembered = 0  # entries of the history that are drawn
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights", "target": "target_words"}
         self.words = {key: words_of(name, html=True) for key, name in names.items()}
         self.variable = Select(title="Map of", value="w", options=list(_VARIABLES), name="show", width=110)
@@ -115,6 +126,7 @@ class FollowPage:
             "map", tools="pan,wheel_zoom,reset,save", toolbar_location="above", match_aspect=True,
             aspect_ratio=1.3, sizing_mode="scale_width", x_axis_label="x (m)", y_axis_label="y (m)",
         )  # fmt: skip
+        made.title.text = "waiting for frames"
         made.grid.grid_line_color = None
         image = made.image("image", source=self.sources["image"], color_mapper=self.mapper)
         made.x_range.renderers = made.y_range.renderers = [image]
@@ -131,12 +143,13 @@ class FollowPage:
             "state": [self.words["state"]],
             "controls": [self.words["verdict"]],
             "views": [self.variable, self.map],
-            "picked": [self.words["lights"], camera_row, self.words["target"]],
+            "picked": [self.words["lights"], self.words["target"]],
+            "cameras": [camera_row],
         }
         for name, children in roots.items():
             document.add_root(column(*children, sizing_mode="stretch_width", name=name))
         title = self._follower.experiment.name
-        apply_template(document, title, "follow", ("controls", "views", "picked"), keys=False)
+        apply_template(document, title, "follow", ("controls", "views", "picked", "cameras"), keys=False)
         document.add_periodic_callback(self.refresh, _REFRESH_MS)
         self.refresh()
 
@@ -157,15 +170,17 @@ class FollowPage:
             trouble = "<br>".join(map(_plain, self._follower.watch.trouble.values()))
             self.words["verdict"].text = _large("Waiting for frames", "#57606a", trouble)
             return
-        if latest.lights != self._lights:
-            self._show_lights(latest.lights)
+        history = list(self._follower.history.entries)
+        if latest.lights != self._lights or len(history) != self._remembered:
+            self._remembered = len(history)
+            self._show_lights(latest.lights, history)
         if self._follower.count != self._count:
             self._count = self._follower.count
             self._show_set(latest)
 
-    def _show_lights(self, lights: tuple[StatusLight, ...]) -> None:
+    def _show_lights(self, lights: tuple[StatusLight, ...], history: History) -> None:
         self._lights = lights
-        self.words["lights"].text = lights_table(lights)
+        self.words["lights"].text = lights_table(lights, history)
         red = red_lights(lights)
         doubtful = [f"{light.name} {light.camera}".strip() for light in lights if light.state == "doubtful"]
         if red:
@@ -174,10 +189,10 @@ class FollowPage:
                 cameras.setdefault(light.name, []).append(light.camera)
             heading = "; ".join(f"{name} {', '.join(of)}".strip() for name, of in cameras.items())
             verdict = _large(
-                heading, "#B34700", _plain("; ".join(dict.fromkeys(light.words for light in red)))
+                heading, "#a83d00", _plain("; ".join(dict.fromkeys(light.words for light in red)))
             )
         elif doubtful:
-            verdict = _large("Sound with remarks", "#B07800", _plain(f"check {', '.join(doubtful)}"))
+            verdict = _large("Sound with remarks", "#7a5200", _plain(f"check {', '.join(doubtful)}"))
         else:
             verdict = _large("Sound", "#007a5a", "all lights are good")
         self.words["verdict"].text = verdict
@@ -185,8 +200,8 @@ class FollowPage:
     def _show_set(self, latest: FollowedSet) -> None:
         delay = f"{latest.delay:.1f} s" if latest.delay < 60 else spell_time(latest.delay)
         self.words["state"].text = (
-            f"frame {latest.number}; measured {latest.measured}, skipped {latest.skipped}; {delay} after its "
-            f"last byte{f'. {_plain(latest.trouble)}' if latest.trouble else ''}"
+            f"frame {latest.number}; measured {latest.measured}, skipped {latest.skipped}; latency {delay}"
+            f"{f'. {_plain(latest.trouble)}' if latest.trouble else ''}"
         )
         for name, image in latest.images.items():
             self.cameras[name].show(image)

@@ -18,6 +18,7 @@ from wavefield.explorer.learner import Learner
 from wavefield.explorer.lights import (
     ARRIVALS,
     Baseline,
+    LightHistory,
     PairSummary,
     StatusLight,
     StepSummary,
@@ -62,6 +63,7 @@ class Follower:
         self.experiment = experiment
         self.latest: FollowedSet | None = None
         self.count = 0  # of the sets that were published
+        self.history = LightHistory()
         self.watch = FolderWatch(experiment)
         self._measurer = LiveMeasurement(experiment, rig)
         self._baseline = Baseline()
@@ -111,10 +113,13 @@ class Follower:
         frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
         if frames is not None:
             self._take(frames)
+            if self.latest is not None:
+                self.history.add(self.latest.lights)
             return True
         if self.latest is not None:  # a camera that has stopped shows without a new set
             others = tuple(light for light in self.latest.lights if light.name not in ARRIVALS)
             self.latest = replace(self.latest, lights=(*self._arrivals(), *others))
+            self.history.add(self.latest.lights)
         return False
 
     def _arrivals(self) -> list[StatusLight]:
