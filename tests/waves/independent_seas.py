@@ -181,3 +181,116 @@ def family(name, seed):
 
 
 FAMILIES = ("broad and clean", "noisy tail", "roll-off", "narrow band", "bimodal", "shallow")
+
+
+@dataclass(frozen=True)
+class LatticeSea:
+    """Settings of a Gaussian sea without end: random amplitudes on a fine lattice of wave vectors.
+
+    Free waves with linear kinematics on a uniform current, without surface tension; fields at the nodes of a
+    small window. The lattice is fine enough that waves do not come round again within about 30 s.
+
+    Parameters
+    ----------
+    current : tuple of float
+        Velocity of the water along x and y, m/s.
+    depth : float
+        m.
+    lowest, highest : float
+        Ends of the spectrum in still water, Hz; it falls as f^-slope.
+    slope : float
+    directions : tuple of (heading, s, weight)
+        Parts of the sea, each cos(theta / 2)^2s wide; s = 0 is isotropic.
+    height : float
+        Standard deviation of elevation in the mean of draws, m.
+    side : int
+        Nodes along a side of the basin.
+    shape : tuple of int
+        Steps, and nodes along y and x of the window.
+    dt, dx : float
+        s, m.
+    """
+
+    current: tuple = (0.0, 0.0)
+    depth: float = 0.7
+    lowest: float = 1.2
+    highest: float = 3.0
+    slope: float = 5.0
+    directions: tuple = ((0.0, 0.0, 1.0),)
+    height: float = 0.008
+    side: int = 420
+    shape: tuple = (640, 28, 34)
+    dt: float = 0.05
+    dx: float = 0.07
+
+    def _size(self):
+        """Wave vectors, frequencies in still water and amplitudes' standard deviations, (ky, kx)."""
+        line = 2 * np.pi * np.fft.fftfreq(self.side, self.dx)
+        kx, ky = line[None, :], line[:, None]
+        k = np.maximum(np.hypot(kx, ky), 1e-6)
+        free = np.sqrt(GRAVITY * k * np.tanh(k * self.depth))
+        group = np.gradient(
+            np.sqrt(GRAVITY * (t := np.linspace(1e-3, 200, 20001)) * np.tanh(t * self.depth)), t
+        )
+        f, angle = free / (2 * np.pi), np.arctan2(ky, kx)
+        spread = sum(
+            weight * np.abs(np.cos((angle - heading) / 2)) ** (2 * s) * _spread_norm(s)
+            for heading, s, weight in self.directions
+        )
+        variance = f**-self.slope * np.interp(k, t, group) / k * spread
+        variance = np.where((f > self.lowest) & (f < self.highest), variance, 0.0)
+        return kx, ky, k, free, np.sqrt(variance * self.height**2 / variance.sum())
+
+    def cube(self, seed, names=("z", "z_t", "u", "v", "w")):
+        """Fields of the moment at the nodes, (time, y, x), m and m/s."""
+        from scipy import fft
+
+        kx, ky, k, free, size = self._size()
+        rng = np.random.default_rng(seed)
+        lines = size * (rng.standard_normal(size.shape) + 1j * rng.standard_normal(size.shape))
+        lines = (lines * self.side**2).astype("c8")
+        omega = free + kx * self.current[0] + ky * self.current[1]
+        along = free / k / np.tanh(k * self.depth)
+        gains = {"z": 1.0, "z_t": -1j * omega, "u": kx * along, "v": ky * along, "w": -1j * free}
+        rows = np.flatnonzero((size > 0).any(axis=1))
+        gains = {name: np.broadcast_to(gains[name], size.shape)[rows].astype("c8") for name in names}
+        turn, lines = np.exp(-1j * omega * self.dt).astype("c8")[rows], lines[rows]
+        steps, ny, nx = self.shape
+        out = {name: np.empty(self.shape, "f4") for name in names}
+        part = np.zeros((self.side, nx), "c8")
+        for t in range(steps):
+            for name in names:
+                part[rows] = fft.ifft(lines * gains[name], axis=1)[:, :nx]
+                out[name][t] = fft.ifft(part, axis=0).real[:ny]
+            lines = lines * turn
+        mean = {"u": self.current[0], "v": self.current[1]}
+        axes = {
+            n: np.arange(m) * s
+            for n, m, s in zip(("time", "y", "x"), self.shape, (self.dt, self.dx, self.dx))
+        }
+        data = {
+            name: (
+                tuple(axes),
+                values + np.float32(mean.get(name, 0)),
+                {"units": "m" if name == "z" else "m s-1"},
+            )
+            for name, values in out.items()
+        }
+        attrs = {"water_depth": self.depth, "frame_rate": 1 / self.dt, "velocity": "instantaneous"}
+        return xr.Dataset(data, axes, attrs)
+
+
+def _spread_norm(s):
+    angle = np.linspace(-np.pi, np.pi, 2000, endpoint=False)
+    return 1 / (np.cos(angle / 2) ** (2 * s)).mean()
+
+
+REFEREE_SEAS = {
+    "isotropic": LatticeSea(),
+    "s 5": LatticeSea(directions=((0.4, 5.0, 1.0),)),
+    "s 20": LatticeSea(directions=((0.4, 20.0, 1.0),)),
+    "s 50": LatticeSea(directions=((0.4, 50.0, 1.0),)),
+    "bimodal, U 0.25": LatticeSea(directions=((0.4, 10.0, 0.6), (2.4, 10.0, 0.4)), current=(0.2, 0.15)),
+    "isotropic, U 0.25": LatticeSea(current=(0.2, 0.15)),
+    "h 0.05 m": LatticeSea(directions=((0.4, 2.0, 1.0),), depth=0.05),
+}
