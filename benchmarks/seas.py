@@ -1,26 +1,206 @@
 """Estimators on random seas of an independent generator: `python -m benchmarks.seas`.
 
-Six families of linear seas (broad and clean; tails in noise; rolling off; ending at 2.5 to 4 Hz; bimodal;
-shallow) with currents to 0.4 m/s in any direction, spreads from isotropic to s = 50, 16 to 60 s. Of the
-fitted current: the error, mm/s, the same over its standard uncertainty, and what was refused.
+Gaussian seas of exact free waves are drawn at random: depth, current, directions (isotropic to s = 50, one or
+two parts), band, slope, noise, length, window, gaps, sampling. `analyze` is run on two draws of each. Counted
+by product: the 95 % intervals that hold, judged by both estimates, whose truth is the same; the nulls of 5 %
+that are exceeded where there is no relation; the discoveries where there is nothing; and what was refused.
+Worst products come first, each with its worst family.
+
+With ``--currents``: six families of linear seas (broad and clean; tails in noise; rolling off; ending at 2.5
+to 4 Hz; bimodal; shallow) with currents to 0.4 m/s in any direction, spreads from isotropic to s = 50, 16 to
+60 s. Of the fitted current: the error, mm/s, the same over its standard uncertainty, and what was refused.
 """
 
 import sys
 import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "waves"))
 
-from independent_seas import FAMILIES, Sea, family
+from independent_seas import FAMILIES, Sea, family, random_lattice_sea
 
 from benchmarks.options import parser_of
 from benchmarks.results import save_result
 from wavefield.errors import CubeError
-from wavefield.waves import fit_dispersion, spectrum
+from wavefield.waves import analyze, coherence, fit_dispersion, spectrum
+
+Array = NDArray[Any]
+
+STRONG = 1e-3  # of the largest energy: weaker cells are not counted
+HALF_INTERVAL = 1.96  # standard uncertainties
+# whose standard deviation is no uncertainty, or that list other waves in every record
+SPREADS = {"pdf", "static", "triad_coherence", "quartet_coherence"}
+FEW = 5  # draws: a family with fewer is not named
+Count = tuple[str, str, float]  # kind, product, fraction
+
+
+def _interval_names(name: str) -> tuple[str, str] | None:
+    """Spectrum whose interval begins at a variable ``low_...``, and how it is counted."""
+    stem = name.removeprefix("low_")
+    if stem.startswith("nonlinear_ratio"):
+        return stem, f"{stem}, values"
+    if stem.startswith("komega_"):
+        return f"E_{stem}", "E(k, omega) of " + stem.removeprefix("komega_")
+    if stem.startswith("E_k_"):
+        return stem, "E(k) of " + stem.removeprefix("E_k_")
+    if stem.startswith("E_"):
+        return stem, "E(omega) of " + stem.removeprefix("E_")
+    return ("D", "D(theta)") if stem == "D" else (f"Ez_{stem}", f"Ez_{stem}")
+
+
+def _factors(tree: xr.DataTree, group: str) -> Iterator[tuple[str, Array, Array, Array, Array]]:
+    """Estimates of a group with intervals: product, values, ends as factors, and where they count."""
+    data = tree[group].to_dataset()
+    for name in data:
+        names = _interval_names(str(name)) if str(name).startswith("low_") else None
+        if names is None or names[0] not in data:
+            continue
+        value, low, high = (data[n].values for n in (names[0], name, str(name).replace("low_", "high_", 1)))
+        there = np.isfinite(value) & np.isfinite(low) & np.isfinite(high) & (value > 0)
+        if names[1].endswith(", values"):
+            low, high = low / value, high / value
+            axis = "k" if names[0].endswith("_k") else "omega"
+            energy = tree["spectra"]["E_k_w" if axis == "k" else "E_w"].values
+            there &= energy > STRONG * np.nanmax(energy)
+        else:
+            there &= value > STRONG * np.nanmax(np.where(there, value, 0))
+        if names[0].startswith("E_komega"):
+            there &= data["valid_komega"].values
+        valid = "valid_" + names[0].removeprefix("Ez_")
+        if names[0].startswith("Ez_") and valid in data:
+            there &= data[valid].values
+        yield names[1].removesuffix(", values"), value, low, high, there
+
+
+def _intervals(one: xr.DataTree, other: xr.DataTree) -> Iterator[Count]:
+    """Fraction of intervals of two estimates of the same truth that hold it, by product."""
+    for group in one.children:
+        if group not in other.children:
+            continue
+        pairs = zip(_factors(one, group), _factors(other, group))
+        for (product, a, low_a, high_a, there), (_, b, low_b, high_b, there_b) in pairs:
+            if a.shape != b.shape or not (there & there_b).any():
+                continue
+            with np.errstate(all="ignore"):
+                apart = np.log(b / a)
+                up = np.hypot(np.log(high_a), np.log(low_b))
+                down = np.hypot(np.log(low_a), np.log(high_b))
+                inside = np.where(apart > 0, apart <= up, -apart <= down)
+            yield "interval", f"{group}: {product}", float(inside[there & there_b].mean())
+        for name in one[group].data_vars:
+            value = str(name).removesuffix("_std")
+            if value == name or value in SPREADS or not {value, name} <= {*other[group].data_vars}:
+                continue
+            if value not in one[group]:
+                continue
+            a, b, std_a, std_b = (t[group][n].values for n in (value, name) for t in (one, other))
+            if a.shape != b.shape or a.shape != std_a.shape:
+                continue
+            if (there := np.isfinite(a + b + std_a + std_b)).any():
+                inside = np.abs(a - b) <= HALF_INTERVAL * np.hypot(std_a, std_b)
+                yield "interval", f"{group}: {value}", float(inside[there].mean())
+
+
+def _nulls(tree: xr.DataTree, mixed: xr.Dataset) -> Iterator[Count]:
+    """Fraction of coherences without relation that exceed their level."""
+    spectra, group = tree["spectra"], tree["coherence"]
+    for ending, names in (
+        ("", ("E_k_rise", "E_k_nl", "E_k_w")),
+        ("_komega", ("E_komega_rise", "E_komega_nl", "")),
+    ):
+        there = [spectra[n].values > STRONG * spectra[n].values.max() for n in names if n]
+        strong = there[0] & there[1]
+        waves = there[0] if ending else there[0] & there[2]
+        if ending:
+            strong, waves = (part & spectra["valid_komega"].values for part in (strong, waves))
+        for product, data, part in (
+            (f"z_t with u . grad z{ending}", group, strong),
+            (f"z_t with w of another sea{ending}", mixed, waves),
+        ):
+            name = "nl" if "grad" in product else "w"
+            over = (data[f"gamma2_{name}{ending}"] > data[f"level_{name}{ending}"]).values
+            if part.any() and over.shape == part.shape:
+                yield "null", f"coherence: {product}", float(over[part].mean())
+    for name in ("bicoherence", "tricoherence"):
+        if "higher_order" in tree.children and name in tree["higher_order"]:
+            value, level = (tree["higher_order"][n].values for n in (name, f"{name}_level"))
+            if (there := np.isfinite(value) & np.isfinite(level)).any():
+                yield "null", f"higher_order: {name}", float((value > level)[there].mean())
+    if "resonances" in tree.children:
+        for kind in ("quartet", "triad"):
+            found = tree["resonances"][f"{kind}_significant"].values.any()
+            yield "discovery", f"resonances: {kind}", float(found)
+
+
+def counts_of(seed: int) -> tuple[int, list[str], list[Count]]:
+    """What is counted on two draws of a random sea."""
+    sea, families = random_lattice_sea(seed)
+    cubes = [sea.cube(10 * seed + i) for i in (1, 2)]
+    out: list[Count] = []
+    try:
+        trees = [analyze(cube) for cube in cubes]
+    except CubeError as error:
+        return seed, families, [("refusal", f"analyze: {error}", 1.0)]
+    mixed = cubes[0][["z", "z_t"]].assign({name: cubes[1][name] for name in ("u", "v", "w")})
+    out += _intervals(*trees)
+    for tree in trees:
+        out += _nulls(tree, coherence(mixed.assign_attrs(cubes[0].attrs)))
+        notes = [
+            line.partition(":")[0] for line in tree.attrs["notes"].splitlines() if line.startswith("No ")
+        ]
+        out += [("refusal", note, 1.0) for note in notes]
+        if "dispersion" in tree.children:
+            for true, axis in zip(sea.current, "xy"):
+                value, std = (float(tree["dispersion"][f"current_{axis}{e}"]) for e in ("", "_std"))
+                inside = abs(value - true) <= HALF_INTERVAL * std
+                out.append(("truth", "dispersion: current against the truth", float(inside)))
+    return seed, families, out
+
+
+def products_table(seeds: Sequence[int], processes: int) -> list[list[str]]:
+    """Print and return the table of products."""
+    found: dict[tuple[str, str], list[tuple[float, list[str]]]] = defaultdict(list)
+    with Pool(processes) as pool:
+        for done, (seed, families, counts) in enumerate(pool.imap_unordered(counts_of, seeds), 1):
+            for kind, product, fraction in counts:
+                found[kind, product].append((fraction, families))
+            print(f"sea {seed}: {', '.join(families)} ({done} of {len(seeds)})", file=sys.stderr, flush=True)
+    rows = []
+    for (kind, product), values in found.items():
+        expected = {"interval": 0.95, "truth": 0.95, "null": 0.05}.get(kind, 0.0)
+        mean = float(np.mean([fraction for fraction, _ in values]))
+        by_family = defaultdict(list)
+        for fraction, families in values:
+            for name in families:
+                by_family[name].append(fraction)
+        worst = max(
+            (
+                (abs(np.mean(v) - expected), name, float(np.mean(v)))
+                for name, v in by_family.items()
+                if len(v) >= FEW
+            ),
+            default=(0.0, "", np.nan),
+        )
+        count = f"{len(values)}" if kind != "refusal" else f"{len(values)} of {2 * len(seeds)}"
+        mean_text = f"{mean:.3f}" if kind != "refusal" else ""
+        rows.append((abs(mean - expected), [kind, product, count, mean_text, f"{worst[1]} {worst[2]:.3f}"]))
+    order = ("interval", "truth", "null", "discovery", "refusal")
+    rows.sort(key=lambda row: (order.index(row[1][0]), -row[0]))
+    print("| " + " | ".join(PRODUCT_COLUMNS) + " |\n|" + "---|" * len(PRODUCT_COLUMNS))
+    for _, cells in rows:
+        print("| " + " | ".join(cells) + " |")
+    return [cells for _, cells in rows]
+
+
+PRODUCT_COLUMNS = ("kind", "product", "pairs", "fraction", "worst family")
 
 
 def current_of(case: tuple[str, int]) -> tuple[str, int, Any, Any, str]:
@@ -36,26 +216,16 @@ def current_of(case: tuple[str, int]) -> tuple[str, int, Any, Any, str]:
     return *case, error, error / std, ""
 
 
-def main() -> None:
-    """Print the table."""
-    parser = parser_of(__doc__)
-    parser.add_argument("--seeds", type=int, nargs=2, default=[500, 505], help="first and last")
-    parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=FAMILIES)
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--each", action="store_true", help="print every sea")
-    parser.add_argument("--save", action="store_true", help="write the result for the validation page")
-    given = parser.parse_args()
-    cases = [(name, seed) for name in given.families for seed in range(given.seeds[0], given.seeds[1] + 1)]
-    start = time.perf_counter()
-    with Pool(given.processes) as pool:
+def currents_table(cases: list[tuple[str, int]], names: Sequence[str], processes: int, each: bool) -> None:
+    """Print the errors of fitted currents by family."""
+    with Pool(processes) as pool:
         rows = pool.map(current_of, cases, chunksize=1)
     columns = ("family", "seas", "refused", "rms error, mm/s", "largest", "rms over std", "largest")
     print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
-    table = []
-    for name in (*given.families, "all"):
+    for name in (*names, "all"):
         mine = [row for row in rows if name in (row[0], "all")]
         fitted = [row for row in mine if not row[4]]
-        if given.each and name != "all":
+        if each and name != "all":
             for row in mine:
                 words = row[4] or f"{1e3 * np.hypot(*row[2]):.1f} mm/s, {np.abs(row[3]).max():.1f} std"
                 print(f"{row[0]} {row[1]}: {words}; {family(*row[:2])}")
@@ -66,9 +236,29 @@ def main() -> None:
             rms = [np.sqrt((values**2).mean()) for values in (size, over)]
             cells[3:] = f"{rms[0]:.2f}", f"{size.max():.1f}", f"{rms[1]:.2f}", f"{over.max():.1f}"
         print("| " + " | ".join(cells) + " |")
-        table.append(cells)
-    if given.save:
-        save_result("seas", columns, table)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--draws", type=int, default=300)
+    parser.add_argument("--first", type=int, default=9000, help="seed of the first sea")
+    parser.add_argument("--currents", action="store_true", help="errors of fitted currents by family")
+    parser.add_argument("--seeds", type=int, nargs=2, default=[500, 505], help="first and last, of currents")
+    parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=FAMILIES)
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--each", action="store_true", help="print every sea")
+    parser.add_argument("--save", action="store_true", help="write the result for the validation page")
+    given = parser.parse_args()
+    start = time.perf_counter()
+    if given.currents:
+        seeds = range(given.seeds[0], given.seeds[1] + 1)
+        cases = [(name, seed) for name in given.families for seed in seeds]
+        currents_table(cases, given.families, given.processes, given.each)
+    else:
+        rows = products_table(range(given.first, given.first + given.draws), given.processes)
+        if given.save:
+            save_result("seas", PRODUCT_COLUMNS, rows)
     print(f"\n{time.perf_counter() - start:.0f} s")
 
 

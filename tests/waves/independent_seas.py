@@ -209,6 +209,10 @@ class LatticeSea:
         Steps, and nodes along y and x of the window.
     dt, dx : float
         s, m.
+    noise : float
+        Standard deviation of the noise of a displacement between frames and of elevation, m.
+    gap : int
+        Steps that are missing in the middle.
     """
 
     current: tuple = (0.0, 0.0)
@@ -222,6 +226,8 @@ class LatticeSea:
     shape: tuple = (640, 28, 34)
     dt: float = 0.05
     dx: float = 0.07
+    noise: float = 0.0
+    gap: int = 0
 
     def _size(self):
         """Wave vectors, frequencies in still water and amplitudes' standard deviations, (ky, kx)."""
@@ -263,6 +269,12 @@ class LatticeSea:
                 part[rows] = fft.ifft(lines * gains[name], axis=1)[:, :nx]
                 out[name][t] = fft.ifft(part, axis=0).real[:ny]
             lines = lines * turn
+        for name in names if self.noise else ():
+            level = np.float32(self.noise / (1 if name == "z" else self.dt))
+            out[name] += level * rng.standard_normal(self.shape, dtype="f4")
+        middle = slice(steps // 2, steps // 2 + self.gap)
+        for name in names:
+            out[name][middle] = np.nan
         mean = {"u": self.current[0], "v": self.current[1]}
         axes = {
             n: np.arange(m) * s
@@ -294,3 +306,41 @@ REFEREE_SEAS = {
     "isotropic, U 0.25": LatticeSea(current=(0.2, 0.15)),
     "h 0.05 m": LatticeSea(directions=((0.4, 2.0, 1.0),), depth=0.05),
 }
+
+
+def random_lattice_sea(seed):
+    """A Gaussian sea drawn at random, and the families that it belongs to."""
+    rng = np.random.default_rng([seed, 77])
+    speed, towards, heading = rng.uniform(0, 0.3), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
+    s = float(rng.choice([0.0, 2.0, 5.0, 10.0, 20.0, 50.0]))
+    bimodal, current, noisy, gap = rng.random(4) < (0.25, 0.6, 0.5, 0.25)
+    directions = ((heading, s, 1.0),)
+    if bimodal:
+        s = max(s, 5.0)
+        directions = ((heading, s, 0.6), (heading + rng.uniform(1, np.pi), 10.0, 0.4))
+    depth = float(rng.choice([0.05, 0.1, 0.7, 5.0]))
+    sea = LatticeSea(
+        current=(speed * np.cos(towards), speed * np.sin(towards)) if current else (0.0, 0.0),
+        depth=depth,
+        lowest=rng.uniform(1.1, 1.4),
+        highest=rng.uniform(2.4, 3.0),
+        slope=rng.uniform(3, 6),
+        directions=directions,
+        height=rng.uniform(0.004, 0.01),
+        side=270,
+        shape=(int(rng.integers(320, 480)), int(rng.integers(22, 32)), int(rng.integers(26, 38))),
+        dx=rng.uniform(0.06, 0.07),
+        dt=float(rng.choice([0.04, 0.05])),
+        noise=rng.uniform(5e-5, 3e-4) if noisy else 0.0,
+        gap=3 if gap else 0,
+    )
+    families = {
+        "current": current,
+        "bimodal": bimodal,
+        "narrow": s >= 20 and not bimodal,
+        "isotropic": s == 0,
+        "shallow": depth <= 0.1,
+        "noise": noisy,
+        "gap": gap,
+    }
+    return sea, [name for name, there in families.items() if there] or ["plain"]

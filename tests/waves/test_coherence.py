@@ -8,6 +8,7 @@ import xarray as xr
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
+from wavefield.waves.estimation.degrees_of_freedom import samples_in_time
 from wavefield.waves.estimation.windows import effective_duration, hann
 
 coherence_module = importlib.import_module("wavefield.waves.nonlinear.coherence")
@@ -36,7 +37,11 @@ def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predic
             means.append((gamma2 * samples).where(use).mean().item())
             hits.append((gamma2 > level).where(use).mean().item())
         # u in the place of the nonlinear term: any two unrelated signals
-        made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_rise_u="S_rise_nl").assign(S_w_nl=ring.S_u_w.conj())
+        names_of_nl = {
+            name: name.removesuffix("_u") + "_nl" for name in ("samples_rise_u", "samples_k_rise_u")
+        }
+        made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_rise_u="S_rise_nl", **names_of_nl)
+        made = made.assign(S_w_nl=ring.S_u_w.conj())
         C = coherence_module.from_spectra(made)
         for name in ("w", "nl"):
             over_k.append((C[f"gamma2_{name}"] * C[f"samples_{name}"]).where(inside).mean().item())
@@ -63,9 +68,7 @@ def test_a_narrow_band_counts_few_samples_not_every_step():
     for centre, width, expected in ((1.5, 0.05, 210), (5.0, 0.5, 2100)):
         S = np.exp(-0.5 * ((frequency - centre) / width) ** 2)
         energy = xr.DataArray(S, {"omega": 2 * np.pi * frequency}, ("omega",))
-        assert float(coherence_module.samples_in_time(energy, steps * dt)) == pytest.approx(
-            expected / 2, rel=0.05
-        )
+        assert float(samples_in_time(energy, steps * dt)) == pytest.approx(expected / 2, rel=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +137,8 @@ def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
         "E_nl": 0 * ring.E_u,
         "S_rise_nl": 0 * ring.S_rise_u,
         "S_w_nl": 0 * ring.S_w_u,
-        "dof_nl": ring.dof_u,
+        "samples_rise_nl": ring.samples_rise_u,
+        "samples_k_rise_nl": ring.samples_k_rise_u,
     }
     # in pieces, since xarray keeps silent about what it divides at once; any warning is an error here
     C = coherence_module.from_spectra(ring.assign(nil).chunk()).compute()

@@ -4,6 +4,7 @@ import pytest
 import xarray as xr
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from independent_seas import LatticeSea
 from waves_cases import GaussianSea, Waves, axes, random_waves, seen
 
 import wavefield.waves as wv
@@ -11,6 +12,7 @@ from wavefield.errors import CubeError
 from wavefield.waves.estimation import rings, windows
 from wavefield.waves.estimation.segment_correlation import expected_segment_correlation
 from wavefield.waves.estimation.windows import hann_power, interval
+from wavefield.waves.nonlinear.coherence import significance_level
 
 
 def field(values, dt=0.05, dx=0.03, units="m"):
@@ -115,31 +117,61 @@ def views(sea, ny=38, nx=50):
     return [wv.komega(field(sea[:512, y : y + ny, x : x + nx], dx=0.04), segment=128) for y, x in corners]
 
 
-@pytest.mark.parametrize("spread", [0, 10])
-def test_the_interval_holds_the_truth_for_seas_with_and_without_a_direction(spread):
-    """About 93 %, not 95: on a ridge, cells and segments are more alike than for white noise."""
-    sea = GaussianSea(spread=spread, heading=0.3)
-    estimates = [E for seed in range(3) for E in views(sea.draw(seed))]
-    truth = sea.expected(estimates[0])
-    energetic = (estimates[0].valid & (truth > 0.1 * truth.max())).values
-    ratios = np.array([(E.E / truth).values[energetic] for E in estimates])
-    low, high = (np.array([E[name].values[energetic] for E in estimates]) for name in ("low", "high"))
-    assert ratios.mean() == pytest.approx(1, abs=0.03)
-    assert 0.9 < np.mean((ratios * low < 1) & (ratios * high > 1)) < 0.97
+FREE_SEAS = {"narrow": {"directions": ((0.4, 20.0, 1.0),)}, "on a current": {"current": (0.2, 0.15)}}
 
 
-@pytest.mark.parametrize("spread", [0, 10])
-def test_the_intervals_of_sums_over_k_and_over_omega_hold_their_truth(spread):
-    sea = GaussianSea(spread=spread, heading=0.3)
-    estimates = [E for seed in range(2) for E in views(sea.draw(seed))]
-    truth = xr.DataArray(sea.expected(estimates[0]), estimates[0].E.coords, ("omega", "k"))
+@pytest.fixture(scope="module", params=FREE_SEAS)
+def free_sea(request):
+    """Draws of a sea of exact free waves, and their spectra."""
+    sea = LatticeSea(side=180, shape=(320, 24, 30), **FREE_SEAS[request.param])
+    draws = [sea.cube(seed, ("z", "u", "v", "w")) for seed in range(8)]
+    names, pairs = ("w", "nl"), (("w", "nl"),)
+    draws = [draw.assign(z_t=draw.w) for draw in draws]
+    return draws, [wv.cross_spectra(draw, names, pairs) for draw in draws]
+
+
+def held(energies, dof, there):
+    """Fraction of estimates (draws, ...) whose interval holds the mean of the other draws."""
+    n = len(energies)
+    others = (energies.sum(axis=0) - energies) / (n - 1)
+    # the mean of the others errs as well: deviations are wider by sqrt(1 + 1 / (n - 1))
+    ratio = np.exp(np.log(others / energies) / np.sqrt(n / (n - 1)))
+    low, high = interval(dof)
+    return ((ratio > low) & (ratio < high))[:, there].mean()
+
+
+def test_the_interval_holds_the_truth_for_seas_with_and_without_direction_and_current(free_sea):
+    _, found = free_sea
+    energies, dof = (np.array([E[name].values for E in found]) for name in ("E_w", "dof_w"))
+    mean = energies.mean(axis=0)
+    assert 0.9 < held(energies, dof, found[0].valid.values & (mean > 1e-3 * mean.max())) < 0.985
+
+
+def test_the_intervals_of_sums_over_k_and_over_omega_hold_their_truth(free_sea):
+    _, found = free_sea
     for axis, over in (("omega", "k"), ("k", "omega")):
-        whole = truth.sum(over)
-        energetic = (whole > 0.1 * whole.max()).values
-        ratios = np.array([(E.E.sum(over) / whole).values[energetic] for E in estimates])
-        low, high = interval(np.array([E[f"dof_{axis}"].values[energetic] for E in estimates]))
-        assert ratios.mean() == pytest.approx(1, abs=0.05)
-        assert 0.88 < np.mean((ratios * low < 1) & (ratios * high > 1)) < 0.99
+        energies = np.array([E.E_w.sum(over).values for E in found])
+        mean = energies.mean(axis=0)
+        dof = np.array([E[f"dof_{axis}_w"].values for E in found])
+        assert 0.88 < held(energies, dof, mean > 1e-2 * mean.max()) < 0.99
+
+
+def test_coherence_without_relation_is_as_small_as_its_samples_let_expect(free_sea):
+    draws, found = free_sea
+    hits, sizes = {"other": [], "nl": []}, {"other": [], "nl": []}
+    for one, other, own in zip(draws[::2], draws[1::2], found):
+        pair = xr.Dataset({"z_t": one["w"], "w": other["w"]}, attrs=one.attrs)
+        unrelated = wv.cross_spectra(pair, ("z_t", "w"), (("z_t", "w"),))
+        for name, ring, (a, b) in (("other", unrelated, ("z_t", "w")), ("nl", own, ("w", "nl"))):
+            there = ring.valid & (ring[f"E_{a}"] > 1e-3 * ring[f"E_{a}"].max())
+            there &= ring[f"E_{b}"] > 1e-3 * ring[f"E_{b}"].max()
+            gamma2 = np.abs(ring[f"S_{a}_{b}"]) ** 2 / (ring[f"E_{a}"] * ring[f"E_{b}"])
+            level = significance_level(ring[f"samples_{a}_{b}"])
+            hits[name].append(float((gamma2 > level).where(there).mean()))
+            sizes[name].append(float((gamma2 * ring[f"samples_{a}_{b}"]).where(there).mean()))
+    for name in hits:
+        assert np.mean(hits[name]) < 0.1
+        assert 0.5 < np.mean(sizes[name]) < 1.4
 
 
 def test_segments_of_waves_of_one_frequency_are_alike():

@@ -158,6 +158,9 @@ for _a in FIELD_UNITS:
             ),
             dtype="complex128",
         )
+        _count = "independent samples of the cross spectrum"
+        rows("cross", ("omega", "k"), (f"samples_{_a}_{_b}", "1", _count))
+        rows("cross", ("k",), (f"samples_k_{_a}_{_b}", "1", f"{_count}, summed over omega"))
 rows("cross", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
 
 # ---- /coherence ----
@@ -183,7 +186,11 @@ for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
             family=f"gamma2_*{_ending}",
         )
         for _q, _qt, _note in (
-            ("samples", "effective independent samples", "from the degrees of freedom of both spectra"),
+            (
+                "samples",
+                "effective independent samples",
+                "fewer where both have their energy in the same cells",
+            ),
             ("bias", "mean gamma2 of unrelated signals", ""),
             ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
         ):

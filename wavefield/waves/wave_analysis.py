@@ -200,7 +200,7 @@ def _analyze(
     cube, each = given["cube"], given["each"]
     welch = Welch.of(cube, segment, record)
     mean, mean_std = dask.compute(delayed_current(cube, record))[0]
-    welch = replace(welch, current=(float(mean[0]), float(mean[1])))
+    welch = replace(welch, current=(float(mean[0]), float(mean[1])), depth=given["depth"])
     registered = products.registered()
     pairs = tuple(dict.fromkeys(pair for product in registered for pair in product.pairs))
     planes = tuple(dict.fromkeys(plane for product in registered for plane in product.planes))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from wavefield.waves.estimation.crossing import crossing_correlation, wave_share
 from wavefield.waves.estimation.degrees_of_freedom import HANN_LINES, hann_correlation, sum_freedom
 from wavefield.waves.estimation.segment_correlation import expected_segment_correlation
 from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
@@ -27,6 +28,8 @@ CORRELATION_SIZE = (
 # segments of products and of Gaussian waves: with fewer the variance is averaged over more cells
 ENOUGH_FOR_REACH = 28, 56
 SUM_SIZE = 11  # lines, or rings, where the other axis is summed
+MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
+PRODUCTS_APART = 2, 3  # independent values among those averaged, of products of waves: of cells, of sums
 MAX_LAG = 2  # segments that may be correlated
 MIN_SEGMENTS_FOR_VARIANCE = 8  # of Gaussian lines
 MIN_SEGMENTS_FOR_CORRELATION = 12
@@ -49,53 +52,97 @@ def keep_lines(power: Array, first: int) -> dict[str, Array]:
     return {f"f from {first:012d}": folded[None]}
 
 
-def freedom(
-    sums: Mapping[str, np.ndarray], name: str, welch: Welch, gaussian: bool = True
-) -> dict[str, Array]:
+def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
     """Degrees of freedom of E(k, omega), of E(omega) and of E(k).
 
-    Twice the squared mean over the variance of the mean of K segments: c_0 / K times their correlation, 1 + 2
-    sum (1 - L/K) c_L / c_0, c_L their covariance L apart, L to 2, each over what removing the mean leaves of
-    it. The variance is expressed in parts of that expected from the energy's distribution over cells, which
-    follows the dispersion relation: for E(k, omega) `Welch.freedom`, for E(omega) and E(k) `sum_freedom` of
-    that. For E(k, omega) it is averaged over 5 rings and 11 lines (over root (56 / K) times as many if K is
-    less, for products (28 / K)), the correlation over 21 and 11: it is large at the ends of a sea, where
-    lines hold few frequencies. For E(omega) and E(k) both are averaged over 11 lines or rings.
+    Expected are twice the squared mean over the variance of the mean of K segments, as the distribution of
+    the energy over cells (`Welch.freedom`, and `sum_freedom` of that) and the correlation of the segments
+    (`correlation_of`, or what twelve segments or more show if it is more) lead to. The variance between
+    segments, over what the removal of the mean leaves of it, is expressed in parts of that. For E(k, omega)
+    of eight or more segments the ratio is averaged over 5 rings and 11 lines (over root (56 / K) times as
+    many if K is less, for products (28 / K)), for E(omega) and E(k) over 11 lines or rings, where it is at
+    least `MIN_SUM_RATIO`.
 
-    What follows from the variance alone has its correlation averaged like its variance and is made (n - 1) /
-    (n - 3) larger, Student's variance with n = K / correlation independent segments; for E(omega) and E(k) n
-    is that times the independent lines among the 11, over 1 + 6 / nu: powers of nu degrees of freedom
-    determine their variance less well than Gaussian values. Fewer than twelve segments are taken to be
-    correlated as those of white noise, those of E(omega) and E(k), however many, at least as by
-    `expected_segment_correlation` for the spectra of the rings; fewer than eight leave E(k, omega) of
-    Gaussian lines as expected.
+    What follows from the variance alone is made (n - 1) / (n - 3) larger, Student's variance. n is the number
+    of segments over their correlation times the independent values among those averaged: for E(omega) and
+    E(k) the lines, over 1 + 6 / nu, since powers of nu degrees of freedom determine their variance less well
+    than Gaussian values. Products of waves make cells rise and fall as one: two values are independent in
+    E(k, omega), three in sums.
     """
-    expected = welch.freedom(sums[name])
+    cells = welch.freedom(sums[name])
     if welch.count < LEAST_COUNT:
-        rings, lines = expected.shape
-        return {"both": expected, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
-    starts, powers = _series(sums, name)
-    ratio, near = np.ones_like(expected), _variance_size(welch.count, ENOUGH_FOR_REACH[gaussian])
-    if not gaussian:
-        # products of waves make the cells of a ring rise and fall as one: many times the expected variance
-        ratio, correlation = _relative_variance(powers, starts, welch, expected / 2, (near, near))
-        ratio = (ratio * _student(welch.count / correlation)).clip(1 / MAX_RATIO, None)
-    elif welch.count >= MIN_SEGMENTS_FOR_VARIANCE:
-        sizes = near, CORRELATION_SIZE
-        ratio = _relative_variance(powers, starts, welch, expected / 2, sizes)[0]
-        ratio = ratio.clip(1 / MAX_RATIO, MAX_RATIO)
+        rings, lines = cells.shape
+        return {"both": cells, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
     power = sums[name][0]
-    on_omega = sum_freedom(power, expected, welch.table.overlap)
-    on_k = sum_freedom(power.T, expected.T, hann_correlation(power.shape[1]))
-    # correlation of the cells of a ring, in proportion to their share of the variance of a sum
-    correlation = expected_segment_correlation(power, welch.count, MAX_LAG)
-    variance = power**2 / expected
-    least = [(correlation * variance).sum(axis=i) / np.maximum(variance.sum(axis=i), 1e-300) for i in (0, 1)]
+    independent = cells * (1 + (1 - 1 / welch.count) / 18)  # of segments that are
+    starts, powers = _series(sums, name)
+    between, together = _variances(powers, starts, welch)
+    correlation, of_sums = correlation_of(power, welch)
+    if welch.count >= MIN_SEGMENTS_FOR_CORRELATION:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            more = _smooth(together * independent, CORRELATION_SIZE) / _smooth(
+                between * independent * correlation, CORRELATION_SIZE
+            )
+        correlation = correlation * np.nan_to_num(more, nan=1.0).clip(1, None)
+    ratio, near = np.ones_like(cells), _variance_size(welch.count, ENOUGH_FOR_REACH[gaussian])
+    if not gaussian:
+        ratio = _smooth(between * independent / 2, near) * _student(
+            PRODUCTS_APART[0] * welch.count / correlation
+        )
+        ratio = ratio.clip(1 / MAX_RATIO, None)
+    elif welch.count >= MIN_SEGMENTS_FOR_VARIANCE:
+        ratio = _smooth(between * independent / 2, near).clip(1 / MAX_RATIO, MAX_RATIO)
+    out = {"both": (independent / correlation / ratio).clip(1, None)}
+    # correlation of the cells of a sum, in proportion to their share of its variance
+    variance = power**2 / independent
+    for axis, over in (("omega", 0), ("k", 1)):
+        mean = (of_sums * variance).sum(axis=over) / np.maximum(variance.sum(axis=over), 1e-300)
+        expected = freedom_of_sums(power, independent, welch)[axis]
+        out[axis] = _of_sum(powers.sum(axis=1 + over), starts, welch, expected, mean, gaussian)
+    return out
+
+
+def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> dict[str, Array]:
+    """Independent samples of the cross spectra of two fields, of (k, omega) and of k.
+
+    Without relation between the fields the cross spectrum has a squared modulus of the product of both powers
+    over this number: few where both have their energy in the same cells, more where in others. Of the mean
+    product of the powers of a cell, 1 / (1 + gamma^2) is the product of their means.
+    """
+    power = np.sqrt(sums[first][0] * sums[second][0])
+    real, imaginary = sums[f"{first}*{second}"]
+    coherence = np.divide(real**2 + imaginary**2, power**4, out=np.zeros_like(power), where=power > 0)
+    squares = 2 * sums[f"squares {first}*{second}"] / (1 + coherence)
+    cells = np.divide(power**2, welch.count * squares, out=np.ones_like(power), where=squares > 0).clip(1)
+    correlation = np.sqrt(
+        correlation_of(sums[first][0], welch)[0] * correlation_of(sums[second][0], welch)[0]
+    )
+    dof = 2 * welch.count * cells / correlation
+    of_k = freedom_of_sums(power, dof, welch)["k"]
+    apart = sums[first][0].sum(axis=1) * sums[second][0].sum(axis=1)
+    of_k *= np.divide(apart, power.sum(axis=1) ** 2, out=np.ones_like(of_k), where=apart > 0)
+    return {"both": (dof / 2).clip(1, None), "k": (of_k / 2).clip(1, None)}
+
+
+def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
+    """Degrees of freedom of the sums over k and over omega of powers (rings, lines)."""
     return {
-        "both": (expected / ratio).clip(1, None),
-        "omega": _of_sum(powers.sum(axis=1), starts, welch, on_omega, least[0]),
-        "k": _of_sum(powers.sum(axis=2), starts, welch, on_k, least[1]),
+        "omega": sum_freedom(power, dof, welch.table.overlap),
+        "k": sum_freedom(power.T, dof.T, hann_correlation(power.shape[1])),
     }
+
+
+def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
+    """Variance of a mean of segments over that of independent ones, of powers (rings, lines); of sums.
+
+    The larger of what the spectrum of the ring leads to (`expected_segment_correlation`) and, as far as the
+    power is waves, the time in which they cross the rectangle (`crossing_correlation`); in sums, whose lines
+    are correlated as well, both of them.
+    """
+    white = 1 + (1 - 1 / welch.count) / 18
+    line = expected_segment_correlation(power, welch.count, MAX_LAG)
+    crossing = white + (crossing_correlation(welch) - white).clip(0, None) * wave_share(power) ** 2
+    return np.maximum(crossing, line), crossing * line / white
 
 
 def cell_freedom(sums: Mapping[str, object], name: str, welch: Welch) -> float:
@@ -118,41 +165,22 @@ def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
     return steps, np.array([sums[key] for key in names], float)
 
 
-def _relative_variance(
-    powers: Array,
-    starts: Array,
-    welch: Welch,
-    scale: Array,
-    sizes: tuple[tuple[int, int] | int, ...],
-    least: Array | float = 1.0,
-) -> tuple[Array, Array]:
-    """Relative variance of the mean of the segments times a scale, averaged, and their correlation."""
-    independent, actual = (variance * scale for variance in _variances(powers, starts, welch))
-    near, wide = sizes
-    white = 1 + (1 - 1 / welch.count) / 18
-    correlation = np.maximum(np.full(independent.shape, white), least)
-    if welch.count >= MIN_SEGMENTS_FOR_CORRELATION:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            measured = np.nan_to_num(_smooth(actual, wide) / _smooth(independent, wide), nan=white)
-        correlation = np.maximum(measured, correlation)
-    return np.asarray(_smooth(independent, near) * correlation), correlation
-
-
 def _student(number: Array) -> Array:
     """Variance of a deviation scaled by a variance from so many values over that of a normal one."""
     number = np.maximum(number, LEAST_COUNT)
     return np.asarray((number - 1) / (number - 3))
 
 
-def _of_sum(powers: Array, starts: Array, welch: Welch, expected: Array, least: Array) -> Array:
-    """Degrees of freedom of sums (segments, n), from those expected from their cells."""
-    sizes = SUM_SIZE, SUM_SIZE
-    ratio, correlation = _relative_variance(powers, starts, welch, expected / 2, sizes, least)
-    ratio = ratio.clip(1e-9 * expected, None)
-    single = expected * correlation / (welch.count * ratio)  # of one segment's sum
-    lines = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0)
-    ratio *= _student(welch.count / correlation * lines / (1 + 6 / single))
-    return np.asarray((expected / ratio).clip(1, None))
+def _of_sum(
+    powers: Array, starts: Array, welch: Welch, expected: Array, correlation: Array, gaussian: bool
+) -> Array:
+    """Degrees of freedom of sums (segments, n), from those expected if segments were independent."""
+    between, _ = _variances(powers, starts, welch)
+    ratio = _smooth(between * expected / 2, SUM_SIZE).clip(1e-9 * expected, None)
+    single = expected / (welch.count * ratio)  # of one segment's sum
+    apart = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0) if gaussian else PRODUCTS_APART[1]
+    student = _student(welch.count / correlation * apart / (1 + 6 / single))
+    return np.asarray((expected / correlation / (np.maximum(ratio, MIN_SUM_RATIO) * student)).clip(1, None))
 
 
 def _variance_size(count: int, enough: int) -> tuple[int, int]:

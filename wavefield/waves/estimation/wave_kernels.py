@@ -159,6 +159,27 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 
 @_loose
+def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
+    """Add |f|^2 |g|^2 of two fields (cells, n) to rings (rings, n // 2 + 1), +-omega together."""
+    cells, n = f.shape
+    half = n // 2
+    power = np.empty(n)
+    square = np.empty(half + 1)
+    for c in range(cells):
+        a = f[c]
+        b = g[c]
+        for j in range(n):
+            p = np.float64(a[j].real) ** 2 + np.float64(a[j].imag) ** 2
+            power[j] = p * (np.float64(b[j].real) ** 2 + np.float64(b[j].imag) ** 2)
+        square[0] = power[0]
+        for j in range(1, half):
+            square[j] = power[j] + power[np.uint64(n - j)]
+        square[half] = power[half]
+        for s in range(start[c], start[c + 1]):
+            _add_row(square, spread[s], out[ring[s]])
+
+
+@_loose
 def add_powers(f: Array, out: Array) -> None:
     """Add |f|^2, (cells, n)."""
     for c in range(f.shape[0]):

@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.variables import INSTANTANEOUS
+from wavefield.water import water_of
 from wavefield.waves.estimation import rings, segments
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.windows import degrees_of_freedom, effective_duration
@@ -49,6 +50,7 @@ class Welch:
     moving: bool = False  # Whether z is interpolated in time in a frame that moves with the mean flow
     # Mean current along x and y that nonlinear quantities are relative to, m/s
     current: tuple[float, float] = (0.0, 0.0)
+    depth: float = np.inf  # of the water, m: with it, how fast waves cross the rectangle
 
     @classmethod
     def of(
@@ -64,7 +66,8 @@ class Welch:
         """
         record = find_record(fields) if record is None else record
         length = segments.segment_length(record, segment)
-        return cls(record, length, dk, frames_of(fields), frames_of_z(fields), moves_with_flow(fields))
+        frames = frames_of(fields), frames_of_z(fields), moves_with_flow(fields)
+        return cls(record, length, dk, *frames, depth=water_of(fields.attrs)[0])
 
     @cached_property
     def count(self) -> int:

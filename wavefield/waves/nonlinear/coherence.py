@@ -6,11 +6,9 @@ import numpy as np
 import xarray as xr
 
 from wavefield.variables import annotate
-from wavefield.waves.estimation.degrees_of_freedom import samples_in_time
 from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch
-from wavefield.waves.estimation.windows import effective_duration
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, lazy_cross_spectra
 from wavefield.waves.spectra.field_spectra import finish
@@ -33,7 +31,6 @@ def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any
 
 def from_spectra(ring: xr.Dataset) -> xr.Dataset:
     """Coherences over k and over (k, omega) from the cross spectra of z_t, w and u . grad z."""
-    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     total = ring["E_w"] + ring["E_nl"] - 2 * ring["S_w_nl"].real
     # cross spectrum with z_t and power of each term; the nonlinear term is -u . grad z
     terms = {
@@ -50,10 +47,9 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
             out[f"C_{name}{ending}"] = cross / norm
             both = rise_power * power
             out[f"gamma2_{name}{ending}"] = np.abs(cross) ** 2 / both.where(both > 0)
-            samples = _samples(ring, name)
-            if not ending:
-                cells = 2 * samples / ring.attrs["degrees_of_freedom"]
-                samples = samples_in_time((rise * terms[name][1]) ** 0.5, duration, cells)
+            # the sum w - u . grad z has those of w, its largest part
+            pair = "rise_nl" if name == "nl" else "rise_w"
+            samples = ring[f"samples_{pair}" if ending else f"samples_k_{pair}"]
             samples = samples.clip(min=1)
             out[f"samples_{name}{ending}"] = samples
             out[f"bias_{name}{ending}"] = 1 / samples
@@ -61,15 +57,6 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
                 significance_level, samples, dask="parallelized", output_dtypes=[float]
             )
     return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
-
-
-def _samples(ring: xr.Dataset, name: str) -> xr.DataArray:
-    """Independent samples of a product of z_t with a term, from the degrees of freedom of both.
-
-    The sum w - u . grad z has those of w, its largest part.
-    """
-    other = ring["dof_w" if name == "tot" else f"dof_{name}"]
-    return (ring["dof_rise"] * other) ** 0.5 / 2
 
 
 @takes(a_cube)

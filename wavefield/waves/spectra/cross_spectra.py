@@ -35,6 +35,7 @@ def label(
     pairs: Sequence[tuple[str, str]],
     welch: Welch,
     freedom: Mapping[str, Mapping[str, Array]] | None = None,
+    samples: Mapping[tuple[str, str], Mapping[str, Array]] | None = None,
 ) -> xr.Dataset:
     """Labelled spectra from the sums of `sum_segment` over all segments."""
     factor = welch.ring_density
@@ -49,6 +50,9 @@ def label(
     for a, b in pairs:
         real, imaginary = sums[f"{a}*{b}"]
         out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
+        number = segment_variance.samples(sums, a, b, welch) if samples is None else samples[a, b]
+        out[f"samples_{a}_{b}"] = (dims, number["both"].T)
+        out[f"samples_k_{a}_{b}"] = ("k", number["k"])
     out["valid"] = (dims, welch.valid)
     coords = omega_coords(welch.omega) | k_coords(welch.table.k)
     return annotate(xr.Dataset(out | dict(welch.ring_variables), coords=coords, attrs=welch.attrs), "cross")
@@ -156,7 +160,11 @@ def lazy_cross_spectra(
     for name in names:
         dof = dask.delayed(segment_variance.freedom, pure=False)(sums, name, welch, name != "nl")
         freedom[name] = {axes: da.from_delayed(dof[axes], size, float) for axes, size in shapes.items()}
-    return label(arrays, names, pairs, welch, freedom)
+    samples = {}
+    for a, b in pairs:
+        number = dask.delayed(segment_variance.samples, pure=False)(sums, a, b, welch)
+        samples[a, b] = {axes: da.from_delayed(number[axes], shapes[axes], float) for axes in ("both", "k")}
+    return label(arrays, names, pairs, welch, freedom, samples)
 
 
 def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[str] = NAMES) -> xr.Dataset:

@@ -108,8 +108,9 @@ def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Arr
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
+    squares = {f"squares {a}*{b}": np.zeros((table.k.size, steps + 1)) for a, b in requested.pairs}
     planes = {f"map {name}": np.zeros((cells, 2 * steps), half.real.dtype) for name in requested.planes}
-    return sums | planes
+    return sums | squares | planes
 
 
 def add_segment(
@@ -150,6 +151,8 @@ def add_segment(
         for a, b in requested.pairs:
             pair = f"{a}*{b}"
             wave_kernels.ring_cross_spectra(lines[a], lines[b], start, table.ring, table.weight, sums[pair])
+            squares = sums[f"squares {pair}"]
+            wave_kernels.ring_squares(lines[a], lines[b], start, table.ring, table.spread, squares)
             if pair in requested.planes:
                 plane = sums[f"map {pair}"][slab]
                 wave_kernels.add_products(lines[a], lines[b], quadrature[0], quadrature[1], plane)
