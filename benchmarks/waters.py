@@ -43,6 +43,7 @@ FRAMES = 9
 CROP = 0.22  # of every sensor, along both axes
 NAMES = ("z", "u", "v", "w")
 MAX_WRONG = 0.01  # of the judged nodes, without a remark
+MIN_MEASURED = 0.7  # of them: with fewer, holes are remarked upon with reason
 FAULTS = (
     "duplicated", "lost", "duplicated in one", "lost in one", "jitter", "jitter, with stamps",
     "late", "rolling shutter", "ripples", "submerged beads", "floating object", "blurred camera",
@@ -79,6 +80,17 @@ class Outcome:
     def failed(self) -> bool:
         """Wrong without a warning."""
         return self.wrong > MAX_WRONG and not self.remarks and not self.refused
+
+    @property
+    def sound(self) -> bool:
+        """Without a fault, measured and right: any remark is a false alarm."""
+        right = self.wrong <= MAX_WRONG and self.measured >= MIN_MEASURED
+        return self.text.endswith("no fault") and right and not self.refused
+
+    @property
+    def false_alarm(self) -> bool:
+        """Sound, with a remark."""
+        return self.sound and bool(self.remarks)
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -316,7 +328,9 @@ def summary(outcomes: Sequence[Outcome]) -> str:
         f"{len(outcomes)} draws: {sum(bool(one.refused) for one in outcomes)} refused, "
         f"{sum(bool(one.remarks) for one in measured)} with remarks, "
         f"{sum(one.wrong > MAX_WRONG for one in measured)} with more than 1 % wrong, "
-        f"of which without a warning: {sum(one.failed for one in outcomes)}"
+        f"of which without a warning: {sum(one.failed for one in outcomes)}",
+        f"{sum(one.sound for one in outcomes)} draws are sound; false alarms: "
+        f"{sum(one.false_alarm for one in outcomes)}",
     ]
     for k, asked in enumerate(("68", "95")):
         shares = np.array([one.within[name][k] for one in clean for name in NAMES if name in one.within])
