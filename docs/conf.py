@@ -39,6 +39,7 @@ nitpicky = False
 html_theme = "pydata_sphinx_theme"
 html_title = f"wavefield {version.split('+')[0]}"
 html_math_renderer = "mathml"
+html_sidebars = dict.fromkeys(("install", "first-experiment", "contributing", "changelog"), [])
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False

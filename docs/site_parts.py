@@ -87,7 +87,7 @@ def command_page(name: str, command: click.Command) -> str:
     usage = " ".join(command.collect_usage_pieces(context))
     rows = []
     for parameter in command.get_params(context):
-        if isinstance(parameter, click.Option) and not parameter.hidden and parameter.name != "help":
+        if isinstance(parameter, click.Option) and not parameter.hidden and "--help" not in parameter.opts:
             left, right = parameter.get_help_record(context) or ("", "")
             left, right = (text.replace("|", "\\|") for text in (left, right))
             rows.append(f"| `{left}` | {right} |")
