@@ -42,13 +42,16 @@ from wavefield.waves.nonlinear.kinematics import kinematics
 from wavefield.waves.nonlinear.nonlinear_ratio import nonlinear_ratio
 from wavefield.waves.nonlinear.resonances import resonances
 from wavefield.waves.spectra.field_spectra import komega, spectrum
+from wavefield.waves.spectra.spectral_slope import spectral_slope
 from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
 from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths
 from wavefield.waves.surface.energy_budget import energy_budget
 from wavefield.waves.surface.increments import structure_functions
+from wavefield.waves.surface.phase_average import phase_average
 from wavefield.waves.surface.statistics import statistics
+from wavefield.waves.surface.subsurface import subsurface
 from wavefield.waves.surface.vortices import waves_and_vortices
 from wavefield.waves.wave_analysis import analyze
 
@@ -95,6 +98,7 @@ __all__ = [
     "open_run",
     "open_waves",
     "paper",
+    "phase_average",
     "plan",
     "predicted_gain",
     "propose",
@@ -104,11 +108,13 @@ __all__ = [
     "run",
     "run_catalog",
     "simulate",
+    "spectral_slope",
     "spectrum",
     "statistics",
     "status",
     "stokes_drift",
     "structure_functions",
+    "subsurface",
     "surface_paths",
     "to_pivpy",
     "verify",

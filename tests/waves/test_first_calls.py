@@ -34,10 +34,19 @@ NAMES = [
     "free_and_bound",
     "stokes_drift",
     "current_by_depth",
+    "nonlinear_ratio",
+    "spectral_slope",
+    "phase_average",
+    "subsurface",
     "analyze",
 ]
 ESTIMATORS = {name: getattr(wf, name, None) or getattr(wv, name) for name in NAMES}
 MORE = {"directions": {"frequency": [2.0]}, "cross_spectra": {"names": ("w",)}}
+MORE |= {
+    "spectral_slope": {"lowest": 1.5, "highest": 6.0},
+    "phase_average": {"period": 0.6, "phases": 8},
+    "subsurface": {"levels": [-0.1]},
+}
 FIELD = {"E_k", "E_omega", "komega", "spectrum", "structure_functions"}
 PLANE = {"directions", "free_and_bound", "stokes_drift"}
 

@@ -34,13 +34,16 @@ from wavefield.waves.spectra.field_spectra import (
     spectrum,
     total,
 )
+from wavefield.waves.spectra.spectral_slope import spectral_slope
 from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
 from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths
 from wavefield.waves.surface.energy_budget import energy_budget
 from wavefield.waves.surface.increments import structure_functions
+from wavefield.waves.surface.phase_average import phase_average
 from wavefield.waves.surface.statistics import statistics
+from wavefield.waves.surface.subsurface import subsurface
 from wavefield.waves.surface.vortices import waves_and_vortices
 from wavefield.waves.wave_analysis import analyze
 
@@ -83,15 +86,18 @@ __all__ = [
     "kinematics_at",
     "komega",
     "nonlinear_ratio",
+    "phase_average",
     "plane_coherence",
     "probe_spectra",
     "read_gain",
     "read_probes",
     "resonances",
+    "spectral_slope",
     "spectrum",
     "statistics",
     "stokes_drift",
     "structure_functions",
+    "subsurface",
     "surface_paths",
     "total",
     "undo",

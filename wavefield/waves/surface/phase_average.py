@@ -1,0 +1,209 @@
+"""Phase averages of waves of a known period: what a wave maker makes, apart from all else."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import signal
+
+from wavefield.errors import CubeError
+from wavefield.variables import annotate, validate
+from wavefield.waves.estimation.inputs import a_cube, takes
+from wavefield.waves.estimation.segments import Reader
+from wavefield.waves.estimation.wave_record import Record, find_record
+
+Array = NDArray[Any]
+
+FIELDS = ("z", "z_t", "u", "v", "w")
+STEPS_AT_A_TIME = 256
+MIN_PERIODS = 4
+HARMONICS = 3
+
+
+def _phase_of_probe(probe: xr.DataArray, time: Array) -> tuple[Array, float]:
+    """Phase of the strongest wave of a signal (time,) at some times, rad, and its period, s."""
+    t, values = probe["time"].values.astype(float), probe.values.astype(float)
+    if not (t.size > 8 and np.isfinite(values).all()):
+        raise CubeError(
+            "the probe has gaps, or fewer than nine samples: give a signal without gaps, or period"
+        )
+    if t[0] > time[0] + 1e-9 or t[-1] < time[-1] - 1e-9:
+        raise CubeError(
+            f"the probe was recording from {t[0]:g} to {t[-1]:g} s, the cameras from {time[0]:g} to"
+            f" {time[-1]:g} s: it must cover them"
+        )
+    dt = float(np.median(np.diff(t)))
+    if not np.allclose(np.diff(t), dt, rtol=0.02):
+        raise CubeError("the steps of the probe are uneven: interpolate it to even times")
+    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(t.size))) ** 2
+    frequency = np.fft.rfftfreq(t.size, dt)
+    peak = frequency[1 + int(np.argmax(power[1:]))]
+    if peak <= 4 / (t[-1] - t[0]):
+        raise CubeError("the probe holds fewer than four periods of its strongest wave: give period")
+    # a band around the peak, so that the phase is that of this wave
+    band = np.array([0.6, 1.5]) * peak
+    filtered = signal.sosfiltfilt(
+        signal.butter(2, np.minimum(band, 0.45 / dt), "bandpass", fs=1 / dt, output="sos"), values
+    )
+    phase = np.unwrap(np.angle(signal.hilbert(filtered)))
+    return np.interp(time, t, phase), float(2 * np.pi * (t[-1] - t[0]) / (phase[-1] - phase[0]))
+
+
+@takes(a_cube)
+def phase_average(
+    cube: xr.Dataset,
+    period: float | None = None,
+    probe: xr.DataArray | None = None,
+    *,
+    phases: int = 24,
+    record: Record | None = None,
+) -> xr.Dataset:
+    """Average a cube over the phase of a wave of known period, or of a probe's signal.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z and, where present, z_t, u, v, w over (time, y, x), m and m/s. Read once, in pieces; computed at
+        once.
+    period : float, optional
+        Period of the wave maker, s; phase 0 is at time 0 of the cube.
+    probe : DataArray, optional
+        A signal over ``time``, s, that covers the record, such as a wave probe or the stroke of a wave maker:
+        the phase is that of its strongest wave, from step to step; phase 0 is at its crests.
+    phases : int
+        Number of phases of a period.
+    record : Record, optional
+        Rectangle and runs; found from the cube if not given.
+
+    Returns
+    -------
+    Dataset
+        Each field over (phase, y, x), ``<field>_std`` its standard uncertainty and ``<field>_rest`` (y, x),
+        the standard deviation in time of what is not periodic; ``phase``, rad; ``steps`` (phase), how many
+        were averaged; ``harmonic_amplitude`` (harmonic, y, x), m, of the first three harmonics of z below the
+        Nyquist frequency, and ``harmonic_phase``, rad. Attribute ``period``, s.
+
+    Raises
+    ------
+    CubeError
+        If not one of period and probe is given, the record holds fewer than four periods, a phase holds fewer
+        than two steps, or the probe does not cover the record.
+
+    Notes
+    -----
+    A step contributes to the phases on either side of it, linearly. Averages over cells of phase of width d
+    hold sin(n d / 2) / (n d / 2), squared, of harmonic n; ``harmonic_amplitude``, fitted to all steps, holds
+    all of it. The uncertainty is that of independent periods.
+
+    Examples
+    --------
+    A wave of 0.8 s with a second harmonic, in noise.
+
+    >>> t, y, x = np.arange(400) * 0.05, np.arange(8) * 0.05, np.arange(10) * 0.05
+    >>> phase = 2 * np.pi * t[:, None, None] / 0.8 - 6.3 * x + 0 * y[:, None]
+    >>> z = 0.01 * np.cos(phase) + 0.001 * np.cos(2 * phase)
+    >>> z = z + 0.002 * np.random.default_rng(0).standard_normal(z.shape)
+    >>> cube = xr.Dataset({"z": (("time", "y", "x"), z)}, {"time": t, "y": y, "x": x})
+    >>> found = phase_average(cube, 0.8)
+    >>> [round(1e3 * float(a), 1) for a in found.harmonic_amplitude.mean(("y", "x"))[:2]]
+    [10.0, 1.0]
+    >>> round(1e3 * float(found.z_rest.mean()), 1)
+    2.0
+    """
+    if (period is None) == (probe is None):
+        raise CubeError("phase_average needs the period of the waves, s, or a probe: give one of the two")
+    names = [name for name in FIELDS if name in cube]
+    if "z" not in names:
+        raise CubeError("the cube has no 'z': phase averages need it")
+    fields = validate(cube, *names)
+    record = find_record(fields) if record is None else record
+    steps = np.concatenate([np.arange(a, b) for a, b in record.runs])
+    time = fields["time"].values.astype(float)[steps]
+    if probe is not None:
+        angle, period = _phase_of_probe(probe, time)
+    else:
+        angle = 2 * np.pi * time / float(period or 0)
+    assert period is not None
+    periods = time.size * record.dt / period if period > 0 else 0.0
+    if not 2 * record.dt < period or periods < MIN_PERIODS:
+        raise CubeError(
+            f"the record holds {periods:.3g} periods of {period:g} s, of steps of {record.dt:g} s: four"
+            " periods of more than two steps are needed"
+        )
+    weights = _weights(angle, phases)
+    if (weights > 0).sum(axis=0).min() < 2:
+        raise CubeError(
+            f"{phases} phases are more than the steps fall on: choose fewer (steps are {record.dt:g} s)"
+        )
+    # harmonics beyond the Nyquist frequency equal others at the steps
+    count = min(HARMONICS, int(0.95 * period / (2 * record.dt)))
+    harmonics = [f(n * angle) for n in range(1, count + 1) for f in (np.cos, np.sin)]
+    design = np.column_stack([np.ones(time.size), *harmonics])
+    sums = _sums(Reader([fields[n] for n in names], record), names, weights, design)
+    return _label(fields, record, names, weights, design, sums).assign_attrs(period=period)
+
+
+def _weights(angle: Array, phases: int) -> Array:
+    """Share of each step in each phase, (steps, phases): linear between the two next to it."""
+    place = angle / (2 * np.pi) * phases
+    low = np.floor(place)
+    out = np.zeros((angle.size, phases))
+    rows = np.arange(angle.size)
+    out[rows, low.astype(int) % phases] = 1 - (place - low)
+    out[rows, (low.astype(int) + 1) % phases] += place - low
+    return out
+
+
+def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
+    """Sums over the steps of each field times weights and design, and of its square, (..., ny, nx)."""
+    sums: dict[str, Array] = {}
+    first = 0
+    for run in read.record.runs:
+        for blocks in read.blocks(run, STEPS_AT_A_TIME):
+            part = slice(first, first + blocks[0].shape[0])
+            for name, block in zip(names, blocks):
+                values = block.astype(float)
+                for kind, factors in (("mean", weights[part]), ("fit", design[part])):
+                    key = f"{kind} {name}"
+                    sums[key] = sums.get(key, 0) + np.tensordot(factors, values, (0, 0))
+                sums[f"square {name}"] = sums.get(f"square {name}", 0) + (values**2).sum(axis=0)
+            first = part.stop
+    return sums
+
+
+def _label(
+    fields: xr.Dataset,
+    record: Record,
+    names: list[str],
+    weights: Array,
+    design: Array,
+    sums: dict[str, Array],
+) -> xr.Dataset:
+    total = weights.sum(axis=0)
+    count, phases = weights.shape
+    # of a mean with these weights, of steps as independent as they are
+    independent = (total**2 / (weights**2).sum(axis=0))[:, None, None]
+    normal = np.linalg.inv(design.T @ design)
+    dims = ("phase", "y", "x")
+    out: dict[str, Any] = {"steps": ("phase", total)}
+    for name in names:
+        mean = sums[f"mean {name}"] / total[:, None, None]
+        fit = np.tensordot(normal, sums[f"fit {name}"], 1)
+        rest = (sums[f"square {name}"] - (fit * sums[f"fit {name}"]).sum(axis=0)) / (count - design.shape[1])
+        rest = np.sqrt(np.maximum(rest, 0.0))
+        out[name], out[f"{name}_rest"] = (dims, mean), (("y", "x"), rest)
+        out[f"{name}_std"] = (dims, rest / np.sqrt(independent))
+        if name == "z":
+            amplitude = np.full((HARMONICS, *rest.shape), np.nan + 0j)
+            amplitude[: len(fit) // 2] = fit[1::2] - 1j * fit[2::2]
+            out["harmonic_amplitude"] = (("harmonic", "y", "x"), np.abs(amplitude))
+            out["harmonic_phase"] = (("harmonic", "y", "x"), np.angle(amplitude))
+    y, x = fields["y"].values[slice(*record.y)], fields["x"].values[slice(*record.x)]
+    coords = {
+        "phase": np.arange(phases) * 2 * np.pi / phases,
+        "harmonic": np.arange(1, HARMONICS + 1),
+        "y": y,
+        "x": x,
+    }
+    return annotate(xr.Dataset(out, coords), "phase")
