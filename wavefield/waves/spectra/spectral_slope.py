@@ -15,7 +15,7 @@ from wavefield.waves.estimation.rings import rings
 from wavefield.waves.spectra.field_spectra import a_komega
 from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 MIN_LINES = 5
 MIN_RATIO = 1.3  # of the ends of the range

@@ -38,7 +38,7 @@ class _Box:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        return tuple(fft.next_fast_len(round(PADDING * n)) for n in self.shape)  # type: ignore[return-value]
+        return tuple(fft.next_fast_len(round(PADDING * n)) for n in self.shape)
 
     @cached_property
     def waves(self) -> tuple[Array, Array, Array, Array]:
