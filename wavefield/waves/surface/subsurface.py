@@ -153,8 +153,8 @@ def subsurface(cube: xr.Dataset, levels: Sequence[float], *, depth: float | None
     Parameters
     ----------
     cube : Dataset
-        z, u, v, w over (time, y, x), m and m/s, without gaps; about half a second a step: give the steps that
-        are wanted, such as ``cube.isel(time=slice(100, 110))``. Computed at once.
+        z, u, v, w over (time, y, x), m and m/s, without gaps; about half a second a step: select some
+        steps, as ``cube.isel(time=slice(100, 110))``. Computed at once.
     levels : sequence of float
         Heights, m, 0 at the mean level and negative below it.
     depth : float, optional
