@@ -157,7 +157,7 @@ def counts_of(seed: int) -> tuple[int, list[str], list[Count]]:
             line.partition(":")[0] for line in tree.attrs["notes"].splitlines() if line.startswith("No ")
         ]
         out += [("refusal", note, 1.0) for note in notes]
-        if "dispersion" in tree.children:
+        if "dispersion" in tree.children and "current_x" in tree["dispersion"].data_vars:
             for true, axis in zip(sea.current, "xy"):
                 value, std = (float(tree["dispersion"][f"current_{axis}{e}"]) for e in ("", "_std"))
                 inside = abs(value - true) <= HALF_INTERVAL * std

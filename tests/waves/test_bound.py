@@ -5,10 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray as xr
+from independent_seas import forced_sea, sharma_dean
 from waves_cases import second_order_sea
 
 import wavefield.waves as wv
+from wavefield.errors import CubeError
 from wavefield.tank.sea import Sea
+from wavefield.waves.nonlinear.forced_waves import forced_elevation
 
 
 def fields(sea: Sea, steps, ny, nx, dx):
@@ -71,3 +74,43 @@ def test_filtered_fields_are_the_free_and_the_bound_waves(sea):
     np.testing.assert_allclose(
         (found.z_free + found.z_bound).where(inside, 0), whole.where(inside, 0), atol=1e-6
     )
+
+
+@pytest.mark.parametrize(("depth", "sign"), [(0.12, 1), (0.12, -1), (0.7, 1), (50.0, 1), (50.0, -1)])
+def test_forced_waves_are_those_of_sharma_and_dean(depth, sign):
+    rng = np.random.default_rng(4)
+    k, angle = rng.uniform(4, 20, 12), rng.uniform(-np.pi, np.pi, 12)
+    x, y, sigma = k * np.cos(angle), k * np.sin(angle), np.sqrt(9.81 * k * np.tanh(k * depth))
+    i, j = np.triu_indices(k.size, 1)
+    found = forced_elevation((x[i], y[i], sigma[i]), (x[j], y[j], sigma[j]), sign, depth, 0.0)
+    expected = sharma_dean(x, y, depth, sign)[i, j] / 2
+    there = found != 0
+    assert there.mean() > 0.7
+    np.testing.assert_allclose(found[there], expected[there], rtol=2e-3, atol=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("seed", "depth", "current"), [(5, 0.2, (0.0, 0.0)), (8, 0.35, (0.05, 0.0))])
+def test_bound_waves_of_a_small_window_in_shallow_water(seed, depth, current):
+    free, forced = forced_sea(seed, depth, current, side=1.4)
+    rng = np.random.default_rng(seed)
+    noise = 1e-4 * rng.standard_normal(free.shape, dtype="f4")
+    S, true, linear = (
+        wv.spectrum(z.assign_attrs(units="m"), segment=120)
+        for z in (free + forced + noise, forced, free + noise)
+    )
+    share = float(
+        true.E[2:].sum() / wv.spectrum((free + forced).assign_attrs(units="m"), segment=120).E[2:].sum()
+    )
+    split = {"gamma": 0.0, "current": current}
+    found = wv.free_and_bound(S.E, depth, dof=float(S.dof), **split)
+    assert float(found.bound_fraction) == pytest.approx(share, rel=0.15)
+    assert abs(float(found.bound_fraction) - share) < 2 * float(found.bound_fraction_std)
+    nothing = wv.free_and_bound(linear.E, depth, dof=float(S.dof), **split)
+    assert abs(float(nothing.bound_fraction)) < 2 * float(nothing.bound_fraction_std)
+
+
+def test_a_window_that_cannot_part_bound_from_free_waves_is_refused():
+    free, forced = forced_sea(7, 0.12, (0.0, 0.0), side=1.0)
+    S = wv.spectrum((free + forced).assign_attrs(units="m"), segment=120)
+    with pytest.raises(CubeError, match="choose a larger area"):
+        wv.free_and_bound(S.E, 0.12, gamma=0.0)

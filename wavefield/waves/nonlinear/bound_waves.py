@@ -19,6 +19,7 @@ from wavefield.waves.estimation.segments import Reader, segment_length, spatial_
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import LOWEST, omega_coords
 from wavefield.waves.estimation.windows import CORRELATED_CELLS, hann
+from wavefield.waves.nonlinear.forced_waves import forced_elevation
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.plane_input import plane_of
 
@@ -28,6 +29,9 @@ RELATION_CELLS = (
     2.0  # half width in cells of the k plane: a Hann window leaves 5e-4 of a wave's energy beyond
 )
 STRIP_CELLS = 0.5  # width of the strip next to the relation, from which bound waves under it are estimated
+MIN_VISIBLE = 0.5  # of the bound waves that theory expects: with less, the rest is no measurement
+STRIP_SUFFICES = 0.8  # of the bound waves visible: then the strip determines those under the relation
+PAIRS = 100_000  # of simulated waves, whose bound waves are averaged
 SIMULATED_WAVES = 600  # single waves whose leakage through the windows is averaged
 NEAR_CELLS = 5  # cells to either side of a simulated wave
 NOISE_LINES = 0.75  # of the Nyquist frequency: the noise is estimated from the lines above
@@ -106,11 +110,8 @@ class _Axes:
         return self.omega[1], self.ky[1] - self.ky[0], self.kx[1] - self.kx[0]
 
 
-def _leakage(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, float]:
-    """Fraction of the energy of free waves that leaks to each kind of cell, and the windows' width squared.
-
-    Single waves are drawn from the cells of free waves and passed through the windows.
-    """
+def _draw(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, Array, Array]:
+    """Frequencies and wave vectors omega, ky, kx of free waves of the same energy, on the relation."""
     rng = np.random.default_rng(0)
     weight = np.where(kinds == CellKind.FREE, energy, 0.0).ravel()
     weight[: LOWEST * energy[0].size] = 0.0
@@ -124,20 +125,57 @@ def _leakage(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tupl
     for _ in range(4):
         relative = cut.distances(omega, ky, kx)[0] / np.maximum(np.hypot(ky, kx), 1e-9)
         ky, kx = ky * (1 - relative), kx * (1 - relative)
+    return omega, ky, kx
+
+
+def _leakage(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, float]:
+    """Fraction of the energy of free waves that leaks to each kind of cell, and the windows' width squared.
+
+    Single waves are drawn from the cells of free waves and passed through the windows.
+    """
+    total, width = _through_windows(_draw(energy, kinds, axes, cut), axes, cut)
+    return total / total.sum(), width
+
+
+def _through_windows(waves: tuple[Array, Array, Array], axes: _Axes, cut: RelationCut) -> tuple[Array, float]:
+    """Energy of single waves (omega, ky, kx) by kind of cell, off the lowest lines; squared width."""
     near = np.arange(-NEAR_CELLS, NEAR_CELLS + 1)
     sizes = 2 * (axes.omega.size - 1), axes.ky.size, axes.kx.size
     places, lines = [], []
-    for axis, (true, step, size) in enumerate(zip((omega, ky, kx), axes.steps, sizes)):
+    for axis, (true, step, size) in enumerate(zip(waves, axes.steps, sizes)):
         cell = np.rint(true / step)[:, None] + near
         shape = [near.size if axis == other else 1 for other in range(3)]
         places.append((cell * step).reshape(-1, *shape))
         lines.append(_hann_line(cell - true[:, None] / step, size).reshape(-1, *shape))
     from_relation, from_harmonic = cut.distances(*np.broadcast_arrays(*places))
-    power = lines[0] * lines[1] * lines[2]
+    power = lines[0] * lines[1] * lines[2] * (places[0] > (LOWEST - 0.5) * axes.steps[0])
     kind = cut.kind(from_relation, from_harmonic)
     total = np.bincount(kind.ravel(), power.ravel(), len(CellKind))
     free = kind == CellKind.FREE
-    return total / total.sum(), float((power * from_relation**2)[free].sum() / power[free].sum())
+    return total, float((power * from_relation**2)[free].sum() / power[free].sum())
+
+
+def _bound_by_kind(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, float]:
+    """Waves that pairs of free waves force: shares of kinds of cells; variance over that squared."""
+    omega, ky, kx = _draw(energy, kinds, axes, cut)
+    sigma = omega - kx * cut.current[0] - ky * cut.current[1]
+    rng = np.random.default_rng(1)
+    i, j = rng.integers(0, omega.size, (2, PAIRS))
+    i, j = i[i != j], j[i != j]
+    parts = []
+    for sign in (1, -1):
+        gain = forced_elevation(
+            (kx[i], ky[i], sigma[i]), (kx[j], ky[j], sigma[j]), sign, cut.depth, cut.gamma
+        )
+        parts.append((gain**2, omega[i] + sign * omega[j], ky[i] + sign * ky[j], kx[i] + sign * kx[j]))
+    weight, o, y, x = (np.concatenate(part) for part in zip(*parts))
+    strength = float(weight.sum()) / i.size
+    flip = np.where(o < 0, -1.0, 1.0)
+    weight = np.where(flip * o < (LOWEST - 0.5) * axes.omega[1], 0.0, weight)
+    quantiles = weight.sum() * (np.arange(SIMULATED_WAVES) + 0.5) / SIMULATED_WAVES
+    chosen = np.searchsorted(np.cumsum(weight), quantiles)
+    total, _ = _through_windows(tuple((flip * part)[chosen] for part in (o, y, x)), axes, cut)
+    return np.asarray(total / total.sum()), strength
 
 
 @takes(plane_of("z"))
@@ -178,7 +216,9 @@ def free_and_bound(
     Raises
     ------
     CubeError
-        If there is no energy near the dispersion relation.
+        If there is no energy near the dispersion relation, if less than half of the waves bound to these free
+        ones are off it at this depth, window and current, or if the windows spread more energy there than
+        bound waves have by theory.
 
     Notes
     -----
@@ -186,10 +226,12 @@ def free_and_bound(
     omega = sigma(k) + k . U; a wave with itself forces 2 omega at 2 k. The relation is taken two cells of the
     k plane wide on either side, times its measured width over that of the windows. Subtracted from the energy
     off it are the leakage of free waves through the windows (averaged over simulated waves) and the noise
-    (median over the highest frequencies, cell by cell). The bound energy under the relation is taken to be
-    that of the strip of half a cell next to it. The uncertainty joins chance with half of these two
-    corrections. The two lowest lines are left out: removing the trend in time leaves 1e-4 of the variance
-    there. Energy that breaking or wind spreads off the relation counts as bound.
+    (median over the highest frequencies, cell by cell). Pairs of the free waves are drawn, and the waves they
+    force at second order (Sharma and Dean 1981) passed through the windows. Where more than a fifth of these
+    is under the relation, what is left is divided by the part that is off it; elsewhere the bound energy
+    under the relation is taken to be that of the strip of half a cell next to it. The uncertainty joins
+    chance with half of these two corrections. The two lowest lines are left out: removing the trend in time
+    leaves 1e-4 of the variance there. Energy that breaking or wind spreads off the relation counts as bound.
 
     Examples
     --------
@@ -221,7 +263,21 @@ def free_and_bound(
     high[-1] = False
     noise = np.median(values[high], axis=0) if high.sum() >= 4 else np.zeros_like(values[0])
     energies = _energies(values, kinds, noise, leakage, dof)
-    return _label(energies, axes, cut, float(np.sqrt(own_width)))
+    share, strength = _bound_by_kind(values, kinds, axes, cut)
+    visible = float(share[CellKind.HARMONIC :].sum())
+    if visible < MIN_VISIBLE:
+        raise CubeError(
+            f"only {100 * visible:.0f} % of the waves bound to these free ones are off the dispersion"
+            f" relation at this depth, window and current ({100 * MIN_VISIBLE:.0f} % are needed):"
+            " choose a larger area"
+        )
+    free = float(energies.by_line[CellKind.FREE].sum()) * float(np.prod(axes.steps))
+    if energies.leaked * float(np.prod(axes.steps)) > visible * strength * free**2:
+        raise CubeError(
+            "the windows spread more energy of the free waves off the dispersion relation than the waves"
+            " bound to them have there by theory: choose a larger area or longer segments"
+        )
+    return _label(energies, visible, axes, cut, float(np.sqrt(own_width)))
 
 
 def _sort(values: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, float, float]:
@@ -265,17 +321,23 @@ def _energies(values: Array, kinds: Array, noise: Array, leakage: Array, dof: fl
     return _Energies(by_line, total_noise, float(leakage[1:].sum() * free.sum()), chance)
 
 
-def _label(energies: _Energies, axes: _Axes, cut: RelationCut, own_width: float) -> xr.Dataset:
+def _label(
+    energies: _Energies, visible: float, axes: _Axes, cut: RelationCut, own_width: float
+) -> xr.Dataset:
     cell = float(np.prod(axes.steps[1:]))
     lines = energies.by_line
     sums = {kind: float(lines[kind].sum()) for kind in CellKind}
-    under_relation = max(sums[CellKind.STRIP], 0.0)
-    bound = sum(sums[kind] for kind in CellKind if kind != CellKind.FREE) + under_relation
-    total = sums[CellKind.FREE] - under_relation + bound
-    corrections = 0.5 * np.hypot(under_relation, energies.leaked)
+    off = sum(sums[kind] for kind in CellKind if kind > CellKind.STRIP)
+    total, bound_lines = sum(sums.values()), lines[CellKind.HARMONIC :].sum(axis=0)
+    if visible < STRIP_SUFFICES:
+        bound_lines = bound_lines / visible
+    else:  # measured: that under the relation is as much as next to it
+        bound_lines = bound_lines + lines[CellKind.STRIP] * (2.0 if sums[CellKind.STRIP] > 0 else 1.0)
+    bound = float(bound_lines.sum())
+    corrections = 0.5 * np.hypot(bound - off, energies.leaked)
     spectra = {
-        "E_free": lines[CellKind.FREE] - lines[CellKind.STRIP],
-        "E_bound": lines[1:].sum(axis=0) + lines[CellKind.STRIP],
+        "E_free": lines.sum(axis=0) - bound_lines,
+        "E_bound": bound_lines,
         "E_harmonic": lines[CellKind.HARMONIC],
     }
     scalars = {
