@@ -153,12 +153,13 @@ def test_the_result_comes_first_then_what_needs_attention_and_the_rest_is_folded
     assert "Peak period</dt><dd><strong>–</strong> <span>no waves yet: run" in first
 
 
-def test_a_long_table_is_folded_and_a_short_one_is_not():
-    def html(rows):
-        return render(Head(""), [ReportSection("", [Table("errors", ("a", "b"), [("x", "1")] * rows)])])
+def test_a_long_table_of_a_folded_section_is_folded_itself():
+    def html(rows, folded):
+        table = Table("errors", ("a", "b"), [("x", "1")] * rows)
+        return render(Head(""), [ReportSection("", [table], folded=folded)])
 
-    assert "<summary>errors (24 rows)</summary>" in html(24)
-    assert "<summary>" not in html(20)
+    for rows, folded in ((24, True), (20, True), (24, False)):
+        assert ("<summary>errors (24 rows)</summary>" in html(rows, folded)) == (rows == 24 and folded)
 
 
 def test_probes_are_compared_with_the_elevation_at_their_places(cube, tmp_path, undrawn):

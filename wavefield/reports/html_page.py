@@ -21,7 +21,7 @@ _DPI = 120  # shown at 96 per inch: sharp on dense screens, and small
 _COLOURS = 128  # of a picture's palette: a third of the bytes, and no visible difference
 WIDE_PX = 1000  # a wider PNG holds several panels: on a phone it is moved sideways instead of shrunk
 SENTENCE_LETTERS = 60  # a longer cell is a sentence: on a phone such rows are stacked
-MAX_OPEN_ROWS = 20  # a longer table is folded below its caption
+MAX_OPEN_ROWS = 20  # a longer table in a folded section is folded itself
 
 
 @dataclass
@@ -77,7 +77,7 @@ class Table:
         return any(len(cell) > SENTENCE_LETTERS for row in self.rows for cell in row)
 
     @property
-    def folded(self) -> bool:
+    def long(self) -> bool:
         """Whether it is too long to be shown at once."""
         return len(self.rows) > MAX_OPEN_ROWS
 
