@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.midtime import at_mid_time, frames_used, slope
+from wavefield.measurement.midtime import frames_used, rise_of_water, slope, z_at_mid_time
 from wavefield.measurement.temporal_truncation import (
     NOTHING,
     TemporalTruncation,
@@ -41,8 +41,7 @@ AT = np.zeros((1, 1))
 
 
 def z_of(field, lost=(), speed=0.0):
-    at = at_mid_time(surfaces(lambda x, t: field(t - x), lost), moving((speed, 0, 0)), AT, AT)
-    return float(at.z[0, 0])
+    return float(z_at_mid_time(surfaces(lambda x, t: field(t - x), lost), (speed, 0.0), AT, AT)[0, 0])
 
 
 def test_six_frames_take_a_polynomial_of_fifth_degree_to_mid_time():
@@ -74,7 +73,7 @@ def test_the_rise_is_that_of_the_surface_along_the_path_of_the_water():
 
     for chord, bend in ((0.0, 0.0), (1.5, 0.0), (1.5, 0.2)):
         moved = moving((chord, 0, 0.4), (bend, 0, 0), (0, 0, 0.5))
-        rise = float(at_mid_time(surfaces(surface), moved, AT, AT).rise[0, 0])
+        rise = float(rise_of_water(*surfaces(surface)[2:4], moved, (0.0, 0.0), AT, AT)[0, 0])
         exact = surface(0.5 * chord + bend, 0.5) - surface(-0.5 * chord + bend, -0.5)
         # and what the velocity at mid-time rises beyond the displacement over the step
         assert rise == pytest.approx(exact + 0.1, abs=1e-6)
@@ -113,12 +112,13 @@ def test_surface_and_kinematics_are_exact_to_the_interpolation_on_any_current(cu
     none = np.zeros(x.shape, np.uint16)
     moved = Motion(d, d, d[0], d[0], none, none.astype(np.uint8), chord, bend)
     frames = [Surface(x, x, x, none, none > 0, lambda x, y, t=t: height(x, y, t)) for t in TIMES]
-    at = at_mid_time(frames, moved, x, y)
+    flow = float(np.median(chord[0])), float(np.median(chord[1]))
+    z, rise = z_at_mid_time(frames, flow, x, y), rise_of_water(*frames[2:4], moved, flow, x, y)
     inside = np.s_[3:-3, 3:-3]
     rms = lambda field: np.sqrt(np.mean(np.square(field[inside])))  # noqa: E731
-    assert rms(at.z - exact["z"]) < 2e-5, "m"
-    nonlinear = sum(exact[name] * slope(at.z, step, axis) for name, axis in (("u", 1), ("v", 0)))
-    z_t = at.rise / dt - nonlinear
+    assert rms(z - exact["z"]) < 2e-5, "m"
+    nonlinear = sum(exact[name] * slope(z, step, axis) for name, axis in (("u", 1), ("v", 0)))
+    z_t = rise / dt - nonlinear
     assert rms(z_t - exact["z_t"]) < 0.02 * rms(exact["z_t"])
     residual = z_t - exact["w"] + nonlinear
     assert rms(residual) < 1e-3 * rms(exact["w"])

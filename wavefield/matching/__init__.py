@@ -1,6 +1,6 @@
 """Displacement of image A to image B on a lattice of blocks, from arrays alone."""
 
-from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.displacement import Displacement, Evaluation, Reason
 from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import match, reevaluate, scores_at
 from wavefield.matching.matching_gain import footprint, footprint_excess, transfer_function
@@ -13,6 +13,7 @@ from wavefield.matching.prior import Prior, better_prior, first_prior, shrinkage
 
 __all__ = [
     "Displacement",
+    "Evaluation",
     "MatchSettings",
     "Modes",
     "PosteriorVariance",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefield.matching.block_lattice import block_weights
-from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.displacement import Displacement, Evaluation, Reason
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import NO_MASK, Level
@@ -33,26 +33,34 @@ def assess(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: LastStep, settings: MatchSettings
 ) -> Displacement:
     """The result of a match at its last displacement u, v (ny, nx), px."""
-    correlation, energy = _correlation(last)
+    found = evaluation(a, b, u, v, last, settings)
     gain = _ratio(last.windowed, MIN_GAIN, MAX_GAIN)
     influence_u, influence_v = _influence(last, gain)
-    score, hessian = _own_scores(last, correlation)
-    reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
     ny, nx = u.shape
     return Displacement(
         x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
         y=np.arange(ny) * float(BLOCK) + (BLOCK - 1) / 2,
         u=u,
         v=v,
-        correlation=correlation,
-        reason=reason,
+        correlation=found.correlation,
+        reason=found.reason,
         influence_u=influence_u,
         influence_v=influence_v,
-        gain=_sparse_median(gain, reason == 0, 1.0),
+        gain=_sparse_median(gain, found.valid, 1.0),
         settings=settings,
-        score=score,
-        hessian=hessian,
+        score=found.score,
+        hessian=found.hessian,
     )
+
+
+def evaluation(
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: LastStep, settings: MatchSettings
+) -> Evaluation:
+    """Scores and validity of the blocks at a displacement; reads the windowed sums from the sixth on."""
+    correlation, energy = _correlation(last)
+    score, hessian = _own_scores(last, correlation)
+    reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
+    return Evaluation(score, hessian, correlation, reason)
 
 
 def _correlation(last: LastStep) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -73,12 +74,24 @@ def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.n
 def slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(4, ny, nx) float32: du/dx, du/dy, dv/dx, dv/dy per px, central differences, one-sided at edges."""
     out = np.empty((4, *u.shape), np.float32)
-    for field, (along_x, along_y) in zip((u, v), (out[:2], out[2:]), strict=True):
-        for f, to in ((field, along_y), (field.T, along_x.T)):
-            np.subtract(f[2:], f[:-2], out=to[1:-1])
-            to[1:-1] *= F(0.5 / BLOCK)
-            to[0], to[-1] = (f[1] - f[0]) * F(1 / BLOCK), (f[-1] - f[-2]) * F(1 / BLOCK)
+    for n, field in enumerate((u, v)):
+        _slopes(np.ascontiguousarray(field, np.float32), out[2 * n], out[2 * n + 1])
     return out
+
+
+@njit
+def _slopes(field: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> None:
+    ny, nx = field.shape
+    for j in range(ny):
+        row, to = field[j], along_x[j]
+        for i in range(1, nx - 1):
+            to[i] = (row[i + 1] - row[i - 1]) * F(0.5 / 5)
+        to[0], to[nx - 1] = (row[1] - row[0]) * F(1 / 5), (row[nx - 1] - row[nx - 2]) * F(1 / 5)
+        low, high = max(j - 1, 0), min(j + 1, ny - 1)
+        before, after, to = field[low], field[high], along_y[j]
+        scale = F(0.5 / 5) if high - low == 2 else F(1 / 5)
+        for i in range(nx):
+            to[i] = (after[i] - before[i]) * scale
 
 
 @njit
@@ -106,28 +119,55 @@ def subtract_strain(
     sums (2, ny, nx) of usable blocks (1 in count, else 0) are changed in place; moments (8, ny, nx) are those
     of `strain_moments`. Returns the factors c and s^2 of `reevaluate`, by least squares of the sums.
     """
-    ux, uy, vx, vy = slope
-    x, y, xxx, xxy, xyy, yxx, yxy, yyy = moments
-    divergence, shear = count * (ux + vy), uy + vx
-    a = np.stack([divergence * x, divergence * y])
-    b = np.stack([count * (xxx * ux + xxy * shear + xyy * vy), count * (yxx * ux + yxy * shear + yyy * vy)])
-    aa, ab, bb = _inner(a, a), _inner(a, b), _inner(b, b)
-    ra, rb = _inner(sums, a), _inner(sums, b)
+    aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
     c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
     s2 = max((rb - c * ab) / max(bb, 1e-30), 0.0)
-    sums -= F(c) * a + F(s2) * b
+    _subtract_strain(sums, moments, slope, count, F(c), F(s2))
     return c, s2
 
 
 @njit
-def _inner(p: np.ndarray, q: np.ndarray) -> float:
-    """Inner product of two fields (2, ny, nx), summed in double precision and in a fixed order."""
-    total = 0.0
-    for j in range(p.shape[1]):
-        for i in range(p.shape[2]):
-            total += p[0, j, i] * q[0, j, i] + p[1, j, i] * q[1, j, i]
-    return total
+def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
+    """Scores of one block that strain causes: of the image itself, and of its second derivatives."""
+    ux, shear, vy = slope[0, j, i], slope[1, j, i] + slope[2, j, i], slope[3, j, i]
+    divergence = ux + vy
+    return (
+        divergence * moments[0, j, i],
+        divergence * moments[1, j, i],
+        moments[2, j, i] * ux + moments[3, j, i] * shear + moments[4, j, i] * vy,
+        moments[5, j, i] * ux + moments[6, j, i] * shear + moments[7, j, i] * vy,
+    )
+
+
+@njit
+def _strain_products(
+    sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
+) -> tuple[float, float, float, float, float]:
+    """Inner products of both with themselves, each other and the sums, in double precision, in order."""
+    aa = ab = bb = ra = rb = 0.0
+    for j in range(count.shape[0]):
+        for i in range(count.shape[1]):
+            if count[j, i] > 0:
+                a, b, p, q = _strains(moments, slope, j, i)
+                x, y = sums[0, j, i], sums[1, j, i]
+                aa += a * a + b * b
+                ab += a * p + b * q
+                bb += p * p + q * q
+                ra += x * a + y * b
+                rb += x * p + y * q
+    return aa, ab, bb, ra, rb
+
+
+@njit
+def _subtract_strain(
+    sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray, c: F, s2: F
+) -> None:
+    for j in range(count.shape[0]):
+        for i in range(count.shape[1]):
+            a, b, p, q = _strains(moments, slope, j, i)
+            sums[0, j, i] -= count[j, i] * (c * a + s2 * p)
+            sums[1, j, i] -= count[j, i] * (c * b + s2 * q)
 
 
 @njit

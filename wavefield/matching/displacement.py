@@ -26,6 +26,32 @@ class Reason(IntFlag):
 
 
 @dataclass(frozen=True)
+class Evaluation:
+    """The blocks of two images at a given displacement.
+
+    Parameters
+    ----------
+    score, hessian : (2, ny, nx) and (3, ny, nx) float32
+        As of a `Displacement`.
+    correlation : (ny, nx) float32
+        Normalised correlation of the block's window, -1 to 1.
+    reason : (ny, nx) uint8
+        Bits of `Reason`; 0 where valid.
+    """
+
+    score: np.ndarray
+    hessian: np.ndarray
+    correlation: np.ndarray
+    reason: np.ndarray
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(ny, nx) bool: blocks that match."""
+        out: np.ndarray = self.reason == 0
+        return out
+
+
+@dataclass(frozen=True)
 class Displacement:
     """Displacement on a lattice of blocks: b(x + u, y + v) matches a(x, y).
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.assess import LastStep, assess
+from wavefield.matching.assess import LastStep, assess, evaluation
 from wavefield.matching.block_lattice import (
     block_weights,
     filtered,
@@ -22,7 +22,7 @@ from wavefield.matching.block_lattice import (
     to_finer,
     window_weights,
 )
-from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.displacement import Displacement, Evaluation, Reason
 from wavefield.matching.matching_kernels import (
     BLOCK,
     F,
@@ -105,19 +105,22 @@ def match(
     if settings is None:
         return _match_with_defaults(a, b, mask, initial)
     a, b = prepared_pair(a, b, settings, mask)
+    u, v = _coarse(a, b, settings, initial)
+    finest = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
+    return _finest(finest, u, v, settings.iterations[-1])
+
+
+def _coarse(
+    a: PreparedImage, b: PreparedImage, settings: MatchSettings, initial: Initial
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement by the coarse levels alone, u and v (ny, nx) on the finest lattice, px."""
     top = min(len(a.levels), settings.levels) - 1
     u, v = _start(a.levels[top], b.levels[top], top, a.levels[0].blocks, settings, initial)
-    for number in range(top, -1, -1):
-        level_a, level_b = a.levels[number], b.levels[number]
-        if number < top:
-            u, v = to_finer(u, level_a.blocks), to_finer(v, level_a.blocks)
-        count = settings.iterations[settings.levels - 1 - number]
-        if number == 0:
-            return _finest(_LevelPair(level_a, level_b, settings.smoother_sigma, settings), u, v, count)
-        u, v = _plain_steps(
-            _LevelPair(level_a, level_b, settings.coarse_smoother_sigma, settings), u, v, count
-        )
-    raise AssertionError("a prepared image has at least one level")
+    for number in range(top, 0, -1):
+        pair = _LevelPair(a.levels[number], b.levels[number], settings.coarse_smoother_sigma, settings)
+        u, v = _plain_steps(pair, u, v, settings.iterations[settings.levels - 1 - number])
+        u, v = (to_finer(field, a.levels[number - 1].blocks) for field in (u, v))
+    return u, v
 
 
 def _match_with_defaults(
@@ -282,10 +285,12 @@ class _LevelPair:
         return u, v, outlier
 
 
-def last_sums(a: Level, b: Level, u: np.ndarray, v: np.ndarray, work: WorkSpace) -> np.ndarray:
+def last_sums(
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
+) -> np.ndarray:
     """(12, ny, nx): the sums of `final_sums` without weights."""
     sums = np.empty((12, *u.shape), np.float32)
-    unweighted_sums(a.padded, b.padded, u, v, slopes(u, v), work, sums)
+    unweighted_sums(a.padded, b.padded, u, v, slope, work, sums)
     sums[2:5] = a.moments[:3]
     return sums
 
@@ -294,23 +299,18 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
     """Steps without weights per pixel: the Hessian is that of a alone."""
     for number in range(count):
         pair.update_weights(u, v)
-        score = pair.windows(_plain_scores(pair, u, v))
+        score = pair.windows(_plain_scores(pair, u, v, slopes(u, v)))
         u, v, _ = pair.advance(u, v, pair.hessian, score, number)
     return u, v
 
 
-def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """(2, ny, nx): sums of gx r and gy r of the usable blocks."""
     sums = np.empty((2, *u.shape), np.float32)
     plain_sums(pair.a.padded, pair.b.padded, u, v, pair.work, sums)
-    subtract_slopes(sums, pair.a.moments, slopes(u, v))
+    subtract_slopes(sums, pair.a.moments, slope)
     sums *= pair.count
     return sums
-
-
-def _subtract_strain(pair: _LevelPair, u: np.ndarray, v: np.ndarray, score: np.ndarray) -> None:
-    """Subtract the effect of strain that the images do not have from the scores (2, ny, nx), in place."""
-    subtract_strain(score, pair.a.strain, slopes(u, v), pair.count)
 
 
 def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
@@ -327,7 +327,7 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
             sums = np.empty((fields, *u.shape), np.float32)
             kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, pair.work, sums)
         else:
-            sums = last_sums(a, b, u, v, pair.work)
+            sums = last_sums(a, b, u, v, slopes(u, v), pair.work)
         sums *= pair.count
         windowed = pair.windows(sums)
         before = u, v
@@ -348,7 +348,7 @@ def _robust_scale(rr: np.ndarray, coverage: np.ndarray, settings: MatchSettings)
 
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
-) -> Displacement:
+) -> Evaluation:
     """Evaluate the blocks of two images at a given displacement, without a step.
 
     Parameters
@@ -362,8 +362,8 @@ def reevaluate(
 
     Returns
     -------
-    Displacement
-        The same displacement with the blocks' scores, Hessians, correlation and reasons there.
+    Evaluation
+        The blocks' scores, Hessians, correlation and reasons there.
 
     Raises
     ------
@@ -393,16 +393,14 @@ def reevaluate(
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
-    sums = last_sums(pair.a, pair.b, u, v, pair.work)
+    slope = slopes(u, v)
+    sums = last_sums(pair.a, pair.b, u, v, slope, pair.work)
     sums *= pair.count
-    _subtract_strain(pair, u, v, sums[:2])
-    no_step = np.zeros(u.shape, np.float32)
-    no_outlier = np.zeros(u.shape, bool)
-    windowed = np.empty_like(sums)
-    windowed[:2] = 0  # no step is taken
-    pair.windows(sums[2:], windowed[2:])
-    last = LastStep(sums, windowed, pair.coverage, no_step, no_step, no_outlier)
-    return assess(pair.a, pair.b, u, v, last, settings)
+    subtract_strain(sums[:2], pair.a.strain, slope, pair.count)
+    none, windowed = np.zeros(u.shape, np.float32), np.empty_like(sums)
+    pair.windows(sums[5:], windowed[5:])  # no step is taken
+    last = LastStep(sums, windowed, pair.coverage, none, none, none > 0)
+    return evaluation(pair.a, pair.b, u, v, last, settings)
 
 
 def scores_at(
@@ -447,6 +445,7 @@ def scores_at(
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
-    score = _plain_scores(pair, u, v)
-    _subtract_strain(pair, u, v, score)
+    slope = slopes(u, v)
+    score = _plain_scores(pair, u, v, slope)
+    subtract_strain(score, pair.a.strain, slope, pair.count)
     return replace(found, u=u, v=v, score=score, hessian=found.hessian * pair.count)

@@ -25,6 +25,7 @@ INFORMATION_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information o
 KERNEL_CUTOFF = 1e-3  # of a kernel's transform is left out
 HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
 HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
+EVERY = 4  # blocks whose variance is computed: it is even over the reach of a block's response
 MIN_WAVE_FRACTION = 1e-3  # of a spectrum
 MEASURED_RIM_WIDTH = 5  # blocks around a hole whose field is given
 
@@ -70,7 +71,7 @@ class PosteriorVariance:
         self._kernels = np.ascontiguousarray(kernels[:, :my, :mx], np.float32)
         down, along = (cosines(n, m).astype(np.float32) for n, m in zip(shape, (my, mx)))
         self._forward = down, np.ascontiguousarray(along.T)
-        self._inverse = np.ascontiguousarray(down[:, ::2].T), np.ascontiguousarray(along[:, ::2])
+        self._inverse = np.ascontiguousarray(down[:, ::EVERY].T), np.ascontiguousarray(along[:, ::EVERY])
         self._spectrum = 1.0 / inverse
 
     @cached_property
@@ -95,13 +96,11 @@ class PosteriorVariance:
             missing += _in_holes(~hole, self._holes)
         return noise, missing
 
-    def _to_full_lattice(self, half: Float) -> Float:
-        """From every second block to all."""
+    def _to_full_lattice(self, some: Float) -> Float:
+        """From every fourth block to all."""
         ny, nx = self.shape
-        twice = np.array([[2.0, 0, 0], [0, 2.0, 0]])
-        return cv2.warpAffine(
-            half.astype(np.float32), twice, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
+        scale = np.array([[EVERY, 0.0, 0], [0, EVERY, 0.0]])
+        return cv2.warpAffine(some, scale, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 @compiled(error_model="numpy", fastmath={"contract"})

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.compiled import compiled
 from wavefield.measurement.camera_jitter import mean_residuals, row_direction
 from wavefield.measurement.flow import CameraFlow, Flows
 from wavefield.measurement.geometry import GridGeometry
@@ -87,14 +88,16 @@ def displacements_at_nodes(
     geometry: GridGeometry,
     record: LearnedRecord,
     times: Float | None = None,
+    every: int = 1,
 ) -> CameraDisplacements:
-    """Displacements of the named cameras at the nodes on the surface z (ny, nx), metres.
+    """Displacements of the named cameras at every n-th node along x and y on the surface z, metres.
 
-    With the times of six frames, intervals from mid-time, where they are uneven.
+    With z at all nodes; the times of six frames, intervals from mid-time, where they are uneven.
     """
+    z = z[::every, ::every]
     count, shape = len(names), z.shape
-    jacobian = np.empty((2 * count, 3, *shape), np.float64)
-    moved, chord, bend, noise, missing = np.empty((5, 2 * count, *shape), np.float64)
+    jacobian = np.empty((2 * count, 3, *shape), np.float32)
+    moved, chord, bend, noise, missing = np.empty((5, 2 * count, *shape), np.float32)
     rejected = np.empty((count, *shape), np.uint16)
     along, own = np.ones((2, 2 * count))
     frames = np.full(shape, 6, np.uint8)
@@ -102,7 +105,7 @@ def displacements_at_nodes(
     middle = np.array([np.mean(geometry.x), np.mean(geometry.y), 0.0])
     for n, name in enumerate(names):
         sight = geometry.sights[name]
-        at = sight.at(z)
+        at = sight.at(z, every)
         visible = sight.sees(at[0], at[1])
         X, Y = np.where(visible, at[:2], np.float32(np.nan))
         path = [None if f is None else f.get(name) for f in steps]
@@ -145,32 +148,46 @@ def _along_path(
     else:
         at_time = np.nan_to_num(at_time)
         d, block = read_uneven_path(splines, valid, sight.lattice, X, Y, times, at_time)
-    each = {
-        at: _at_blocks(flow.noise, np.maximum(block[at], 0)) for at, flow in zip(range(5), five(path)) if flow
-    }
-    places, noise = _places_read(block), each[2]
+    noises = [None if f is None else f.noise.reshape(len(f.noise), -1) for f in five(path)]
     if times is not None:
         weights = noise_of_displacements(displacement_weights(times, block, at_time)[1])
-        return (
-            d,
-            block,
-            sum(weights[at] * one for at, one in each.items()),
-            _at_blocks(here.missing, block[2]),
+        parts = (
+            w * np.take(one, np.maximum(at, 0), axis=1)
+            for w, one, at in zip(weights, noises, block)
+            if one is not None
         )
-    for count in (4, 6):
-        if (places == count).any():
-            own, *neighbours = noise_weights(count)
-            both = sum(np.float32(w) * (each[2 - n] + each[2 + n]) for n, w in enumerate(neighbours, 1))
-            noise = np.where(places == count, np.float32(own) * each[2] + both, noise)
-    return d, block, noise, _at_blocks(here.missing, block[2])
+        noise = sum(parts)
+    else:
+        noise = np.empty((len(here.noise), block[0].size), np.float32)
+        own, near, _ = (*noise_weights(4), 0.0)
+        weights = np.array([[1.0, 0.0, 0.0], [own, near, 0.0], noise_weights(6)], np.float32)
+        some = [noises[2] if one is None else one for one in noises]
+        _noise_along(tuple(map(np.ascontiguousarray, some)), block.reshape(5, -1), weights, noise)
+        noise = noise.reshape(-1, *block.shape[1:])
+    return d, block, noise, np.take(here.missing.reshape(len(here.missing), -1), block[2], axis=1)
+
+
+@compiled(error_model="numpy")
+def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
+    """Fill out (c, n): noise (c, blocks) of five steps at the blocks read (5, n), -1 where none was.
+
+    With the weights (3, 3) of the step, its neighbours and theirs, for paths of two, four and six places.
+    """
+    bb, b, c, a, aa = noises
+    for k in range(block.shape[1]):
+        near = block[1, k] >= 0 and block[3, k] >= 0
+        far = near and block[0, k] >= 0 and block[4, k] >= 0
+        w = weights[int(near) + int(far)]
+        for i in range(len(out)):
+            total = w[0] * c[i, block[2, k]]
+            if near:
+                total += w[1] * (b[i, block[1, k]] + a[i, block[3, k]])
+            if far:
+                total += w[2] * (bb[i, block[0, k]] + aa[i, block[4, k]])
+            out[i, k] = total
 
 
 def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Number of places of paths, from the blocks read for them: 2, 4 or 6."""
     near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
     return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)
-
-
-def _at_blocks(field: Float, block: NDArray[np.int64]) -> Float:
-    """A field (c, ny, nx) at flat indices of blocks, (c,) + their shape."""
-    return np.asarray(np.take(field.reshape(len(field), -1), block, axis=1))

@@ -15,7 +15,7 @@ from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import Model
-from wavefield.measurement.velocity import image_variance, misfit, shares, velocity
+from wavefield.measurement.velocity import image_variance, shares, solve_motion, velocity
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
@@ -56,7 +56,9 @@ def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) ->
         return Differences(camera_jitter)
     freedom = 2 * len(names) - 3
     x, y, up = (float(np.std(d[good])) for d in motion.d)
-    median_misfit = float(np.median(misfit(moved, np.moveaxis(motion.d, 0, -1))[good]))
+    parts = shares(geometry.settings, model.record)
+    stabilized = solve_motion(moved, parts, model.record)
+    median_misfit = float(np.median(stabilized.misfit[good]))
     noise = median_misfit / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
     good &= np.isfinite(moved.moved).all(axis=0)
     for where in motion.regions.values():
@@ -64,10 +66,9 @@ def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) ->
     found = Differences(camera_jitter, True, noise, {}, (x, y, up))
     if not good.any():
         return found
-    J = np.moveaxis(moved.jacobian[:, :, good], -1, 0)
+    J = np.moveaxis(moved.jacobian[:, :, good], -1, 0).astype(np.float64)
     rows = (f[:, good].T for f in (moved.moved, moved.noise_of_each, 1.0 / moved.variance))
     own = dict(zip(names, noise_of_each(J, *rows) / noise, strict=True))
-    parts = shares(geometry.settings, model.record)
     waves, noise_variance = _waves_in_common(J, moved, names, good, noise, parts, model)
     return replace(found, own=own, waves=waves, noise_variance=noise_variance)
 

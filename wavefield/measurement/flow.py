@@ -60,17 +60,18 @@ def filled(found: matching.Displacement) -> Float:
 
 
 def map_displacement(
-    found: matching.Displacement, one: matching.PreparedImage, other: matching.PreparedImage, modes: Modes
+    match: matching.Displacement, one: matching.PreparedImage, other: matching.PreparedImage, modes: Modes
 ) -> FlowEstimate:
     """Displacement by all blocks together, from what matching found."""
-    u = filled(found)
+    found: matching.Displacement | matching.Evaluation = match
+    u = filled(match)
     waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
     seen, information = None, u[0]
     convergence = Convergence()
     for number in range(MAX_EVALUATIONS):
         if number:
             u = seen + beyond
-            found = matching.reevaluate(one, other, u[0], u[1], found.settings)
+            found = matching.reevaluate(one, other, u[0], u[1], match.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
         nu = matching.noise_of_scores(found.score, trace, counts, modes.freedom, with_mismatches=True)

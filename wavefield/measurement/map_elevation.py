@@ -161,11 +161,12 @@ class _PairScores:
         self.match, self.found = match, match.found
         self.D = match.parallax / np.float32(pixel)
         self.here = self._height = match.height
+        self._weigh()
 
-    @property
-    def hessian(self) -> Float:
+    def _weigh(self) -> None:
         """Information dD H dD of every block, (ny, nx)."""
-        return _through(self.D, self.found.hessian * self.match.valid)
+        self._hessian = self.found.hessian * self.match.valid
+        self.hessian = _through(self.D, self._hessian)
 
     def reevaluate(self, z: Float, prepared: PreparedImages) -> None:
         """Evaluate the images at an elevation (ny, nx)."""
@@ -173,6 +174,7 @@ class _PairScores:
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
         self.here, self.found = z, matching.scores_at(self.found, a, b, u, v)
+        self._weigh()
 
     def score(self, z: Float) -> Float:
         """Score at an elevation (ny, nx) near to that of the last evaluation."""
@@ -181,7 +183,7 @@ class _PairScores:
     def across(self, smooth: Float) -> tuple[Float, Float]:
         """Score and Hessian as if the parallax were turned by a quarter, at a field (ny, nx) of heights."""
         D = quarter_turn(self.D)
-        hessian = _through(D, self.found.hessian * self.match.valid)
+        hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
 
     def _score(self, D: Float, hessian: Float, rise: Float) -> Float:

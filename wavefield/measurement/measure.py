@@ -70,7 +70,7 @@ def measure(
 
     Notes ----- With a model, every step has the same values, to the bit, whatever chunk it is in. A step
     reads six frames: z at mid-time is from six surfaces, in a frame that moves with the mean flow
-    (`at_mid_time`), velocities are from four or six frames, as the record allows (`read_path`). Where a
+    (`z_at_mid_time`), velocities are from four or six frames, as the record allows (`read_path`). Where a
     neighbour is missing, ``quality`` has a bit for it. z_t is the surface's rise along the path less u . grad
     z, so that the residual z_t - w + u . grad z is the difference between surfaces and displacements,
     whatever the current.
@@ -155,7 +155,7 @@ def _fill_step(
     inside = np.ones(geometry.grid.shape, bool)
     for name in geometry.cameras:
         if name not in missing:
-            inside &= geometry.sights[name].sees(*geometry.sights[name].position(estimate.height))
+            inside &= geometry.sights[name].sees(*geometry.sights[name].position(estimate.mid_time.z))
     covered = first.images.covered, second.images.covered
     masked = inside & masked_nodes(covered, missing, estimate.mid_time.z, geometry)
     inside &= ~masked

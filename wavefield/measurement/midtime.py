@@ -26,15 +26,15 @@ class MidTime:
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
 
 
-def at_mid_time(
+def z_at_mid_time(
     surfaces: Surfaces,
-    motion: Motion,
+    flow: tuple[float, float],
     x: Float,
     y: Float,
     times: Float | None = None,
     late: Float | None = None,
-) -> MidTime:
-    """Surface at mid-time at nodes x, y (ny, nx), metres, from six frames.
+) -> Float:
+    """Elevation at mid-time at nodes x, y (ny, nx), metres, from six frames.
 
     A current carries short waves past a node faster than frames can follow; in water that moves with it their
     phase turns no faster than on still water. So z is interpolated in time in a frame that moves with the
@@ -49,40 +49,43 @@ def at_mid_time(
     it is the polynomial of the same degree through the same frames. Where frames show the nodes later than at
     their own times, by `late` (ny, nx), intervals, it is taken so much before mid-time.
 
-    The rise follows the water itself. With c its displacement over the step and b the bend of its path, it is
-    at x_0 = x - c/2 + b in the first frame and at x_1 = x + c/2 + b in the second, and stays on the surface:
-    z_1(x_1) - z_0(x_0) is c_z, for any size of displacements. The excess of the displacement at mid-time over
-    c_z is added, so that the rise changes with w.
-
     The same beads in the same places have the same errors in all frames, so these do not average out.
     """
-    first, second = surfaces[2:4]
-    assert first is not None
-    assert second is not None
     weights = ELEVATION_WEIGHTS[frames_used(surfaces)]
     if surfaces[4] is None:
         weights = weights[::-1]
-    moments, even = np.arange(6) - 2.5, times is None
+    moments, (dx, dy) = np.arange(6) - 2.5, flow
     if times is not None:
         moments = times
+        dx, dy = dx / float(times[3] - times[2]), dy / float(times[3] - times[2])
     at: Float | float = 0.0 if late is None else -late
-    if late is not None or not even:
+    if late is not None or times is not None:
         used = np.flatnonzero(weights).tolist()
         weights = uneven_weights(moments, used, at=at)[0].astype(np.float32)
-    measured = np.isfinite(motion.chord).all(axis=0)
-    dx, dy = (float(np.median(part[measured])) if measured.any() else 0.0 for part in motion.chord[:2])
-    if times is not None:
-        dx, dy = dx / float(times[3] - times[2]), dy / float(times[3] - times[2])
     z: Float = np.zeros(x.shape, np.float32)
     for t, surface, weight in zip(moments.tolist(), surfaces, weights, strict=True):
         if surface is not None and np.any(weight):
             z += weight * surface.read(x + (t - at) * dx, y + (t - at) * dy)
+    return z
+
+
+def rise_of_water(
+    first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
+) -> Float:
+    """Rise per step of the surface at the water that is at nodes x, y (ny, nx) at mid-time, metres.
+
+    With c the water's displacement over the step and b the bend of its path, it is at x_0 = x - c/2 + b in
+    the first frame and at x_1 = x + c/2 + b in the second, and stays on the surface: z_1(x_1) - z_0(x_0) is
+    c_z, for any size of displacements. The excess of the displacement at mid-time over c_z is added, so that
+    the rise changes with w. Where no motion was measured it is that of the mean flow.
+    """
+    measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
-    elsewhere = dx, dy, 0.0, 0.0, 0.0
+    elsewhere = *flow, 0.0, 0.0, 0.0
     cx, cy, bx, by, excess = (np.where(measured, part, mean) for part, mean in zip(parts, elsewhere))
     rise = second.read(x + 0.5 * cx + bx, y + 0.5 * cy + by)
     rise = rise - first.read(x - 0.5 * cx + bx, y - 0.5 * cy + by) + excess
-    return MidTime(z, np.float32(0.5) * (first.std + second.std), rise.astype(np.float32))
+    return rise.astype(np.float32)
 
 
 def slope(z: Float, step: float, axis: int) -> Float:

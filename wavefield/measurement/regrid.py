@@ -180,6 +180,7 @@ def _read_surface(
         t = s = np.float32(0.0)
         wx = wy = spline_weights(t)
         first = np.uintp(0)
+        z = 0.0
         for _ in range(30):
             i, t = place_of((xa - x0) * across, nx)
             j, s = place_of((ya - y0) * across, ny)
@@ -190,9 +191,10 @@ def _read_surface(
             xn, yn = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
             move = abs(xn - xa) + abs(yn - ya)
             xa, ya = xn, yn
-            if move < 3e-4 * step:
+            if move < 8e-4 * step:  # what is left is the slope of the sight line times that of z of it
                 break
-        for f in range(fields):
+        out[0, k] = z
+        for f in range(1, fields):
             out[f, k] = spline_at(c, first + np.uintp(f), step_x, step_y, wx, wy)
         p[k] = min(i + int(t + 0.5), nx - 1)
         q[k] = min(j + int(s + 0.5), ny - 1)

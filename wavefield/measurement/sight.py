@@ -43,24 +43,24 @@ class Sight:
         inverse = np.linalg.inv(np.vander(knots, increasing=True))
         self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
-    def at(self, z: Float) -> NDArray[np.float32]:
-        """Image position and Jacobian of the nodes at heights z (ny, nx), metres.
+    def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
+        """Image position and Jacobian of every n-th node along x and y at heights z (ny, nx), metres.
 
         Returns (8, ny, nx): X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz
         (px per metre).
         """
-        return self._evaluate(z, 8)
+        return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
         """Image position X, Y of the nodes at heights z (ny, nx), metres: (2, ny, nx), px."""
-        return self._evaluate(z, 2)
+        return self._evaluate(z, self._polynomial[:2])
 
-    def _evaluate(self, z: Float, count: int) -> NDArray[np.float32]:
+    def _evaluate(self, z: Float, polynomial: Float) -> NDArray[np.float32]:
         t = (np.asarray(z, np.float32) - np.float32(self._z_middle)) / np.float32(self._z_half)
-        out: NDArray[np.float32] = self._polynomial[:count, _ORDER].copy()
+        out: NDArray[np.float32] = polynomial[:, _ORDER].copy()
         for order in range(_ORDER - 1, -1, -1):
             out *= t
-            out += self._polynomial[:count, order]
+            out += polynomial[:, order]
         return out
 
     def sees(self, X: Float, Y: Float) -> NDArray[np.bool_]:

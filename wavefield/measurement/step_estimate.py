@@ -14,10 +14,10 @@ from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Instant
 from wavefield.measurement.learned_record import LearnedRecord
-from wavefield.measurement.midtime import MidTime, at_mid_time, slope
+from wavefield.measurement.midtime import MidTime, rise_of_water, slope, z_at_mid_time
 from wavefield.measurement.model import Model
 from wavefield.measurement.rolling_shutter import common_lateness, elevation_errors
-from wavefield.measurement.velocity import Motion, Regions, motion_of_all_cameras, velocity
+from wavefield.measurement.velocity import Motion, Regions, mean_flow, velocity
 from wavefield.variables import AROUND, Quality
 from wavefield.water import GRAVITY
 
@@ -33,7 +33,6 @@ class StepEstimate:
     """Elevation and motion of one step, from the cameras that are consistent."""
 
     surfaces: Surfaces  # of six frames
-    height: NDArray[np.floating]  # (ny, nx): at which the cameras' displacements are read, metres
     motion: Motion
     mid_time: MidTime
     left_out: frozenset[str] = frozenset()  # cameras that contradict the others
@@ -89,35 +88,33 @@ def _estimate(
     assert first is not None
     assert second is not None
     level_std, jitter_px = _level_jitter(surfaces, geometry, frame_rate, times)
-    motion = motion_of_all_cameras(moves, np.float32(0.5) * (first.z + second.z), geometry, record, times)
+    near = np.float32(0.5) * (first.z + second.z)
+    flow, late = mean_flow(moves, near, geometry, record, times), common_lateness(near, geometry)
+    if flow is None:
+        return None
+    z = shown = z_at_mid_time(surfaces, flow, geometry.x, geometry.y, times, late)
+    motion = velocity(moves, z, geometry, record, regions, jitter_px, times)
+    if late is not None and motion is not None:
+        z = _without_shutters(shown, motion, geometry)
+        motion = velocity(moves, z, geometry, record, regions, jitter_px, times)
     if motion is None:
         return None
-    height = _surface_at_mid_time(surfaces, motion, geometry, times).z
-    motion = velocity(moves, height, geometry, record, regions, jitter_px, times)
-    if motion is None:
-        return None
-    mid_time = _surface_at_mid_time(surfaces, motion, geometry, times)
-    mid_time = replace(mid_time, std=np.hypot(mid_time.std, np.float32(_SIX_FRAME_NOISE * level_std)))
+    if late is not None:
+        z = _without_shutters(shown, motion, geometry)
+    std = np.hypot(np.float32(0.5) * (first.std + second.std), np.float32(_SIX_FRAME_NOISE * level_std))
     if geometry.settings.sheet_thickness is not None:  # it does not rise
-        mid_time = replace(mid_time, rise=np.zeros_like(mid_time.rise))
-    return StepEstimate(surfaces, height, motion, mid_time)
+        rise = np.zeros_like(z)
+    else:
+        rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
+    return StepEstimate(surfaces, motion, MidTime(z, std, rise))
 
 
-def _surface_at_mid_time(
-    surfaces: Surfaces, motion: Motion, geometry: GridGeometry, times: Float | None
-) -> MidTime:
-    """Surface at mid-time, at the moments at which rolling shutters show it."""
-    first, second = surfaces[AROUND : AROUND + 2]
-    assert first is not None
-    assert second is not None
-    late = common_lateness(np.float32(0.5) * (first.z + second.z), geometry)
-    found = at_mid_time(surfaces, motion, geometry.x, geometry.y, times, late)
-    if late is None:
-        return found
+def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
+    """Surface (ny, nx), metres, without what rolling shutters make of its motion."""
     measured = np.isfinite(motion.d).all(axis=0)
-    error, (x, y) = elevation_errors(found.z, np.where(measured, motion.d, 0.0), geometry)
-    z_y, z_x = (slope(found.z, geometry.grid.step, axis) for axis in (0, 1))
-    return replace(found, z=(found.z + x * z_x + y * z_y - error).astype(np.float32))
+    error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
+    z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
+    return np.asarray((z + x * z_x + y * z_y - error).astype(np.float32))
 
 
 def _level_jitter(

@@ -15,6 +15,7 @@ from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.measurement_settings import Settings
+from wavefield.measurement.node_motion import solve_nodes
 from wavefield.measurement.outlier_detection import (
     MAX_MISFIT,
     MAX_NODE_MISFIT,
@@ -22,7 +23,6 @@ from wavefield.measurement.outlier_detection import (
     outlier_camera,
     outlier_regions,
 )
-from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -31,6 +31,7 @@ Regions = Mapping[str, NDArray[np.bool_]]
 _OUTLIER_FRACTION = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
 _SHORT_WAVE_VARIANCES = 0.5, 0.5, 1.0  # of u, v, w in deep water, which the prior removes
 _MAX_INCONSISTENT_FRACTION = 0.01  # of the nodes, by chance
+_NODES_FOR_MEAN_FLOW = 3000
 _WINDOW_REACH_PX = 20  # half a window of the coarse levels
 
 
@@ -123,19 +124,27 @@ def velocity(
     return replace(motion, quality=motion.quality | rejected)
 
 
-def motion_of_all_cameras(
+def mean_flow(
     steps: Sequence[Flows | None],
     z: Float,
     geometry: GridGeometry,
     record: LearnedRecord,
     times: Float | None = None,
-) -> Motion | None:
-    """As `velocity`, by all cameras, whether they contradict each other or not."""
+) -> tuple[float, float] | None:
+    """Median displacement of the water over the step, (dx, dy), metres, by all cameras at some nodes.
+
+    None if fewer than two cameras have displacements.
+    """
     names = _cameras(steps)
     if len(names) < 2:
         return None
-    displacements = displacements_at_nodes(names, steps, z, geometry, record, times)
-    return solve_motion(displacements, shares(geometry.settings, record), record)
+    every = max(1, round(np.sqrt(z.size / _NODES_FOR_MEAN_FLOW)))
+    displacements = displacements_at_nodes(names, steps, z, geometry, record, times, every)
+    chord = solve_motion(displacements, shares(geometry.settings, record), record).chord
+    measured = np.isfinite(chord).all(axis=0)
+    if not measured.any():
+        return 0.0, 0.0
+    return float(np.median(chord[0][measured])), float(np.median(chord[1][measured]))
 
 
 def _cameras(steps: Sequence[Flows | None]) -> list[str]:
@@ -152,24 +161,15 @@ def solve_motion(
     displacements: CameraDisplacements, parts: Float, record: LearnedRecord, jitter_px: float = 0.0
 ) -> Motion:
     """Least squares over the cameras; parts are the `shares` of what the prior removes."""
-    rows = np.sqrt(displacements.variance), np.sqrt(displacements.noise_of_each)
-    std, noise = (np.moveaxis(row, 0, -1) for row in rows)
-    J = np.moveaxis(displacements.jacobian, (0, 1), (-2, -1))
-
-    def solve(moved: Float) -> tuple[Float, Float, Float]:
-        return solve_displacement(J, np.moveaxis(moved, 0, -1), std, noise)
-
-    d, eps, d_std = solve(displacements.moved)
-    chord = np.moveaxis(solve(displacements.chord)[0], -1, 0)
-    # what moves away from a camera at a constant speed slows down in its image
-    receding = np.repeat(np.einsum("nc,cyx->nyx", displacements.axes, chord), 2, axis=0)
-    bend = np.moveaxis(solve(displacements.bend + 0.25 * receding * displacements.chord)[0], -1, 0)
-    weight = np.isfinite(displacements.moved[::2]).astype(np.float64)
-    weight /= np.maximum(weight.sum(axis=0), 1.0)
-    removed = 0.5 * (displacements.missing[::2] + displacements.missing[1::2])
-    missing = (weight * removed / image_variance(displacements, parts)).sum(axis=0)
-    variance = np.moveaxis(np.square(d_std), -1, 0)
-    variance += missing * parts[:, None, None]
+    names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
+    fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
+    flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
+    factors = displacements.along, displacements.along * displacements.own
+    shape = displacements.frames.shape
+    out = np.empty((14, displacements.frames.size), np.float32)
+    solve_nodes(*flat, *factors, parts, displacements.axes, out)  # type: ignore[call-arg]
+    d, chord, bend, variance = out[:12].reshape(4, 3, *shape)
+    eps, misfit = out[12:].reshape(2, *shape)
     along, across = np.maximum(displacements.camera_jitter()[1], record.camera_jitter)
     variance += displacement_variance(
         displacements.jacobian,
@@ -183,10 +183,10 @@ def solve_motion(
     quality = np.where(accepted >= 2, np.uint16(0), why | np.uint16(Quality.FILLED))
     quality |= np.where(displacements.frames < 4, np.uint16(Quality.TWO_FRAME_MEAN), np.uint16(0))
     return Motion(
-        d=np.moveaxis(d, -1, 0),
+        d=d,
         d_std=np.sqrt(variance),
         eps_piv=eps,
-        misfit=misfit(displacements, d),
+        misfit=misfit,
         quality=quality,
         frames=displacements.frames,
         chord=chord,
@@ -207,13 +207,3 @@ def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
     """
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
-
-
-def misfit(displacements: CameraDisplacements, d: Float) -> Float:
-    """chi^2 / (2N - 3) of the cameras for the motion d (ny, nx, 3), metres; (ny, nx)."""
-    left = np.einsum("rcyx,yxc->ryx", displacements.jacobian, d) - displacements.moved
-    # one noise for all cameras: a quiet camera's own would make it contradict errors that are not noise
-    square = np.square(left) / (displacements.noise * displacements.along[:, None, None])
-    rows = np.isfinite(square).sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(rows > 3, np.nansum(square, axis=0) / (rows - 3), np.nan)

@@ -85,6 +85,7 @@ def centroids(
     plane, omega, depth = spectrum.plane, spectrum.omega, spectrum.depth
     k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(k_table, depth, fit[2])
+    speed = np.gradient(free, k_table)
     largest_k = np.full(omega.size, SHORTEST_WAVES * min(plane.kx.max(), plane.ky.max()))
     if settings.highest:
         highest = 2 * np.pi * settings.highest
@@ -93,11 +94,12 @@ def centroids(
     parts = []
     for number, sector in enumerate(sectors):
         along = fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta)
-        centres = _relation_in_k(omega, k_table, free, along)
+        centres = _relation_in_k(omega, k_table, free, speed, along)
         reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
-        reach = np.nan_to_num(reach)
-        first = np.searchsorted(sector.k, np.nan_to_num(centres) - reach, "right")
-        last = np.searchsorted(sector.k, np.nan_to_num(centres) + reach, "left")
+        known = np.isfinite(centres)
+        middle, reach = np.where(known, centres, 0.0), np.where(known, reach, 0.0)
+        first = np.searchsorted(sector.k, middle - reach, "right")
+        last = np.searchsorted(sector.k, middle + reach, "left")
         sums = np.empty((8, omega.size))
         wave_kernels.windowed_sums(
             spectrum.energy, spectrum.noise, sector.cells, sector.k, sector.heading, first, last, sums
@@ -124,15 +126,15 @@ def centroids(
     return points[points.energy > MIN_SHARE * strongest]
 
 
-def _relation_in_k(omega: Array, k: Array, free: Array, along: float) -> Array:
+def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
     """Wavenumber of each line from the table k -> free + k * along; NaN for waves that the current blocks.
 
-    Against a current omega rises with k only as long as the group velocity exceeds it.
+    With the group velocity of free waves, `speed`. Against a current omega rises with k only as long as the
+    group velocity exceeds it.
     """
     doppler = free + k * along
-    slope = np.gradient(doppler, k)
-    blocked = np.flatnonzero(slope < MIN_SPEED_ON_CURRENT * np.gradient(free, k))
-    last = int(blocked[0]) if blocked.size else k.size
+    blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
+    last = int(blocked.argmax()) if blocked.any() else k.size
     if last < 2:
         return np.full(omega.size, np.nan)
     return np.interp(omega, doppler[:last], k[:last], right=np.nan)
