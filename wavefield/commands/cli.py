@@ -14,6 +14,7 @@ import click
 import wavefield
 from wavefield.commands import (
     archive,
+    background_command,
     calibrate_command,
     check_command,
     experiment_commands,
@@ -78,6 +79,7 @@ for _command in (
     target_command.target,
     calibrate_command.calibrate,
     calibrate_command.refine,
+    background_command.background,
     experiment_commands.run,
     experiment_commands.status,
     experiment_commands.verify,

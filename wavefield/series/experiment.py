@@ -17,6 +17,7 @@ from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
 from wavefield.rig.water_level import with_water_level
 from wavefield.series import masks
+from wavefield.series.background import with_backgrounds
 from wavefield.series.experiment_parts import (
     CalibrationSection,
     CameraSection,
@@ -69,6 +70,11 @@ class Experiment(RecordSection):
         default="auto", examples=["{x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}"]
     )
     water: WaterSection = WaterSection()
+    background: PathText | dict[str, PathText] | None = Field(
+        default=None,
+        examples=['"background/{camera}.tif"'],
+        description="images that are subtracted from the frames: those of `wavefield background`",
+    )
     mask: dict[str, list[masks.MaskSection]] = Field(
         default_factory=dict,
         examples=["{cam1: masks/cam1.png, water: {cylinder: {x: 0.2, y: -0.1, radius: 0.1}}}"],
@@ -175,6 +181,8 @@ class Experiment(RecordSection):
         named: dict[str, object] = {"rig": self.rig, "rest": self.rest}
         named |= {f"cameras.{name}.times": camera.times for name, camera in self.cameras.items()}
         named |= {f"cameras.{name}.images": camera.images for name, camera in self.cameras.items()}
+        backgrounds = self.background if isinstance(self.background, dict) else {"": self.background}
+        named |= {f"background {name}".strip(): file for name, file in backgrounds.items()}
         named |= {"probes": self.probes.file} if self.probes else {}
         for key, value in named.items():
             files = list(value.values()) if isinstance(value, dict) else [value]
@@ -247,7 +255,10 @@ class Experiment(RecordSection):
         ExperimentError
             If images are not there or cannot be numbered.
         """
-        return open_record(self, self._path, self.image_folder, self.measuring_cameras)
+        series = open_record(self, self._path, self.image_folder, self.measuring_cameras)
+        if self.background is None:
+            return series
+        return with_backgrounds(series, self.background, self.resolve, self._path)
 
     def read_probes(self) -> Any:
         """Read the wave probes.

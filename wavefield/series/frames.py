@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,8 @@ class FrameSeries:
         experiment file, end it there.
     times : ndarray, (n,), optional
         Time of each frame by the camera's own clock, s; NaN where it is missing.
+    background : ndarray, (row, column), optional
+        Subtracted from every frame, which does not get below 0.
     """
 
     camera: str
@@ -65,6 +67,7 @@ class FrameSeries:
     mask: CameraMask | None = None
     beyond: tuple[int, int] = (0, 0)
     times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
+    background: NDArray[Any] | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -121,7 +124,10 @@ class FrameSeries:
             size = f"{image.shape[1]} x {image.shape[0]} {image.dtype}"
             usual = f"{self.shape[1]} x {self.shape[0]} {self.dtype}"
             return Frame(None, FrameFault.WRONG_SIZE, f"{place} is {size}, the others are {usual}")
-        return check_content(image, place)
+        frame = check_content(image, place)
+        if frame.image is None or self.background is None:
+            return frame
+        return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
         """Pixels of a frame that do not count.
@@ -174,6 +180,17 @@ class FrameSeries:
         # the measurement of a chunk does not need times
         entries = list(self.entries[start:stop])
         return replace(self, first=self.first + start, entries=entries, mask=mask, times=None)
+
+
+def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
+    """An image less a background of its type, (row, column), not below 0.
+
+    Examples
+    --------
+    >>> subtracted(np.array([[9, 3]], np.uint8), np.array([[4, 5]], np.uint8)).tolist()
+    [[5, 0]]
+    """
+    return np.asarray(image - np.minimum(image, background))
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:

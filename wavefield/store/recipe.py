@@ -39,6 +39,8 @@ class Recipe:
     mask: Mapping[str, Any] = field(default_factory=dict)
     # Checksum of the departures of the frames from even times; empty where these are even
     departures: Mapping[str, str] = field(default_factory=dict)
+    # Checksum of the image that is subtracted from the frames of each camera; empty without any
+    background: Mapping[str, str] = field(default_factory=dict)
     algorithm: int = 0  # Version of the measurement, raised when its values change
     # What was learned from sample frames of the whole record: beads, spectra, noise. Not
     # part of the hash: it follows from the rest
@@ -59,7 +61,7 @@ class Recipe:
         """
         data = asdict(self)
         del data["software"], data["record"], data["experiment"]
-        for name in ("mask", "departures"):  # cubes from before there were any have none
+        for name in ("mask", "departures", "background"):  # cubes from before there were any have none
             if not data[name]:
                 del data[name]
         first, last = data.pop("frames")

@@ -1,0 +1,39 @@
+"""`wavefield background`: what all frames of a camera have in common, computed once and stored."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.next_command import print_next
+from wavefield.commands.sources import PATH, experiment_file
+
+_KEY = 'background: "background/{camera}.tif"'
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield background experiment.yaml
+  wavefield background . --frames 500
+"""
+)
+@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
+@click.option(
+    "--frames", default=200, show_default=True, type=click.IntRange(min=2), help="How many to average."
+)
+def background(experiment: Path, frames: int) -> None:
+    """Average the frames of every camera, so that a floor or reflections can be subtracted from them.
+
+    Writes background/CAMERA.tif beside the experiment file. Frames are read less these images once the
+    experiment file names them with `background:`.
+    """
+    from wavefield.series import Experiment
+    from wavefield.series.background import write_backgrounds
+
+    found = Experiment.load(experiment_file(experiment))
+    bare = found.model_copy(update={"background": None}).open_frames()
+    for file in write_backgrounds(bare, found.path.parent / "background", frames):
+        click.echo(f"Wrote {file}.")
+    if found.background is None:
+        click.echo(f"To subtract them, add this line to {found.path}:\n  {_KEY}")
+    print_next("check", found.path)
