@@ -2,8 +2,8 @@
 Spectra and the dispersion relation
 ===================================
 
-What ``wavefield analyze`` writes, group by group. Two seconds of a record are little: the notebooks have a
-longer one.
+What ``wavefield analyze`` writes, group by group. Two seconds of a record are little: a hundred peak periods
+are a good record.
 """
 
 import xarray as xr
