@@ -132,9 +132,8 @@ class ExperimentBackend(BackendEntrypoint):
 
 def _cube(path: Path) -> xr.Dataset:
     """A cube as `open_cube` gives it; ``chunks={}`` of xarray takes the chunks of the store."""
-    cube = open_without_jitter(path, chunks=None)
-    if any(name in cube.attrs for name in JITTER):
-        cube = open_cube(path)  # whose uncertainties are computed when they are read
+    jitter = any(name in open_without_jitter(path, chunks=None).attrs for name in JITTER)
+    cube = open_cube(path, "auto" if jitter else None)  # with jitter, uncertainties are computed when read
     for variable in cube.variables.values():
         if "time" in variable.dims:
             steps = {"time": int(cube.attrs["steps_per_block"])}
