@@ -45,6 +45,7 @@ MIN_BLOCKS = 4  # matched ones of a patch
 NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
 SIGNIFICANCE = 4.0  # standard deviations
+ROW_SIGNIFICANCE = 6.0  # of a row time: cameras show a place in nearly the same row
 MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined
 
 
@@ -321,7 +322,7 @@ def remarks(found: Synchrony) -> Iterator[Remark]:
     """Remarks on delays and rolling shutters."""
     yield from _on_delays(found.delays, found.speed)
     one = found.row_time
-    if one is None or abs(one.seconds) < SIGNIFICANCE * one.std:
+    if one is None or abs(one.seconds) < ROW_SIGNIFICANCE * one.std:
         return
     late = abs(one.seconds) * found.rows
     off = 0.5 * late * found.speed
