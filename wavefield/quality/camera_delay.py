@@ -46,6 +46,7 @@ NARROW_REACH = 16  # px: search radius around the place to which a patch's motio
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
 SIGNIFICANCE = 4.0  # standard deviations
 ROW_SIGNIFICANCE = 6.0  # of a row time: cameras show a place in nearly the same row
+MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
 MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined
 
 
@@ -325,6 +326,8 @@ def remarks(found: Synchrony) -> Iterator[Remark]:
     if one is None or abs(one.seconds) < ROW_SIGNIFICANCE * one.std:
         return
     late = abs(one.seconds) * found.rows
+    if one.std * found.rows > MAX_READOUT_STD:
+        return
     off = 0.5 * late * found.speed
     if off < CAMERA_LIMITS.delay_motion:
         return
