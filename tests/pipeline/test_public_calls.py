@@ -217,6 +217,17 @@ def test_a_changed_recipe_goes_beside_the_old(catalog):
     assert intake.open_catalog(str(catalog)).user_parameters["recipe"].options == recipes
 
 
+@pytest.mark.parametrize("digits", ["795126e3", "12345678", "1a2b3c4d", "0e000000"])
+def test_a_recipe_of_digits_stays_a_text_in_the_catalog(tmp_path, digits):
+    from wavefield.pipeline.catalog import _save, new_catalog
+
+    data = new_catalog("lab")
+    data["user_parameters"]["recipe"]["options"].append(digits)
+    _save(tmp_path / "lab.yaml", data)
+    options = intake.open_catalog(str(tmp_path / "lab.yaml")).user_parameters["recipe"].options
+    assert options == ["latest", digits]
+
+
 def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
     assert catalog_add(catalog, own_tank) == "small-tank"  # twice does no harm
     with pytest.raises(ExperimentError, match="has no run 'run99'; it has small-tank, other-tank"):

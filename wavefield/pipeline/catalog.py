@@ -380,4 +380,19 @@ def _save(catalog: Path, data: Mapping[str, object]) -> None:
             if line and not line.startswith("#"):
                 break
             head.append(line + "\n")
-    write_text(catalog, "".join(head) + yaml.safe_dump(dict(data), sort_keys=False, width=110), ANY_FILE)
+    text = yaml.dump(dict(data), Dumper=_Dumper, sort_keys=False, width=110)
+    write_text(catalog, "".join(head) + text, ANY_FILE)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes texts that some reader takes for numbers, such as the recipe 795126e3."""
+
+    def represent_text(self, text: str) -> yaml.Node:
+        try:
+            float(text)
+        except ValueError:
+            return self.represent_str(text)
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style="'")
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
