@@ -28,7 +28,7 @@ def background(experiment: Path, frames: int) -> None:
     experiment file names them with `background:`.
     """
     from wavefield.series import Experiment
-    from wavefield.series.background import write_backgrounds
+    from wavefield.series.mean_images import write_backgrounds
 
     found = Experiment.load(experiment_file(experiment))
     bare = found.model_copy(update={"background": None}).open_frames()
