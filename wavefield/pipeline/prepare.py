@@ -26,7 +26,7 @@ from wavefield.pipeline.magnitudes import (
 from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Rig
 from wavefield.sampling import evenly_spaced
-from wavefield.series import Experiment, FrameSeries, background, masks
+from wavefield.series import Experiment, FrameSeries, masks, mean_images
 from wavefield.series.departures import frame_departures
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
@@ -209,7 +209,7 @@ def make_recipe(
         settings=settings.to_dict(),
         packing=packing,
         mask=masks.as_data(experiment.mask, experiment.path.parent),
-        background=background.checksums(series),
+        background=mean_images.checksums(series),
         algorithm=ALGORITHM,
     )
 
