@@ -172,3 +172,11 @@ def test_a_mask_beside_the_images_is_heeded(frames, rig, grid, reference):
     assert masked[0, 6, 4]
     assert masked.mean() < 0.5
     np.testing.assert_array_equal(np.isnan(step.w.values), masked)
+
+
+def test_a_record_of_other_cameras_is_refused_in_one_sentence(frames, rig, grid, reference):
+    record = record_of(reference)
+    name, *_ = record["displacement"]
+    other = record | {"displacement": {k: v for k, v in record["displacement"].items() if k != name}}
+    with pytest.raises(ExperimentError, match=f"was learned without {name}"):
+        reconstruct(frames, rig, grid, record=other)

@@ -162,6 +162,8 @@ def reconstruct(
     arrays = {name: arrays[name] for name in geometry.cameras}
     times, frame_rate = _times(arrays, attributes)
     _check_sizes(arrays, rig)
+    if record is not None:
+        _check_record(record, geometry)
 
     masks = _masks(frames)
     sources = {name: ArraySource(name, array.variable, masks.get(name)) for name, array in arrays.items()}
@@ -205,6 +207,18 @@ def _gain(
         name: (dims, da.from_delayed(once[name], shape, np.float64)) for name in table if name not in dims
     }
     return gain, {name: table[name] for name in dims}
+
+
+def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> None:
+    """Refuse what was learned with other cameras."""
+    for part, cameras in (("beads", geometry.cameras), ("displacement", geometry.velocity_cameras)):
+        learned = record.get(part)
+        absent = [name for name in cameras if not isinstance(learned, Mapping) or name not in learned]
+        if absent:
+            raise ExperimentError(
+                f"the record was learned without {', '.join(absent)}: give that of a cube of these cameras "
+                "and settings, or leave `record` out"
+            )
 
 
 class _Learner:
