@@ -28,7 +28,7 @@ from wavefield.tank import Scene, simulate
 
 IMPORTS = "import xarray, dask.distributed, numba, cv2"
 # lines of the log of a run when a part of it begins
-MARKS = {"learning": r"learning beads", "blocks": r"blocks to do", "verdict": r"INFO done"}
+MARKS = {"learning": r"learning beads", "chunks": r"chunks to measure", "verdict": r"INFO done"}
 
 
 def seconds(command: Sequence[object], repeats: int = 1) -> float:
@@ -60,7 +60,7 @@ def run(experiment: Path, out: Path, workers: int) -> tuple[float, dict[str, flo
             most = max([most, *(worker.memory_info().rss for worker in workers_of(process))])
         time.sleep(0.05)
     took = time.time() - began
-    finish(process)
+    finish(process, (0, 3))  # 3: remarks, as on frames that run forwards and backwards in turn
     log = log_path(out).read_text()
     parts = {}
     for name, mark in MARKS.items():
@@ -92,13 +92,13 @@ def beginning(folder: Path, options: argparse.Namespace) -> None:
     experiment = write_tank(folder / "first", small_scene(), 4)
     imported = seconds([sys.executable, "-c", IMPORTS], 5)
     parts = [run(experiment, folder / "start.zarr", 2)[1] for _ in range(5)]
-    first, blocks = (min(part[name] for part in parts) for name in ("learning", "blocks"))
+    first, chunks = (min(part[name] for part in parts) for name in ("learning", "chunks"))
     detail = f"({first:.2f} s, {imported:.2f} s; small images)"
     print_row(
         "from the command to the first frame measured, over imports", "2", f"{first / imported:.2f}  {detail}"
     )
     print_row(
-        "    to the first block, beads and spectra learned", "", f"{blocks / imported:.2f}  ({blocks:.2f} s)"
+        "    to the first chunk, beads and spectra learned", "", f"{chunks / imported:.2f}  ({chunks:.2f} s)"
     )
 
 
@@ -114,7 +114,7 @@ def record(folder: Path, options: argparse.Namespace) -> None:
         over = f"{workers * wall / steps / dis:.2f}  ({wall:.1f} s; {1e3 * dis:.0f} ms; {steps} steps)"
         print_row(f"run, {workers} workers: wall x {workers} / steps over two DIS", "0.80", over)
         ends = [0.0, *parts.values(), wall]
-        names = ("preparing", "learning", "blocks", "verdict")
+        names = ("preparing", "learning", "chunks", "verdict")
         shown = ", ".join(f"{name} {b - a:.1f}" for name, a, b in zip(names, ends, ends[1:]))
         print_row("    of it, s", "", shown)
         print_row("    most memory of a worker", "0.5 GB", f"{memory:.2f} GB" if workers > 1 else "")
