@@ -30,12 +30,7 @@ from wavefield.rig.rig import Rig, read_rig_text
 __all__ = [
     "LENGTHS",
     "load_rig",
-    "save_agisoft",
-    "save_colmap",
-    "save_dice",
-    "save_myptv",
     "save_opencv",
-    "save_openptv",
     "save_rig",
     "save_uvmat",
     "save_vic",

@@ -36,10 +36,8 @@ def load_agisoft(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
         own.append(Path(name).stem)
     if not cameras:
         raise RigError("it holds no aligned camera")
-    names = own if all(own) and len(set(own)) == len(own) else None
-    named = ImportOptions(options.sizes, options.named(len(cameras), names), options.unit)
     note = {"program": "Metashape", "file": path.name, "unit": options.unit}
-    return rig_of_file(cameras, named, "this Metashape file", note)
+    return rig_of_file(cameras, options, "this Metashape file", note, own)
 
 
 def save_agisoft(rig: Rig, path: str | Path) -> None:

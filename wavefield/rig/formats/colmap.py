@@ -56,8 +56,7 @@ def load_colmap(folder: Path, options: ImportOptions) -> Rig:
     if len(set(own)) < len(own):
         own = [PurePosixPath(words[9]).stem for words in sorted(poses, key=lambda words: words[9])]
     note = {"program": "COLMAP", "file": folder.name, "unit": options.unit}
-    named = ImportOptions(options.sizes, options.named(len(cameras), own), options.unit)
-    return rig_of_file(cameras, named, "this COLMAP model", note)
+    return rig_of_file(cameras, options, "this COLMAP model", note, own)
 
 
 def save_colmap(rig: Rig, folder: str | Path) -> None:

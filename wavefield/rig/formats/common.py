@@ -79,12 +79,21 @@ class StoredCamera:
 
 
 def rig_of_file(
-    cameras: Sequence[StoredCamera], options: ImportOptions, origin: str, note: Mapping[str, object]
+    cameras: Sequence[StoredCamera],
+    options: ImportOptions,
+    origin: str,
+    note: Mapping[str, object],
+    own: Sequence[str] | None = None,
 ) -> Rig:
-    """The rig of a file's cameras; origin names the program in messages, note is its provenance."""
+    """The rig of a file's cameras; origin names the program in messages, note is its provenance.
+
+    The cameras have their own names where the file gives each another one.
+    """
     if cameras[0].pose is FIRST_CAMERA:
         note = {"left_out": NO_WORLD_POSE, **note}
-    named = dict(zip(options.named(len(cameras)), cameras, strict=True))
+    if own is not None and (not all(own) or len(set(own)) < len(own)):
+        own = None
+    named = dict(zip(options.named(len(cameras), own), cameras, strict=True))
     return Rig(
         {
             name: Camera.from_opencv(one.K, one.D, *one.pose, options.size(name, origin, one.size))

@@ -135,9 +135,7 @@ def _camera(parameters: Parameters, turn: Array | None, model: str) -> tuple[Cam
         fx, fy, skew, k = scale * fx, scale * fy, scale * skew, [k[2] / scale, 0.0, 0.0]
     elif model not in ("NONE", "NO", "OPENCV", "VIC3D", "K1R3_K2R5_K3R7") and any(k):
         raise RigError(f"its lens model is {model}: calibrate with OPENCV_LENS_DISTORTION")
-    placed = turn is not None or any(
-        name in parameters for name in ("ALPHA", "BETA", "GAMMA", "TX", "TY", "TZ")
-    )
+    placed = turn is not None or any(name in parameters for name in _POSE)
     if turn is None:
         turn = turned_about_axes(*np.radians([value("ALPHA"), value("BETA"), value("GAMMA")]).tolist())
     T = MM * np.array([value("TX"), value("TY"), value("TZ")])
