@@ -70,7 +70,7 @@ def check(
     keep_memory()
     source = experiment_file(source)
     if not campaign_commands.is_campaign(source, entries, parameters):
-        with Progress("Looking at the frames, measuring a few steps"):
+        with Progress("Reading the frames and measuring a few steps"):
             found = pipeline.check(source, rig, workflow)
         if as_json:
             click.echo(json.dumps(found.to_dict(), indent=1, default=str))
@@ -84,7 +84,7 @@ def check(
     checks: dict[str, Check] = {}
 
     def work(run: str, experiment: Experiment) -> int:
-        with Progress(f"Looking at {run}"):
+        with Progress(f"Checking {run}"):
             checks[run] = pipeline.check(experiment, rig, workflow)
         if not as_json:
             _report(checks[run], experiment, rig, workflow, pairs)

@@ -179,7 +179,7 @@ def verify(
     from wavefield.store.verify import verify as verify_store
 
     def work(cube: Path) -> int:
-        with Progress(f"Looking at {cube}" if quick else f"Reading {cube}", "chunks") as progress:
+        with Progress(f"Checking {cube}" if quick else f"Reading {cube}", "chunks") as progress:
             found = verify_store(cube, progress, read=not quick)
         click.echo(str(found))
         print_next(*(("analyze", cube) if found.sound else ("run", cube)))

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
+from scipy import special  # scipy.stats takes half a second to import
 
 from wavefield.variables import PATH_WEIGHTS
 
@@ -79,7 +79,7 @@ def frame_jitter(factors: Array, variances: Array, path_frames: int) -> FrameJit
     between, within = float(np.var(factors[known], ddof=1)), float(np.mean(variances[known]))
     freedom = int(known.sum()) - 1, int(known.sum()) * (_MIN_CELLS - 1)
     # how fast waves turn, and with it the misfit, varies as well, by less than half of it
-    unexplained = max(within * float(scipy.stats.f.isf(_CHANCE, *freedom)), 0.25 * misfit**2)
+    unexplained = max(within * float(special.fdtri(*freedom, 1.0 - _CHANCE)), 0.25 * misfit**2)
     if between <= unexplained:
         return None
     own, factor = _gains(path_frames)

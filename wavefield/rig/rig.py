@@ -15,6 +15,7 @@ from wavefield.file_access import accessing
 from wavefield.rig.camera import Camera
 from wavefield.text import html_table
 
+YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where libyaml is there
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
 
@@ -148,7 +149,7 @@ class Rig:
         """
         path = Path(path)
         try:
-            data = yaml.safe_load(read_rig_text(path))
+            data = yaml.load(read_rig_text(path), Loader=YAML_LOADER)
             if not isinstance(data, dict) or not isinstance(data.get("cameras"), dict) or not data["cameras"]:
                 raise RigError("it has no `cameras`")
             return cls.from_dict(data)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
 
 from wavefield.series.clocks import MAX_OFFSET
@@ -66,6 +65,8 @@ def departures_by_clock(times: Times, frame_rate: float) -> Times | None:
     found = seconds * rate - place
     found -= _line(place, found)
     if len(times) > 2 * _DRIFT_FRAMES:
+        import scipy.signal  # takes a second, which short records do not need
+
         drift = scipy.signal.savgol_filter(np.interp(np.arange(len(times)), there, found), _DRIFT_FRAMES, 1)
         found -= drift[there]
     if np.abs(found).max() > MAX_OFFSET:

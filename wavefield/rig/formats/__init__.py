@@ -25,7 +25,7 @@ from wavefield.rig.formats.openptv import is_openptv, load_openptv, save_openptv
 from wavefield.rig.formats.uvmat_rig import load_uvmat, save_uvmat
 from wavefield.rig.formats.vic import load_vic, save_vic
 from wavefield.rig.formats.wass import load_wass
-from wavefield.rig.rig import Rig, read_rig_text
+from wavefield.rig.rig import YAML_LOADER, Rig, read_rig_text
 
 __all__ = [
     "LENGTHS",
@@ -129,7 +129,7 @@ def _load(path: Path, options: ImportOptions) -> Rig:
         return load_myptv(text, path, options)
     if is_dice_text(text):
         return load_dice_text(text, path, options)
-    data = yaml.safe_load(text)
+    data = yaml.load(text, Loader=YAML_LOADER)
     return load_kalibr(data, path, options) if is_kalibr(data) else Rig.load(path)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import fft  # scipy.signal takes a second to import
 
 from wavefield.parabola import parabola_vertex
 
@@ -133,7 +133,10 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
     value = [np.where(k > 0, v - np.nanmean(v), 0.0) for k, v in zip(known, (a, b))]
 
     def sums(p: Array, q: Array) -> Array:
-        return np.asarray(signal.correlate(q, p, mode="full", method="fft"))
+        full = len(p) + len(q) - 1
+        length = fft.next_fast_len(full, real=True)
+        product = fft.rfft(q, length) * np.conj(fft.rfft(p, length))
+        return np.asarray(np.roll(fft.irfft(product, length), len(p) - 1)[:full])
 
     count = sums(known[0], known[1])
     one, other = sums(value[0], known[1]), sums(known[0], value[1])
