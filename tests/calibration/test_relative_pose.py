@@ -8,7 +8,8 @@ from rendering import camera_at
 from scipy.spatial.transform import Rotation
 from sea_pictures import photograph, sea_rig, texture
 
-from wavefield.calibration.relative_pose import level_on_water, match_features, place_second
+from wavefield.calibration.level_on_water import level_on_water
+from wavefield.calibration.relative_pose import match_features, place_second
 from wavefield.commands.cli import main
 from wavefield.errors import RigError
 from wavefield.images import write_image

@@ -17,7 +17,8 @@ def test_presets_have_resolution_seeding_and_a_grid_in_view(name):
     visible = np.logical_and.reduce([rig[camera].sees(x, y, 0.0) for camera in rig])
     assert visible.mean() > 0.97
     largest = 1e3 * max(max(pixel_footprint(rig[camera])) for camera in rig)  # mm
-    assert 0.2 < largest < 0.3 if scene.surface.kind == "sheet" else 1.0 < largest < 5
+    low, high = {"sheet": (0.2, 0.3), "sea": (50, 150)}.get(scene.surface.kind, (1.0, 5))
+    assert low < largest < high
     if scene.surface.kind == "beads":
         assert 15 <= scene.surface.density * 0.04**2 <= 20  # per 4 x 4 cm, the paper's finest block
 

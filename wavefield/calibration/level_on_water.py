@@ -1,15 +1,163 @@
 """Placing and levelling the cameras of an experiment by images of moving water."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wavefield.calibration.relative_pose import Levelled, Pixels, level_on_water, match_features, place_second
+from wavefield.calibration.horizon import find_horizon
+from wavefield.calibration.platform_pose import PlatformFit, fit_platform, leave_out
+from wavefield.calibration.relative_pose import (
+    MAX_EPIPOLAR_ERROR,
+    MIN_MATCHES,
+    Pixels,
+    match_features,
+    of_other_images,
+    place_second,
+    points_of,
+    too_few,
+)
 from wavefield.errors import RigError
 from wavefield.rig import Rig
+from wavefield.rig.epipolar import epipolar_distance
+from wavefield.rig.lens import Array
+from wavefield.rig.water_level import level
 from wavefield.sampling import evenly_spaced
-from wavefield.series import Experiment
+from wavefield.series import Experiment, masks
+
+HORIZON_IMAGES = 12  # of each camera
+MAX_DISAGREEMENT = 4.0  # standard deviations of the mean surface from the vertical of the horizon,
+MIN_DISAGREEMENT = 1.0  # degrees: what is further off is another edge
+
+
+@dataclass(frozen=True)
+class Levelled:
+    """A rig in the frame of the water's mean surface."""
+
+    rig: Rig  # z = 0 on the mean surface, z up
+    tilt: float  # By how much z was turned, degrees
+    tilt_std: float  # Its standard uncertainty from independent instants; NaN for one instant
+    height: float  # Of the first camera above the mean surface, metres
+    height_std: float  # Likewise, without the uncertainty of a stated distance
+    rms: float  # Of the points about the plane, metres
+    epipolar_error: float  # Median distance of the matches from their epipolar lines, px
+    points: int  # Number of points used
+    instants: int
+    horizon: str  # What levelled the rig, in words
+
+    @property
+    def sentence(self) -> str:
+        """All this for the user."""
+        return (
+            f"{self.points} points of {self.instants} instants: sight lines miss each other by "
+            f"{self.epipolar_error:.2f} px (median); {self.horizon}; the frame was turned by {self.tilt:.2f} "
+            f"+- {self.tilt_std:.2f} degrees; {next(iter(self.rig))} is {self.height:.2f} +- "
+            f"{self.height_std:.2f} m above the mean surface; the water is within {100 * self.rms:.2g} cm "
+            "(rms) of it"
+        )
+
+
+def level_on_water(
+    rig: Rig,
+    matches: Sequence[Mapping[tuple[str, str], Pixels]],
+    horizons: Mapping[str, Array] | None = None,
+    distance: float | None = None,
+) -> Levelled:
+    """Bring z = 0 to the mean surface of moving water, from matches of pairs of cameras at each instant.
+
+    Points of the horizon (n, 2), px, by camera, give the vertical, unless the mean surface contradicts them;
+    with a distance, metres, the second camera is placed by the same fit.
+    """
+    none = np.empty((0, 3))
+    surfaces = [
+        np.concatenate([none, *(points_of(rig[a], rig[b], pixels) for (a, b), pixels in by_pair.items())])
+        for by_pair in matches
+    ]
+    points = np.concatenate([none, *surfaces])
+    if len(points) < MIN_MATCHES:
+        raise RigError(of_other_images(rig, matches) or too_few(len(points)))
+    levelled, plane = level(rig, *points.T)
+    name = next(iter(rig))
+    axes = rig[name].R.T @ levelled[name].R
+    start = PlatformFit(
+        rig.cameras, axes[:, 2], float(levelled[name].centre[2] - axes[:, 2] @ rig[name].centre)
+    )
+    fit, (tilt_std, height_std), sentence = _best_fit(start, matches, horizons or {}, distance)
+    origin = rig[name].centre - axes @ levelled[name].centre
+    origin -= (fit.up @ origin + fit.offset) * fit.up
+    x = axes[:, 0] - (axes[:, 0] @ fit.up) * fit.up
+    x /= np.linalg.norm(x)
+    tilt = _angle(fit.up, np.array([0.0, 0.0, 1.0]))
+    note = {
+        "height_m": fit.height(name),
+        "height_std_m": height_std,
+        "tilt_deg": tilt,
+        "tilt_std_deg": tilt_std,
+        "rms_m": plane.rms,
+        "points": len(points),
+        "by": sentence,
+    }
+    placed = Rig(fit.cameras, rig.provenance)
+    done = placed.moved(np.stack([x, np.cross(fit.up, x), fit.up], axis=1), origin, levelled=note)
+    return Levelled(
+        done,
+        tilt,
+        tilt_std,
+        fit.height(name),
+        height_std,
+        plane.rms,
+        _epipolar_error(done, matches),
+        len(points),
+        len(matches),
+        sentence,
+    )
+
+
+def _best_fit(
+    start: PlatformFit,
+    matches: Sequence[Mapping[tuple[str, str], Pixels]],
+    horizons: Mapping[str, Array],
+    distance: float | None,
+) -> tuple[PlatformFit, tuple[float, float], str]:
+    """The fit, the uncertainties of tilt (degrees) and height (m), and what levelled it."""
+    free = fit_platform(start, matches, {}, distance)
+    std = leave_out(free, matches, {}, distance)
+    if not horizons:
+        return free, std, "no horizon was found, so the mean surface is the level"
+    fit = fit_platform(free, matches, horizons, distance)
+    apart = _angle(fit.up, free.up)
+    if apart > max(MAX_DISAGREEMENT * np.nan_to_num(std[0]), MIN_DISAGREEMENT):
+        return (
+            free,
+            std,
+            (
+                f"an edge like a horizon in {', '.join(horizons)} is {apart:.1f} degrees off the mean "
+                "surface and was not used: the mean surface is the level"
+            ),
+        )
+    of_horizon = leave_out(fit, matches, horizons, distance)
+    return fit, of_horizon, f"the horizon in {', '.join(horizons)} gives the vertical"
+
+
+def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
+    """Median distance of the true matches from their epipolar lines, px."""
+    errors = np.abs(
+        np.concatenate(
+            [
+                epipolar_distance(rig[a], rig[b], *p.T, *q.T)
+                for by_pair in matches
+                for (a, b), (p, q) in by_pair.items()
+            ]
+        )
+    )
+    errors = errors[errors < MAX_EPIPOLAR_ERROR]
+    return float(np.median(errors)) if errors.size else float("nan")
+
+
+def _angle(a: Array, b: Array) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 def level_experiment(
@@ -56,6 +204,8 @@ def level_experiment(
         experiment = Experiment.load(experiment)
     series = experiment.open_frames()
     loaded = experiment.load_rig(rig, series)
+    in_images = {name: shapes for name, shapes in experiment.mask.items() if name != masks.WATER}
+    series = masks.covered_series(in_images, series, loaded, experiment.path.parent, 0.0)
     first, *others = loaded
     if distance is not None and len(others) != 1:
         raise RigError(f"a distance places the second of two cameras; this rig has {len(loaded)}")
@@ -65,8 +215,14 @@ def level_experiment(
         )
     instants = evenly_spaced(len(series[first]), frames)
     matches: list[dict[tuple[str, str], Pixels]] = []
+    seen: dict[str, list[NDArray[np.generic]]] = {name: [] for name in loaded}
     for done, instant in enumerate(instants, 1):
-        images = {name: image for name in loaded if (image := series[name].read(instant).image) is not None}
+        images = {
+            name: image for name in loaded if (image := series[name].read_uncovered(instant)) is not None
+        }
+        for name, image in images.items():
+            if len(seen[name]) < HORIZON_IMAGES:
+                seen[name].append(image)
         pairs = [(first, n) for n in others if first in images and n in images]
         matches.append({(a, b): match_features(images[a], images[b]) for a, b in pairs})
         if progress:
@@ -78,4 +234,6 @@ def level_experiment(
         second = place_second(loaded[first], loaded[others[0]], (a, b), distance)
         note = {"distance_m": distance, "matches": len(a)}
         loaded = Rig({first: loaded[first], others[0]: second}, {**loaded.provenance, "placed": note})
-    return level_on_water(loaded, matches)
+    lines = {name: find_horizon(images, loaded[name]) for name, images in seen.items() if images}
+    horizons = {name: line for name, line in lines.items() if line is not None}
+    return level_on_water(loaded, matches, horizons, distance)

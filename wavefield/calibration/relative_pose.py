@@ -1,12 +1,11 @@
-"""Relative pose of two cameras from common features, and a rig levelled on the mean surface of moving water.
+"""Relative pose of two cameras from common features.
 
 For cameras of which only the lenses are known, as at sea: features of natural texture are matched, the second
-camera is turned until sight lines meet, a stated distance gives the scale, and the plane through the
-surface of many instants is the level.
+camera is turned until sight lines meet, and a stated distance gives the scale.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,7 +17,6 @@ from wavefield.errors import RigError
 from wavefield.rig import Camera, Rig
 from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.lens import Array
-from wavefield.rig.water_level import level
 
 Pixels = tuple[Array, Array]  # (n, 2) in one image and in the other
 
@@ -28,28 +26,6 @@ MAX_RATIO = 0.8  # of the best distance to the second best, for a match to be un
 MAX_EPIPOLAR_ERROR = 3.0  # px: of a true match
 MIN_VISIBLE_RATIO = 0.9  # of the most points in front of both cameras: what other solutions must reach
 MAX_DEPTH_RATIO = 3.0  # times the median distance: further out, towards the horizon, depth is only noise
-
-
-@dataclass(frozen=True)
-class Levelled:
-    """A rig in the frame of the water's mean surface."""
-
-    rig: Rig  # z = 0 on the mean surface, z up
-    tilt: float  # By how much z was turned, degrees
-    tilt_std: float  # Its standard uncertainty from the differences of the instants; NaN for one instant
-    rms: float  # Of the points about the plane, metres
-    epipolar_error: float  # Median distance of the matches from their epipolar lines, px
-    points: int  # Number of points used
-    instants: int
-
-    @property
-    def sentence(self) -> str:
-        """All this for the user."""
-        return (
-            f"{self.points} points of {self.instants} instants: sight lines miss each other by "
-            f"{self.epipolar_error:.2f} px (median); the frame was turned by {self.tilt:.2f} +- "
-            f"{self.tilt_std:.2f} degrees; the surface is within {100 * self.rms:.2g} cm (rms) of its plane"
-        )
 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
@@ -90,15 +66,15 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
     """
     a, b = matches
     if len(a) < MIN_MATCHES:
-        raise RigError(_too_few(len(a)))
+        raise RigError(too_few(len(a)))
     tangents = [np.stack(camera.tangents(*pixel.T), -1) for camera, pixel in ((one, a), (other, b))]
     reach = MAX_EPIPOLAR_ERROR / min(one.fx, other.fx)
     E, inliers = cv2.findEssentialMat(tangents[0], tangents[1], np.eye(3), cv2.RANSAC, 0.9999, reach)
     if E is None or E.shape != (3, 3):
-        raise RigError(_too_few(0))
+        raise RigError(too_few(0))
     good = inliers.ravel() > 0
     if good.sum() < MIN_MATCHES:
-        raise RigError(_too_few(int(good.sum())))
+        raise RigError(too_few(int(good.sum())))
     true = a[good], b[good]
     starts = _starts(np.asarray(E, float), tangents[0][good], tangents[1][good], 10 * reach)
     fits = [_fitted(one, other, true, distance, start) for start in starts]
@@ -146,14 +122,15 @@ def _fitted(
     return placed(np.asarray(fit.x, float)), float(fit.cost)
 
 
-def _too_few(count: int) -> str:
+def too_few(count: int) -> str:
+    """A sentence on too few matches."""
     return (
         f"only {count} features match between both cameras, {MIN_MATCHES} at least are needed: the images "
         "must show texture, be taken at the same moment, and from sides that are not too different"
     )
 
 
-def _unlike_rig(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> str:
+def of_other_images(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> str:
     """A sentence where features match but their sight lines do not meet: the rig is of other images."""
     for pair in {pair for by_pair in matches for pair in by_pair}:
         found = [by_pair[pair] for by_pair in matches if pair in by_pair]
@@ -200,50 +177,3 @@ def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
         ahead &= along_u < MAX_DEPTH_RATIO * np.median(along_u[ahead])
     out: Array = points[ahead]
     return out
-
-
-def level_on_water(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water, from matches of pairs of cameras at each instant."""
-    none = np.empty((0, 3))
-    surfaces = [
-        np.concatenate([none, *(points_of(rig[a], rig[b], pixels) for (a, b), pixels in by_pair.items())])
-        for by_pair in matches
-    ]
-    points = np.concatenate([none, *surfaces])
-    if len(points) < MIN_MATCHES:
-        raise RigError(_unlike_rig(rig, matches) or _too_few(len(points)))
-    levelled, plane = level(rig, *points.T)
-    up = _up(rig, levelled)
-    own = [_up(rig, level(rig, *surface.T)[0]) for surface in surfaces if len(surface) >= MIN_MATCHES]
-    tilts = [_angle(up, other) for other in own]
-    std = float(np.sqrt(np.mean(np.square(tilts)) / (len(tilts) - 1))) if len(tilts) > 1 else float("nan")
-    errors = np.abs(
-        np.concatenate(
-            [
-                epipolar_distance(rig[a], rig[b], *p.T, *q.T)
-                for by_pair in matches
-                for (a, b), (p, q) in by_pair.items()
-            ]
-        )
-    )
-    errors = errors[errors < MAX_EPIPOLAR_ERROR]
-    return Levelled(
-        levelled,
-        _angle(up, np.array([0.0, 0.0, 1.0])),
-        std,
-        plane.rms,
-        float(np.median(errors)) if errors.size else float("nan"),
-        len(points),
-        len(matches),
-    )
-
-
-def _up(old: Rig, new: Rig) -> Array:
-    """The new frame's z in the old one, from a camera's rotations in both."""
-    name = next(iter(old))
-    out: Array = (old[name].R.T @ new[name].R)[:, 2]
-    return out
-
-
-def _angle(a: Array, b: Array) -> float:
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))

@@ -46,9 +46,14 @@ def simulate(scene: str, directory: Path) -> None:
     an experiment: which camera angle, how many beads, what error.
     """
     from wavefield import tank
+    from wavefield.tank.scene_parts import PlatformRig
 
     described = tank.Scene.load(scene)
     with Progress(f"Simulating into {directory}") as progress:
         tank.simulate(described, directory, progress=progress)
     click.echo(f"Wrote {directory}/experiment.yaml; the exact truth is in {directory}/truth.")
-    print_next("calibrate", directory / "experiment.yaml")
+    if isinstance(described.rig, PlatformRig):  # no target at sea
+        rig, distance = directory / "rig.yaml", described.rig.baseline
+        print_next("rig", "level", directory / "experiment.yaml", "--distance", f"{distance:g}", "-o", rig)
+    else:
+        print_next("calibrate", directory / "experiment.yaml")

@@ -23,7 +23,8 @@ KERNEL_BETA = (
     2.30 * KERNEL_WIDTH
 )  # kernel exp(beta (sqrt(1 - s^2) - 1)), for a lattice twice as fine as Nyquist's
 MAX_SNAPSHOTS = 24  # remembered
-MAX_STEP = 0.04  # m, of the lattice where the sea has no short waves
+MAX_STEP = 0.04  # m, of the lattice where the sea has no short waves,
+MIN_STEPS = 300  # or this part of a large basin
 
 
 def _kernel(r: Array) -> Array:
@@ -48,7 +49,8 @@ class Basin:
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
-        step = min(sea.shortest / 4.0, MAX_STEP)
+        extent = max(x[1] - x[0], y[1] - y[0])
+        step = min(sea.shortest / 4.0, max(MAX_STEP, extent / MIN_STEPS))
         margin = KERNEL_WIDTH // 2
         self._step = step
         self._recent: OrderedDict[tuple[float, tuple[str, ...]], Snapshot] = OrderedDict()

@@ -13,7 +13,8 @@ from wavefield.tank.scene_parts import Beads
 Array = NDArray[np.float64]
 Velocity = Callable[[Array, Array], Array]  # x, y to u, v (and w), (2 or 3, ...), m/s
 
-MAX_SUBSTEP_S = 0.025
+MAX_SUBSTEP_S = 0.025  # or, of a sea of long waves,
+MAX_SUBSTEP_PERIODS = 0.06  # of the shortest wave
 GROUP_SIZE = 6  # beads of a cluster
 GROUP_SPREAD = 0.002  # m, standard deviation of their positions
 REMEMBERED_FRAMES = 8  # before the latest one
@@ -37,7 +38,10 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
     NaN for points that leave the basin. Sub-steps of at most 25 ms: over a step of 50 ms of a random sea with
     waves down to 5 cm a bead is misplaced by less than 0.1 um, in a steep one by 0.4 um.
     """
-    steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
+    sea = basin.sea
+    period = 2 * np.pi / float(sea.sigma.max(initial=1e-9))
+    longest = max(MAX_SUBSTEP_S, MAX_SUBSTEP_PERIODS * period if sea.k.size > 1 else 0.0)
+    steps = max(1, int(np.ceil(abs(end - start) / longest - 1e-9)))
     h = (end - start) / steps
     names = ("u", "v")
     position = np.stack([x, y])

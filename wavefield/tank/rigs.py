@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.rig import Camera, Rig
+from wavefield.rig.field import view_on_water
 
 Array = NDArray[np.float64]
 
@@ -76,6 +77,24 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
     return Rig(chosen, {"source": f"exact cameras around a light sheet, {angle:g} degrees"})
 
 
+def platform_rig(height: float, baseline: float, pitch: float, focal: float, size: tuple[int, int]) -> Rig:
+    """Exact cameras side by side at a height and a distance (metres), axes down by the pitch (degrees)."""
+    made = {}
+    for name, side, roll, turn, down, k1 in (
+        ("left", -1, 0.8, 1.1, 0.3, -0.05),
+        ("right", 1, -0.5, -0.9, -0.2, -0.04),
+    ):
+        p, yaw = np.radians([pitch + down, turn * -side])
+        axis = np.array([np.sin(yaw) * np.cos(p), np.cos(yaw) * np.cos(p), -np.sin(p)])
+        right = np.array([np.cos(yaw), -np.sin(yaw), 0.0])
+        c, s = np.cos(np.radians(roll)), np.sin(np.radians(roll))
+        below = np.cross(axis, right)
+        rotation = np.array([c * right + s * below, c * below - s * right, axis])
+        centre = np.array([0.5 * side * baseline, 0.0, height])
+        made[name] = _camera(focal, rotation, -rotation @ centre, size, k1, 0.0)
+    return Rig(made, {"source": f"exact cameras on a platform, {height:g} m above the sea"})
+
+
 def _camera(
     focal: float, rotation: Array, translation: Array, size: tuple[int, int], k1: float, tilt: float
 ) -> Camera:
@@ -104,9 +123,18 @@ def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits along x and y, m, of all that any camera sees between two heights, with a margin."""
-    corners = np.concatenate([rig[name].corners(z) for name in rig for z in (lowest, highest)])
+    corners = np.concatenate([_bounding(rig[name], z) for name in rig for z in (lowest, highest)])
     low, high = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+
+def _bounding(camera: Camera, height: float) -> Array:
+    """Places that bound what a camera sees at a height, (n, 2), m, or short of the horizon."""
+    corners = camera.corners(height)
+    if np.isfinite(corners).all():
+        return corners
+    x, y = view_on_water(camera).T
+    return np.stack(camera.unproject(*camera.project(x, y, 0.0), height), axis=-1)
 
 
 def pixel_footprint(camera: Camera) -> tuple[float, float]:

@@ -19,9 +19,11 @@ from wavefield.tank.scene_parts import (
     Fault,
     Light,
     PaperRig,
+    PlatformRig,
     Probes,
     RigFile,
     SceneRecord,
+    SeaSurface,
     Sheet,
     SheetRig,
     Texture,
@@ -34,6 +36,8 @@ from wavefield.tank.sea_models import RandomSea, SingleWave, StillSea
 def _kind_of_rig(value: object) -> str:
     if isinstance(value, RigFile) or (isinstance(value, Mapping) and "file" in value):
         return "rig-file"
+    if isinstance(value, PlatformRig) or (isinstance(value, Mapping) and "height" in value):
+        return "platform-rig"
     if isinstance(value, Mapping):
         only_of_sheets = set(SheetRig.model_fields) - set(PaperRig.model_fields)
         return "sheet-rig" if only_of_sheets & set(value) else "paper-rig"
@@ -60,6 +64,7 @@ class Scene(SceneRecord):
     rig: Annotated[
         Annotated[PaperRig, Tag("paper-rig")]
         | Annotated[SheetRig, Tag("sheet-rig")]
+        | Annotated[PlatformRig, Tag("platform-rig")]
         | Annotated[RigFile, Tag("rig-file")],
         Discriminator(_kind_of_rig),
     ] = PaperRig()
@@ -68,7 +73,10 @@ class Scene(SceneRecord):
     )
     sea: Annotated[StillSea | SingleWave | RandomSea, Field(discriminator="kind")]
     surface: Annotated[
-        Annotated[Beads, Tag("beads")] | Annotated[Texture, Tag("texture")] | Annotated[Sheet, Tag("sheet")],
+        Annotated[Beads, Tag("beads")]
+        | Annotated[Texture, Tag("texture")]
+        | Annotated[SeaSurface, Tag("sea")]
+        | Annotated[Sheet, Tag("sheet")],
         Discriminator(_kind_of_surface),
     ] = Beads()
     light: Light = Light()

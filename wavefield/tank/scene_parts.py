@@ -70,6 +70,22 @@ class SheetRig(Part):
         return rigs.sheet_rig(self.cameras, self.angle, self.distance, self.pixel, self.size)
 
 
+class PlatformRig(Part):
+    """Two cameras side by side on a platform at sea; they look towards +y, the horizon in view."""
+
+    height: Positive = Field(description="of the cameras above the sea, m")
+    baseline: Positive = Field(default=2.5, description="distance between the cameras, m")
+    pitch: Annotated[float, Field(gt=0, lt=90)] = Field(
+        default=20.0, description="of their axes below the horizontal, degrees"
+    )
+    focal: Positive = Field(default=750.0, description="focal length, px")
+    size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
+
+    def build(self) -> Rig:
+        """Make the rig."""
+        return rigs.platform_rig(self.height, self.baseline, self.pitch, self.focal, self.size)
+
+
 class RigFile(Part):
     """Any cameras, from a rig file."""
 
@@ -125,6 +141,20 @@ class Texture(Part):
     carried: bool = Field(
         default=False, description="moves with the water; else it stays and only its height changes"
     )
+
+
+class SeaSurface(Part):
+    """The open sea by daylight: the sky's reflection by slope, ripples and foam carried by the water."""
+
+    kind: Literal["sea"] = "sea"
+    mesh: Positive = Field(default=0.08, description="size of the finest grains of ripples and foam, m")
+    ripple_slope: NotNegative = Field(
+        default=0.12, description="rms slope of the ripples, by which they shade"
+    )
+    water: NotNegative = Field(default=20.0, description="light from below the surface, grey levels of 255")
+    sky: NotNegative = Field(default=200.0, description="the sky at the horizon, grey levels of 255")
+    foam: NotNegative = Field(default=190.0, description="grey levels of 255")
+    foam_threshold: float = Field(default=2.0, description="of foam, in standard deviations of its texture")
 
 
 class Sheet(Spots):

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -11,12 +12,13 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
-from wavefield.tank import rendered_targets, rigs, sensor, texture
+from wavefield.rig.field import view_on_water
+from wavefield.tank import rendered_targets, rigs, sea_surface, sensor, texture
 from wavefield.tank.basin import Basin
 from wavefield.tank.beads import BeadField, Population, carry
 from wavefield.tank.light_sheet_scene import Particles
 from wavefield.tank.scene import Scene
-from wavefield.tank.scene_parts import Fault, Sheet, Strings, Texture
+from wavefield.tank.scene_parts import Fault, SeaSurface, Sheet, Strings, Texture
 from wavefield.tank.sea import Sea
 from wavefield.tank.truth import Truth, truth
 
@@ -26,7 +28,9 @@ GreyImage = NDArray[np.unsignedinteger]
 MIN_REACH = 0.01  # m: height of the water that the cameras' field is computed for, at least
 MARGIN = 0.05  # m, around what the cameras see
 SHEET_MARGIN = 0.01
-DRIFT_STEP = 0.01  # m: lattice on which painted water is followed back
+DRIFT_STEP = 0.01  # m: lattice on which painted water is followed back, at least
+MAX_DRIFT_STEPS = 300  # along x
+REMEMBERED_DRIFTS = 8  # frames before the latest one
 
 _NO_FAULT = Fault()
 
@@ -60,7 +64,9 @@ class Tank:
         # what moves between two frames must stay inside the basin
         air = 0.15 + 2.0 * np.hypot(*self.sea.current) / scene.frame_rate
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
-        self._drift: tuple[int, list[RectBivariateSpline]] = (-1, [])
+        self._drift_step = max(DRIFT_STEP, (self.x[1] - self.x[0]) / MAX_DRIFT_STEPS)
+        self._drifts: dict[int, list[RectBivariateSpline]] = {}
+        self._drift_lock = Lock()
 
     @cached_property
     def population(self) -> Population | Particles:
@@ -101,7 +107,8 @@ class Tank:
         float
             px: the blur and the bead's own size (variance of a disc: a quarter of its radius squared).
         """
-        size = 0.0 if isinstance(self.scene.surface, Texture) else self.scene.surface.diameter
+        surface = self.scene.surface
+        size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
@@ -123,8 +130,8 @@ class Tank:
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
-        """Beads in the image that a camera gives at a frame; None for a painted surface."""
-        if isinstance(self.scene.surface, Texture):
+        """Beads in the image that a camera gives at a frame; None for a painted surface and the open sea."""
+        if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
 
@@ -132,7 +139,9 @@ class Tank:
         """Image that a camera gives at a frame, with its fault; may be called by several threads."""
         fault = self.scene.faults.get(name, _NO_FAULT)
         frame, source = self._frame_taken(name, frame), fault.shows or name
-        if beads is None:
+        if isinstance(self.scene.surface, SeaSurface):
+            light = self._open_sea(frame, source, self.scene.surface)
+        elif beads is None:
             light = self._painted(frame, source, fault)
         else:
             light = self._beads(beads, frame, source, fault)
@@ -144,7 +153,7 @@ class Tank:
 
     def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
         """Light of beads on the pixels of a camera."""
-        assert not isinstance(self.scene.surface, Texture)
+        assert not isinstance(self.scene.surface, (Texture, SeaSurface))
         camera = _shifted(self.rig[name], fault.shift)
         if any(fault.turned) and frame >= fault.since:
             camera = _turned(camera, fault.turned)
@@ -191,27 +200,74 @@ class Tank:
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z",))
         x, y = texture.cast(_shifted(self.rig[name], fault.shift), snapshot)
-        if settings.carried and frame:
+        if settings.carried:
             x, y = self._origin(x, y, frame)
         image = settings.mean + settings.contrast * self._paint(x, y)
         return gaussian_filter(image, fault.defocus, mode="nearest") if fault.defocus else image
 
+    @cached_property
+    def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
+        """Textures of ripples, and coarser ones of foam, grains of two sizes each."""
+        settings = self.scene.surface
+        assert isinstance(settings, SeaSurface)
+        kinds = [[settings.mesh * 2 ** (kind + size) for size in range(2)] for kind in range(2)]
+        return tuple(
+            tuple(
+                texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed + 100 * kind + size)
+                for size, mesh in enumerate(meshes)
+            )
+            for kind, meshes in enumerate(kinds)
+        )
+
+    def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
+        """Light of the open sea and of the sky on the pixels of a camera."""
+        camera = self.rig[name]
+        seen = sea_surface.meet(
+            camera, self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y")), self.sea.reach
+        )
+        moved = self._drift_since_start(frame)
+        far = float(np.hypot(*view_on_water(camera).T).max())
+        ripples, foam = (
+            sea_surface.texture_at(seen, moved, paints, far) / np.float32(np.sqrt(len(paints)))
+            for paints in self._sea_paints
+        )
+        image = sea_surface.light(camera, seen, settings, foam, ripples)
+        return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
+
     def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
         """Position at the first frame of the water now at (x, y): followed backwards from a lattice."""
-        drift = self._drift  # one name for it: other threads may be drawing other frames
-        if drift[0] != frame:
-            axes = [np.arange(low, high, DRIFT_STEP) for low, high in (self.x, self.y)]
-            lattice_x, lattice_y = np.meshgrid(*axes)
-            first_x, first_y = carry(self.basin, lattice_x, lattice_y, self.time(frame), self.time(0))
-            moved = np.stack([first_x - lattice_x, first_y - lattice_y])
-            moved[:, np.isnan(moved).any(axis=0)] = 0.0
-            self._drift = drift = (frame, [RectBivariateSpline(axes[1], axes[0], d) for d in moved])
-        return x + drift[1][0].ev(y, x), y + drift[1][1].ev(y, x)
+        drift = self._drift_since_start(frame)
+        return x + drift[0].ev(y, x), y + drift[1].ev(y, x)
+
+    def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
+        """Position at the first frame minus that at a frame, along x and y, followed from frame to frame."""
+        axes = [np.arange(low, high, self._drift_step) for low, high in (self.x, self.y)]
+        lattice_x, lattice_y = np.meshgrid(*axes)
+        with self._drift_lock:  # other threads may be drawing other frames
+            last = max((number for number in self._drifts if number <= frame), default=0)
+            if not self._drifts:
+                zero = np.zeros_like(lattice_x)
+                self._drifts[0] = [RectBivariateSpline(axes[1], axes[0], zero) for _ in range(2)]
+            for number in range(last + 1, frame + 1):
+                before = carry(self.basin, lattice_x, lattice_y, self.time(number), self.time(number - 1))
+                moved = np.stack([before[0] - lattice_x, before[1] - lattice_y])
+                moved[:, np.isnan(moved).any(axis=0)] = 0.0
+                at = lattice_y + moved[1], lattice_x + moved[0]
+                earlier = self._drifts[number - 1]
+                self._drifts[number] = [
+                    RectBivariateSpline(axes[1], axes[0], d + e.ev(*at))
+                    for d, e in zip(moved, earlier, strict=True)
+                ]
+                kept = {0, *range(number - REMEMBERED_DRIFTS, number + 1)}
+                self._drifts = {n: d for n, d in self._drifts.items() if n in kept}
+            return self._drifts[frame]
 
     @cached_property
     def target_poses(self) -> dict[str, rendered_targets.Pose]:
         """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``."""
         settings, grid = self.scene.calibration, self.scene.grid
+        if isinstance(self.scene.surface, SeaSurface):
+            return {}  # there is none at sea
         tilted = rendered_targets.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
         flat = rendered_targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
         return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}

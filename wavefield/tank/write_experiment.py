@@ -6,7 +6,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ import zarr
 from wavefield.atomic_write import NEW_FILE, write_text
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
+from wavefield.rig import Rig
 from wavefield.tank.beads import BeadField
 from wavefield.tank.scene import Scene
 from wavefield.tank.simulated_probes import write_probes
@@ -182,6 +183,14 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
     }
     if not scene.probes.positions:
         del experiment["probes"]
+    if not tank.target_poses:  # lenses are all that is known at sea
+        del experiment["calibration"], experiment["grid"]
+        experiment |= {"rig": "lenses.yaml", "settings": {"preset": "texture"}}
+        lenses = {
+            name: replace(camera, rotation=np.eye(3), translation=np.zeros(3))
+            for name, camera in tank.rig.cameras.items()
+        }
+        Rig(lenses, {"source": "lenses alone, without positions"}).save(directory / "lenses.yaml")
     note = f"# A simulated experiment (scene {scene.name}). The exact answer is in truth/.\n"
     write_text(directory / "experiment.yaml", note + _yaml(experiment, 100), NEW_FILE)
     write_text(directory / "scene.yaml", scene.to_yaml(), NEW_FILE)

@@ -1,0 +1,83 @@
+"""Two cameras on a platform, lenses and a baseline alone: the horizon and the mean surface place them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wavefield.calibration.horizon import find_horizon, upward
+from wavefield.calibration.level_on_water import level_on_water
+from wavefield.calibration.relative_pose import match_features, place_second
+from wavefield.rig import Rig
+from wavefield.tank import Scene, Tank
+
+INSTANTS = 4
+
+
+@pytest.fixture(scope="module")
+def platform():
+    """Exact cameras, and images of each at instants that have nothing in common."""
+    scene = Scene.load("sea").with_(rig={"focal": 380.0, "size": (400, 300)}, sea={"shortest": 2.0})
+    tanks = [Tank(scene.with_(seed=40 + k)) for k in range(INSTANTS)]
+    rig = tanks[0].rig
+    return rig, {name: [tank.draw(name, 0, None) for tank in tanks] for name in rig}
+
+
+@pytest.fixture(scope="module")
+def placed(platform):
+    rig, images = platform
+    matches = [match_features(*both) for both in zip(*images.values(), strict=True)]
+    lenses = {n: replace(c, rotation=np.eye(3), translation=np.zeros(3)) for n, c in rig.cameras.items()}
+    both = tuple(np.concatenate([m[side] for m in matches]) for side in (0, 1))
+    lenses["right"] = place_second(lenses["left"], lenses["right"], both, 2.5)
+    return Rig(lenses), [{("left", "right"): m} for m in matches]
+
+
+def tilt_error(found, true):
+    """Of the vertical in a camera's own frame, degrees."""
+    return np.degrees(np.arccos(np.clip(found.R[:, 2] @ true.R[:, 2], -1, 1)))
+
+
+def test_the_horizon_gives_the_vertical(platform):
+    rig, images = platform
+    for name, camera in rig.cameras.items():
+        line = find_horizon(images[name], camera)
+        assert line is not None
+        up = upward(camera, line, 12.0)
+        assert np.degrees(np.arccos(up @ camera.R[:, 2])) < 0.05
+
+
+def test_no_horizon_is_found_where_there_is_none(platform):
+    rig, images = platform
+    for name, camera in rig.cameras.items():
+        below = [image[40:] for image in images[name]]
+        lower = replace(camera, cy=camera.cy - 40, size=(400, 260))
+        assert find_horizon(below, lower) is None
+    rng = np.random.default_rng(0)
+    assert find_horizon([rng.normal(100, 5, (300, 400)) for _ in range(4)], rig["left"]) is None
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_lenses_and_a_baseline_place_and_level_the_cameras(platform, placed, seen):
+    true, images = platform
+    rig, matches = placed
+    horizons = {name: find_horizon(images[name], true[name]) for name in true} if seen else {}
+    found = level_on_water(rig, matches, horizons, 2.5)
+    worst = max(tilt_error(found.rig[name], true[name]) for name in true)
+    assert worst < (0.06 if seen else 0.3)
+    assert worst < 4 * found.tilt_std
+    assert found.tilt_std < (0.2 if seen else 1.0)
+    assert found.height == pytest.approx(12.0, rel=0.02)
+    assert abs(found.height - 12.0) < 4 * found.height_std
+    assert ("the horizon in left, right" in found.sentence) == seen
+    apart = np.linalg.norm(found.rig["left"].centre - found.rig["right"].centre)
+    assert apart == pytest.approx(2.5, abs=1e-9)
+
+
+def test_an_edge_that_the_water_contradicts_is_no_horizon(platform, placed):
+    rig, matches = placed
+    true, images = platform
+    roof = {name: find_horizon(images[name], true[name]) + np.array([0.0, 60.0]) for name in true}
+    found = level_on_water(rig, matches, roof, 2.5)
+    assert "was not used" in found.sentence
+    assert max(tilt_error(found.rig[name], true[name]) for name in true) < 0.3
