@@ -10,6 +10,7 @@ import zarr
 from wavefield.commands.cli import main
 from wavefield.images import read_image, write_image
 from wavefield.pipeline.run_quality import _left_out
+from wavefield.quality.field_remarks import remark_on_unresolved_waves
 from wavefield.variables import Quality
 
 
@@ -86,3 +87,13 @@ def test_a_sound_record_stops_nothing(lab, capsys):
     assert capsys.readouterr().out.startswith("verdict: sound\n")
     assert main(["-q", "run", str(lab), *here]) == 0
     assert capsys.readouterr().out.startswith("verdict: sound\n")
+
+
+def test_waves_that_images_do_not_resolve_are_remarked_upon_by_their_share():
+    def weights(unresolved, w, w_std):
+        return [one.weight for one in remark_on_unresolved_waves(unresolved, 0.02, w, w_std)]
+
+    assert weights(0.0, 0.05, 0.001) == []
+    assert weights(1e-4, 0.05, 0.001) == []
+    assert weights(0.002, 0.05, np.hypot(0.002, 1e-3)) == ["note"]
+    assert weights(0.04, 0.05, np.hypot(0.04, 1e-3)) == ["remark"]

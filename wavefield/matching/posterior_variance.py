@@ -90,7 +90,10 @@ class PosteriorVariance:
         noise, missing = np.array([self._to_full_lattice(f) for f in log_variances]).reshape(
             2, -1, *self.shape
         )
-        hole = hole_mask(information, self.typical_information)
+        # holes are emptier than the rest of their own frame: one that is darker than usual has none for that
+        bare = information[information > 0]
+        own = float(bare.mean()) if bare.size else np.inf
+        hole = hole_mask(information, min(self.typical_information, own))
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
             missing += _in_holes(~hole, self._holes)

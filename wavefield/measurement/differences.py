@@ -39,6 +39,8 @@ class Differences:
     )  # std of the water's motion from frame to frame, metres
     waves: float = 1.0  # fraction of the displacements' spectra that all cameras share (`Prior.waves`)
     noise_variance: float = 0.0  # of dx, dy and dz of the water together, square metres
+    # Std of the rise from frame to frame by waves that blocks do not resolve, and their wavelength, metres
+    unresolved: tuple[float, float] = (0.0, 0.0)
 
 
 def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) -> Differences | None:
@@ -112,4 +114,7 @@ def typical_differences(steps: Sequence[Differences], pixel: float) -> Differenc
         float(np.median(part)) for part in zip(*((one.noise, one.waves, one.noise_variance) for one in steps))
     )
     own = own_noise([one.own for one in steps])
-    return Differences(camera_jitter, True, noise, own, (float(x), float(y), float(z)), waves, noise_variance)
+    rise, wavelength = np.sqrt(np.mean(np.square([one.unresolved for one in steps]), axis=0))
+    unresolved = float(rise), float(wavelength)
+    moved_by_water = float(x), float(y), float(z)
+    return Differences(camera_jitter, True, noise, own, moved_by_water, waves, noise_variance, unresolved)

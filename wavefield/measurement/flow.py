@@ -50,7 +50,8 @@ class FlowEstimate:
     information: Float = field(
         repr=False
     )  # (ny, nx): mean of the two diagonal parts of every block's A, px^-2
-    reason: NDArray[np.uint8] = field(repr=False)  # (ny, nx): bits of `Reason` at the last evaluation
+    # Scores and reasons to reject blocks at the last evaluation
+    found: matching.Displacement | matching.Evaluation = field(repr=False)
     along: tuple[float, float] = (1.0, 1.0)  # factors on the variance of either component
 
 
@@ -89,7 +90,7 @@ def map_displacement(
         if convergence.converged:
             break
     along = matching.component_variance_factors(found.score, found.hessian, found.valid.astype(np.float32))
-    return FlowEstimate(waves, mean, slopes, information, found.reason, along)
+    return FlowEstimate(waves, mean, slopes, information, found, along)
 
 
 def flows(
@@ -115,7 +116,11 @@ def flow_near(
     model: FieldModel,
 ) -> CameraFlow:
     """Displacement of one camera from what matching found."""
-    found = map_displacement(near, one, other, model.modes)
+    return camera_flow(map_displacement(near, one, other, model.modes), model)
+
+
+def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
+    """The MAP displacement, ready to be read."""
     noise, missing = model.spread(found.information)
     spline = model.splined(found.waves, found.slopes)
-    return CameraFlow(spline, noise, missing, found.along, why_rejected(found.reason))
+    return CameraFlow(spline, noise, missing, found.along, why_rejected(found.found.reason))

@@ -20,7 +20,7 @@ from wavefield.measurement import elevation
 from wavefield.measurement.background import bead_width
 from wavefield.measurement.differences import Differences, differences, typical_differences
 from wavefield.measurement.field_samples import DisplacementSample, ElevationSample, FieldSamples
-from wavefield.measurement.flow import flow_near
+from wavefield.measurement.flow import camera_flow, map_displacement
 from wavefield.measurement.frame import usable
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
@@ -28,6 +28,7 @@ from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.model import Model
 from wavefield.measurement.temporal_truncation import temporal_truncation
+from wavefield.measurement.unresolved_waves import unresolved_rise
 
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
@@ -168,6 +169,7 @@ def _learned(
             moved=found.moved,
             noise=tuple(own.items()),
             camera_jitter=found.camera_jitter,
+            unresolved=found.unresolved,
         )
     return replace(record, path_frames=truncation.best_frames(found.moved[2], found.noise_variance))
 
@@ -288,8 +290,12 @@ def _differences(
     if surfaces is None:
         return None
     first, second = step.first.raw, step.second.raw
-    flows = {
-        name: flow_near(found, first[name], second[name], model.displacement[name])
-        for name, found in step.displacements.items()
+    found = {
+        name: map_displacement(one, first[name], second[name], model.displacement[name].modes)
+        for name, one in step.displacements.items()
     }
-    return differences(flows, np.float32(0.5) * (surfaces[0] + surfaces[1]), geometry, model)
+    flows = {name: camera_flow(one, model.displacement[name]) for name, one in found.items()}
+    shown = differences(flows, np.float32(0.5) * (surfaces[0] + surfaces[1]), geometry, model)
+    if shown is None or geometry.settings.sheet_thickness is not None:
+        return shown
+    return replace(shown, unresolved=unresolved_rise(found, surfaces[0], geometry))

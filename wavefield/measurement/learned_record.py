@@ -33,6 +33,9 @@ class LearnedRecord:
         the binned image.
     path_frames : int
         Frames of velocities and of the rate of rise: 6 where that has the smaller error, else 4.
+    unresolved : (float, float)
+        Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and their
+        wavelength, metres (`unresolved_rise`).
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -43,6 +46,7 @@ class LearnedRecord:
     noise: tuple[tuple[str, float], ...] = ()
     camera_jitter: tuple[float, float] = (0.0, 0.0)
     path_frames: int = 4
+    unresolved: tuple[float, float] = (0.0, 0.0)
 
     def width(self, camera: str) -> float:
         """Width of a camera's beads, raw px."""
@@ -68,6 +72,7 @@ class LearnedRecord:
             "noise": dict(self.noise),
             "camera_jitter": list(self.camera_jitter),
             "path_frames": self.path_frames,
+            "unresolved": list(self.unresolved),
         }
 
     @classmethod
@@ -85,6 +90,7 @@ class LearnedRecord:
         """
         x, y, z = map(float, data["moved"])
         along, across = map(float, data["camera_jitter"])
+        rise, wavelength = map(float, data.get("unresolved", (0.0, 0.0)))
         return cls(
             tuple((str(name), float(width)) for name, width in data["beads"].items()),
             Prior.from_dict(data["elevation"]),
@@ -94,4 +100,5 @@ class LearnedRecord:
             tuple((str(name), float(factor)) for name, factor in data["noise"].items()),
             (along, across),
             int(data["path_frames"]),
+            (rise, wavelength),
         )

@@ -20,6 +20,8 @@ from wavefield.measurement.model import Model
 from wavefield.measurement.searched import search_widened
 from wavefield.measurement.step_estimate import StepEstimate, Surfaces, estimate_step
 from wavefield.measurement.temporal_truncation import TemporalTruncation, typical_size
+from wavefield.measurement.unresolved_waves import unresolved_std
+from wavefield.measurement.velocity import SHORT_WAVE_VARIANCES
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
@@ -221,6 +223,11 @@ def _fields(
     tilt, tilt_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     d[:2] -= tilt
     d_std[:2] = np.hypot(d_std[:2], tilt_std)
+    z_std = np.hypot(estimate.mid_time.std, _z_truncation(estimate, measured, truncation))
+    if model.record.unresolved[0]:
+        z_short, rise_short = unresolved_std(*model.record.unresolved, frame_rate)
+        parts = np.sqrt(SHORT_WAVE_VARIANCES, dtype=np.float32) * np.float32(rise_short)
+        d_std, z_std = np.hypot(d_std, parts[:, None, None]), np.hypot(z_std, np.float32(z_short))
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
     return {
         "z": z,
@@ -230,7 +237,7 @@ def _fields(
         "w": d[2] * frame_rate,
         "eps_y": np.float32(0.5) * (first.eps_y + second.eps_y),
         "eps_piv": motion.eps_piv,
-        "z_std": np.hypot(estimate.mid_time.std, _z_truncation(estimate, measured, truncation)),
+        "z_std": z_std,
         "u_std": d_std[0] * frame_rate,
         "v_std": d_std[1] * frame_rate,
         "w_std": d_std[2] * frame_rate,

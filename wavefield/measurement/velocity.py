@@ -29,7 +29,7 @@ Float = NDArray[np.floating]
 Regions = Mapping[str, NDArray[np.bool_]]
 
 _OUTLIER_FRACTION = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
-_SHORT_WAVE_VARIANCES = 0.5, 0.5, 1.0  # of u, v, w in deep water, which the prior removes
+SHORT_WAVE_VARIANCES = 0.5, 0.5, 1.0  # of u, v, w in deep water, which the prior removes
 _MAX_INCONSISTENT_FRACTION = 0.01  # of the nodes, by chance
 _NODES_FOR_MEAN_FLOW = 3000
 _WINDOW_REACH_PX = 20  # half a window of the coarse levels
@@ -197,7 +197,7 @@ def solve_motion(
 def shares(settings: Settings, record: LearnedRecord) -> Float:
     """Relative variances of u, v, w that the prior removes from waves: of water, or in a light sheet."""
     sheet = settings.sheet_thickness is not None
-    return np.asarray(np.square(record.moved) if sheet else _SHORT_WAVE_VARIANCES)
+    return np.asarray(np.square(record.moved) if sheet else SHORT_WAVE_VARIANCES)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
+from wavefield.measurement.unresolved_waves import unresolved_std
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
@@ -15,7 +16,12 @@ from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality import camera_delay, camera_motion
 from wavefield.quality.camera_delay import Synchrony
 from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
-from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
+from wavefield.quality.field_remarks import (
+    remark_on_coverage,
+    remark_on_eps_piv,
+    remark_on_holes,
+    remark_on_unresolved_waves,
+)
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
@@ -24,7 +30,7 @@ from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.ledger import Status
-from wavefield.store.read import open_group
+from wavefield.store.read import open_group, open_without_jitter
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -99,6 +105,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
         *_stored_values(prepared, status),
+        *_short_waves(prepared, status),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
 
@@ -158,6 +165,23 @@ def _stored_values(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
         return
     first = next(iter(prepared.series.values())).first
     yield from remark_on_stored_values(status.store, evenly_spaced(status.steps, LIMITS.steps), first)
+
+
+def _short_waves(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
+    """Waves that are shorter than what images resolve, beside the w that was measured."""
+    record = prepared.record
+    if record is None or not record.unresolved[0]:
+        return
+    rate, (_, wavelength) = prepared.experiment.frame_rate, record.unresolved
+    rise = unresolved_std(*record.unresolved, rate)[1]
+    steps = evenly_spaced(status.steps, LIMITS.steps)
+    cube = open_without_jitter(status.store)[["w", "w_std", "quality"]].isel(time=list(steps)).load()
+    measured = cube.quality.values & int(Quality.MEASURED) != 0
+    if measured.any():
+        w, std = (cube[name].values[measured] for name in ("w", "w_std"))
+        yield from remark_on_unresolved_waves(
+            rise * rate, wavelength, float(np.sqrt(np.mean(np.square(w)))), float(np.median(std))
+        )
 
 
 def _fields(store: Path, in_view: float) -> Iterator[Remark]:

@@ -23,6 +23,11 @@ EXPLANATIONS = {
         "A camera matches the others only when its record is run backwards. Number its images in the order of"
         " time."
     ),
+    "short-waves": (
+        "The beads move beside the measured field, and in all cameras alike: by waves shorter than some 2.5 "
+        "blocks of the images. Their elevation and velocity are contained in the standard uncertainties, not "
+        "in z, u, v, w. Smaller pixels resolve them."
+    ),
     "contradicts": (
         "A camera matches no other one, in no orientation or order that was tried. Usual causes: the rig is "
         "not that of these images, blur, too little light, frames of other moments. `wavefield check "

@@ -13,6 +13,8 @@ MIN_MEASURED = 0.7  # of the nodes in view: fewer are remarked upon
 MIN_USEFUL_MEASURED = 0.2  # fewer are worth nothing
 MAX_EPS_PIV = 0.15  # px: a larger median eps' is remarked upon
 MAX_USEFUL_EPS_PIV = 0.5  # px: a larger one makes values useless
+MAX_UNRESOLVED = 0.3  # of the variance of w by waves that images do not resolve: more is remarked upon
+UNRESOLVED_STD = 2.0  # standard uncertainties of w with them over those without: more is noted
 
 
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
@@ -56,4 +58,28 @@ def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) ->
             f"less than {MAX_EPS_PIV} px",
             "are the frames of the same moments, and of the same order, for all cameras?",
             {"eps_piv": misfit},
+        )
+
+
+def remark_on_unresolved_waves(
+    unresolved: float, wavelength: float, w: float, w_std: float
+) -> Iterator[Remark]:
+    """Report waves that the images do not resolve.
+
+    With the standard deviation of the vertical velocity by them, m/s, their wavelength, metres, the rms of
+    the w that was measured and its standard uncertainty, which contains them, m/s.
+    """
+    share = unresolved**2 / (unresolved**2 + w**2) if unresolved else 0.0
+    others = max(w_std**2 - unresolved**2, 0.0)
+    if share > MAX_UNRESOLVED or unresolved**2 > (UNRESOLVED_STD**2 - 1.0) * others:
+        yield Remark(
+            "surface",
+            "short waves",
+            "remark" if share > MAX_UNRESOLVED else "note",
+            f"waves of about {100 * wavelength:.2g} cm and less, which the images do not resolve, have"
+            f" {100 * share:.2g} % of the variance of w: w of single nodes is uncertain by"
+            f" {1e3 * unresolved:.2g} mm/s for them, which the standard uncertainties contain",
+            f"less than {100 * MAX_UNRESOLVED:.0f} %",
+            "for these waves take images with smaller pixels; means over nodes and longer waves are sound",
+            {"fraction": share, "w_std": unresolved},
         )

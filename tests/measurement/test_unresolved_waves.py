@@ -1,0 +1,72 @@
+"""Waves shorter than blocks move the beads of all cameras alike: they are found, noise is not."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from measurement_cases import RATE
+
+from wavefield.measurement import LearnedRecord, Model, measure
+from wavefield.measurement.regrid import BlockLattice
+from wavefield.measurement.unresolved_waves import unresolved_rise, unresolved_std
+
+SIDE = 60
+LATTICE = BlockLattice(2.0, 2.0, 5.0, (SIDE, SIDE))
+SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
+    "cam1": [[450.0, 0, 450], [0, 640, 0]],
+    "cam2": [[450.0, 0, -450], [0, 640, 0]],
+    "cam3": [[540.0, 0, 0], [0, 540, 0]],
+}
+
+
+def found(seed, waves, noise, cameras):
+    """Rise found where beads move by short waves with this std of the rise, m, and by noise, px."""
+    rng = np.random.default_rng(seed)
+    water = rng.normal(0, waves, (3, SIDE, SIDE)) * np.sqrt([0.5, 0.5, 1.0])[:, None, None]
+    valid = rng.random((SIDE, SIDE)) > 0.1
+    hessian = rng.gamma(2.0, 1.0, (3, SIDE, SIDE)).astype(np.float32)
+    hessian[1] = 0.1 * np.sqrt(hessian[0] * hessian[2])
+    xx, xy, yy = hessian
+    y, x = LATTICE.step * np.mgrid[:SIDE, :SIDE] + LATTICE.x0
+    estimates, sights = {}, {}
+    for name in cameras:
+        J = np.array(SIGHTS[name])
+        u, v = np.einsum("ik,kyx->iyx", J, water) + rng.normal(0, noise, (2, SIDE, SIDE))
+        one = SimpleNamespace(
+            hessian=hessian, score=np.stack([xx * u + xy * v, xy * u + yy * v]), valid=valid
+        )
+        estimates[name] = SimpleNamespace(found=one)
+        at = np.concatenate([np.stack([x, y]), np.broadcast_to(J.reshape(6, 1, 1), (6, SIDE, SIDE))])
+        sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
+    return unresolved_rise(estimates, np.zeros((SIDE, SIDE)), SimpleNamespace(sights=sights))
+
+
+@pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])
+def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_not(cameras):
+    for seed in range(6):
+        noise = float(np.random.default_rng(seed).uniform(0.01, 0.3))
+        assert found(seed, 0.0, noise, cameras)[0] == 0.0
+        size = 2.0 * noise / 500.0
+        rise, wavelength = found(seed, size, noise, cameras)
+        twice, _ = found(seed, 2.0 * size, 2.0 * noise, cameras)
+        assert 0.8 * size < rise < 2.2 * size  # of two cameras' blocks not all beads are the same
+        assert twice == pytest.approx(2.0 * rise)
+        assert wavelength == pytest.approx(2.5 * 5.0 / 540.0, rel=0.1)
+
+
+def test_without_blocks_in_common_no_waves_are_found():
+    assert found(1, 1e-3, 0.1, ("cam1",)) == (0.0, 0.0)
+
+
+def test_standard_uncertainties_contain_them_and_values_do_not_change(series, geometry, model):
+    waves = 2e-4, 0.02
+    record = replace(model.record, unresolved=waves)
+    assert LearnedRecord.from_dict(record.to_dict()) == record
+    without, cube = (measure(series.block(0, 1), geometry, RATE, m) for m in (model, Model(geometry, record)))
+    z, rise = unresolved_std(*waves, RATE)
+    for name, std in {"z": z, "u": np.sqrt(0.5) * rise * RATE, "w": rise * RATE}.items():
+        assert np.array_equal(cube[name], without[name], equal_nan=True)
+        good = np.isfinite(cube[name]) & ((cube["quality"] & 1) > 0)
+        added = np.sqrt(np.square(cube[f"{name}_std"]) - np.square(without[f"{name}_std"]))
+        assert added[good] == pytest.approx(std, rel=1e-2)

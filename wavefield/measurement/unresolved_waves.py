@@ -1,0 +1,118 @@
+"""Waves that are too short for the blocks: how far they move single beads, in all cameras alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.matching import Displacement, Evaluation
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.measurement.flow import FlowEstimate
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.regrid import BlockLattice
+from wavefield.measurement.velocity import SHORT_WAVE_VARIANCES
+from wavefield.water import dispersion
+
+Float = NDArray[Any]
+Blocks = NDArray[np.intp]
+
+WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not resolve
+_COMMON_OF_BEADS = 0.15  # of a block's variance: overlapping beads of unsteady brightness, without any waves
+_SEEN_IN_COMMON = 0.25  # of the variance of short waves: two cameras' blocks do not hold the same beads
+_RIDGE = 0.1  # of the typical Hessian
+_MAX_STD = 3.0  # single blocks are limited to so many standard deviations
+_MIN_BLOCKS = 50
+_MEDIAN_SQUARE = 0.455  # of a standard normal variable
+
+
+def unresolved_rise(
+    found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry
+) -> tuple[float, float]:
+    """Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and wavelength.
+
+    What single blocks move beside the MAP field is noise, and waves that are as short as blocks: those move
+    the beads in the images of all cameras. Of short waves of any direction, with variance c of their rise,
+    two cameras have the covariance J_a diag(1/2, 1/2, 1) J_b^T c, with which the products of their blocks are
+    compared by least squares. With the surface z (ny, nx), metres; returns metres.
+    """
+    motions, jacobians, scales = {}, {}, []
+    for name, one in found.items():
+        sight = geometry.sights[name]
+        x, y, *jacobian = sight.at(z).reshape(8, -1)
+        columns, rows, inside = _blocks_at(sight.lattice, x, y)
+        motions[name] = np.where(inside, _block_motion(one.found)[:, rows, columns], np.nan)
+        jacobians[name] = np.reshape(jacobian, (2, 3, -1)).astype(np.float64)
+        scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
+    common, total = [], []
+    for a, b in combinations(motions, 2):
+        both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
+        if both.sum() < _MIN_BLOCKS:
+            continue
+        (p, J), (q, K) = ((_limited(motions[n][:, both]), jacobians[n][..., both]) for n in (a, b))
+        expected = _covariance(J, K)
+        common.append(float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected))))
+        own = [np.mean(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
+        total.append(2.0 * p.shape[1] * float(np.sqrt(own[0] * own[1])))
+    if not common:
+        return 0.0, 0.0
+    beads = _COMMON_OF_BEADS * float(np.mean(total))
+    variance = max(float(np.mean(common)) - beads, 0.0) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
+    return float(np.sqrt(variance)), float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales))
+
+
+def _blocks_at(lattice: BlockLattice, x: Float, y: Float) -> tuple[Blocks, Blocks, NDArray[np.bool_]]:
+    """Column and row of the blocks nearest to places x, y (n,), px, and whether places are on the lattice."""
+    ny, nx = lattice.shape
+    column, row = (np.rint((v - v0) / lattice.step) for v, v0 in ((x, lattice.x0), (y, lattice.y0)))
+    inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
+    return column.clip(0, nx - 1).astype(np.intp), row.clip(0, ny - 1).astype(np.intp), inside
+
+
+def _covariance(J: Float, K: Float) -> Float:
+    """Covariance of displacements in two images, (2, 2, n), of short waves whose rise has the variance 1."""
+    return np.asarray(np.einsum("ikn,k,jkn->ijn", J, np.array(SHORT_WAVE_VARIANCES), K))
+
+
+def _block_motion(found: Displacement | Evaluation) -> Float:
+    """Displacement of every block beside the field at which it was evaluated, (2, ny, nx), px.
+
+    NaN where a block has little texture in either direction.
+    """
+    xx, xy, yy = found.hessian
+    trace = (xx + yy)[found.valid]
+    ridge = np.float32(_RIDGE * np.median(trace)) if trace.size else np.float32(1)
+    scale = np.float32(1) / np.maximum((xx + ridge) * (yy + ridge) - xy * xy, np.float32(1e-30))
+    x, y = found.score
+    out = np.stack([(yy + ridge) * x - xy * y, (xx + ridge) * y - xy * x]) * scale
+    out[:, ~(found.valid & (xx > 2 * ridge) & (yy > 2 * ridge))] = np.nan
+    return np.asarray(out)
+
+
+def _limited(values: Float) -> Float:
+    """Values (2, n) within some standard deviations."""
+    limit = _MAX_STD * float(np.sqrt(np.median(np.square(values)) / _MEDIAN_SQUARE))
+    return np.clip(values, -limit, limit)
+
+
+def unresolved_std(rise: float, wavelength: float, frame_rate: float) -> tuple[float, float]:
+    """Standard deviations of z and of the rise per step at mid-time by waves that blocks do not resolve.
+
+    All metres, Hz; from their rise between two frames. With a the standard deviation of their elevation and p
+    their phase per frame, the rise between two frames has the variance 2 a^2 (1 - cos p), or 2 a^2 where
+    phases are distributed evenly; that at mid-time has the variance (a p)^2.
+
+    Examples
+    --------
+    >>> for rate in (10.0, 100.0):
+    ...     z, rise = unresolved_std(1e-4, 0.02, rate)
+    ...     print(f"{1e3 * z:.2f} mm, {1e3 * rise:.2f} mm")
+    0.07 mm, 0.52 mm
+    0.14 mm, 0.10 mm
+    """
+    phase = float(dispersion(2.0 * np.pi / wavelength)) / frame_rate
+    z = rise / np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi))))
+    return float(z), float(z * phase)
