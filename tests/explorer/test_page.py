@@ -154,3 +154,45 @@ def test_what_is_missing_beside_a_cube_is_a_sentence(cube):
     page, _ = build(cube)
     assert "no waves yet" in page.session.run.reason("waves")
     assert "no images" in page.panels.cameras().words.text
+
+
+def test_early_steps_are_shown_as_such_and_never_saved(tmp_path):
+    from explorer_cases import block_fields
+
+    from wavefield.explorer.save import area_fields, node_series, step_fields
+    from wavefield.store.early import create_early, write_early
+    from wavefield.store.preview import open_preview
+    from wavefield.store.read import open_group
+
+    path = tmp_path / "cube.zarr"
+    create_cube(path)
+    group = open_group(path)
+    create_early(path, open_preview(path, group, "r+"), group, 8)
+    write_cube_block(path, 0)
+    place = Place("z", 59, node=(0.1, 0.1), line=(-0.2, 0, 0.2, 0), area=(-0.1, -0.1, 0.1, 0.1))
+    page, _ = build(path, place)
+    title = page.panels.map.figure.title
+    assert title.text.endswith("not measured yet")
+    time, y, x = (np.asarray(group[name][:]) for name in ("time", "y", "x"))
+    for step in (16, 48, 56, 64):
+        write_early(path, group, step, block_fields(time[step : step + 1], y, x))
+    assert page.session.record.preview.more_early()
+    page.session.record.preview.load()
+    page.recheck()
+    assert title.text.endswith(f"not measured yet; preview of t = {time[56]:.3f} s, from two frames")
+    assert np.isfinite(page.panels.map.sources["image"].data["image"][0]).any()
+    page.panels.node.show(place)
+    assert sorted(page.panels.node.sources["z_early"].data["t"]) == time[[48, 56, 64]].tolist()
+    page.header.show()
+    assert "preview: 4 steps over the record" in page.header.state.text
+    record = page.session.record
+    assert np.isfinite(node_series(record, place).z).sum() == 40
+    assert np.isfinite(area_fields(record, place).z[40:]).sum() == 0
+    assert np.isfinite(step_fields(record, place).z).sum() == 0
+    write_cube_block(path, 40)
+    page.recheck()
+    page.session.record.preview.load()
+    page.recheck()
+    assert title.text.endswith(f"t = {time[59]:.3f} s")
+    page.panels.node.show(place)
+    assert len(page.panels.node.sources["z_early"].data["t"]) == 0

@@ -53,6 +53,7 @@ Examples:
   wavefield run experiment.yaml                      # writes cube.zarr next to it
   wavefield run .                                    # the experiment in this folder
   wavefield run experiment.yaml --frames 0:50        # a trial, into cube_0_50.zarr
+  wavefield run experiment.yaml --preview            # the whole record in `wavefield look` after a minute
   wavefield run experiment.yaml -o cube.zarr --workflow workflows/slurm.yaml
   wavefield run campaign.yaml run07 run08            # entries of a catalog
   wavefield run campaign.yaml -p location=/disk2     # a catalog whose images are elsewhere
@@ -69,6 +70,11 @@ Examples:
     callback=_range,
     help="A trial: only the frames from number FIRST to before STOP, into a cube of its own.",
 )
+@click.option(
+    "--preview",
+    is_flag=True,
+    help="Measure some steps of the whole record first: `wavefield look` shows it after about a minute.",
+)
 @campaign_commands.PARAMETERS
 @JSON
 @click.pass_context
@@ -80,6 +86,7 @@ def run(
     workflow: Path | None,
     output: Path | None,
     frames: tuple[int, int] | None,
+    preview: bool,
     parameters: dict[str, str],
     as_json: bool,
 ) -> None:
@@ -96,11 +103,14 @@ def run(
     if output is None and is_store(source):
         output = source
     source = experiment_file(source)
-    with Progress(f"Measuring {source}", "steps") as progress:
+    with Progress(f"{'Previewing' if preview else 'Measuring'} {source}", "steps") as progress:
         how: dict[str, Any] = {"rig": rig, "workflow": workflow}
         if campaign_commands.is_campaign(source, entries, parameters):
-            if frames:
-                raise click.UsageError("a trial is of one experiment: leave out --frames, or name its file")
+            if frames or preview:
+                raise click.UsageError(
+                    "a trial or a preview is of one experiment: leave out --frames and --preview, or name "
+                    "its file"
+                )
 
             def report_progress(done: int, total: int, sentence: str) -> None:
                 progress.stage = f"Measuring {sentence.split(':')[0]}"  # which run of how many
@@ -111,9 +121,13 @@ def run(
             )
         else:
             measured, output = _trial(source, frames, output) if frames else (source, output)
-            states = [
-                pipeline.run(measured, output, progress=lambda done, total, _: progress(done, total), **how)
-            ]
+            early = progress.stage_of(f"Previewing {source}", "steps")
+            later = progress.stage_of(f"Measuring {source}", "steps")
+
+            def report(done: int, total: int, sentence: str) -> None:
+                (early if sentence == "preview" else later)(done, total)
+
+            states = [pipeline.run(measured, output, preview=preview, progress=report, **how)]
     if as_json:
         click.echo(json.dumps([state.to_dict() for state in states], indent=1, default=str))
     else:

@@ -57,7 +57,7 @@ class AreaPanel:
         """Show the rectangle of a place."""
         record, preview = self._record, self._record.preview
         name = place.show if place.show in preview.thin.names and place.show != "quality" else "w"
-        drawn = (place.area, name, int(preview.loaded.sum()))
+        drawn = (place.area, name, preview.count)
         if place.area is None or drawn == self._drawn:
             return
         self._drawn = drawn

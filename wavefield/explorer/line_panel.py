@@ -83,7 +83,7 @@ class LinePanel:
             return
         self.mapper.update(palette=palette(place.colours or shown.colour_map), low=limits[0], high=limits[1])
         self.diagram.title.text = shown.label
-        drawn = (place.line, name, int(record.preview.loaded.sum()))
+        drawn = (place.line, name, record.preview.count)
         if self._drawn != drawn or not self._well_inside(place.step):
             self._drawn = drawn
             self._show_diagram(place.step, name, x, y)
@@ -93,7 +93,12 @@ class LinePanel:
         low = int(np.clip(step - _DIAGRAM_STEPS // 2, 0, max(0, record.layout.steps - _DIAGRAM_STEPS)))
         steps = slice(low, min(low + _DIAGRAM_STEPS, record.layout.steps))
         values = time_distance(
-            preview.stored(name)[..., steps], preview.scale(name), preview.x, preview.y, x, y
+            preview.stored(name)[..., preview.shown_steps(steps)],
+            preview.scale(name),
+            preview.x,
+            preview.y,
+            x,
+            y,
         )
         along = np.linspace(0.0, float(np.hypot(x[-1] - x[0], y[-1] - y[0])), values.shape[1])
         time = record.time[steps]

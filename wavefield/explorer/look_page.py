@@ -51,7 +51,7 @@ class LookPage:
         self._document: Document | None = None
         self._scheduled: set[str] = set()  # names of drawings that are due
         self._chunks_shown = -1  # of the preview
-        self._status_shown = -1  # of the step of the map
+        self._status_shown: tuple[int, int | None] = -1, None  # of the step of the map, and its early one
         self._setting_limits = False  # by the program
         self._listen()
 
@@ -222,7 +222,10 @@ class LookPage:
         """What the map shows of the displayed variable and of u and v, (ny, nx); None while it is read."""
         record, place = self.session.record, self.place
         if not place.averaged:
-            return {name: record.field(name, place.step) for name in self._request().names}
+            early, names = record.preview.early_step(place.step), self._request().names
+            if early is not None:
+                return {name: record.preview.early_field(name, early) for name in names}
+            return {name: record.field(name, place.step) for name in names}
         found = self.averages.get(self._request(), self._document)
         return {name: getattr(average, place.average) for name, average in found.items()} if found else None
 
@@ -240,15 +243,22 @@ class LookPage:
         self._setting_limits = True
         self.controls.low.value, self.controls.high.value = self.panels.limits(place)
         self._setting_limits = False
-        self._status_shown = int(record.ledger[place.step])
+        self._status_shown = self._status()
+        code, early = self._status_shown
         shown = display(place.show)
         what = f"{place.show}: {shown.long_name}{shown.in_unit}"
         if place.averaged:
             words = f"{what}, {AVERAGES[place.averaged]}"
         else:
-            status = _STATUS_WORDS.get(FrameStatus(self._status_shown), "")
+            status = _STATUS_WORDS.get(FrameStatus(code), "")
+            if early is not None:
+                status += f"; preview of t = {record.time[early]:.3f} s, from two frames"
             words = f"{what}, t = {record.time[place.step]:.3f} s{status}"
         panel.figure.title.text = words
+
+    def _status(self) -> tuple[int, int | None]:
+        record, step = self.session.record, self.place.step
+        return int(record.ledger[step]), record.preview.early_step(step)
 
     def _show_view(self) -> None:
         self.panels.show_view(self.place)
@@ -266,12 +276,15 @@ class LookPage:
     def recheck(self) -> None:
         """Read the ledger again, and show what is new; other pages of the server may have noticed first."""
         record = self.session.record
-        if record.steps_done < record.layout.steps and record.refresh():
-            self.session.load()
-            self.header.show_verdict()
-        if record.ledger[self.place.step] != self._status_shown:
+        if record.steps_done < record.layout.steps:
+            changed = record.refresh()
+            if changed or record.preview.more_early():
+                self.session.load()
+            if changed:
+                self.header.show_verdict()
+        if self._status() != self._status_shown:
             self.redraw()
-        chunks = int(record.preview.loaded.sum())
+        chunks = record.preview.count
         if chunks != self._chunks_shown and (record.preview.complete or not self.place.node):
             self._show_picked()
         self._chunks_shown = chunks

@@ -60,8 +60,14 @@ class NodePanel:
         # One source per figure: what arrives together is painted once, and all of it must fit a browser's
         # buffer of 128 kB, or half of it is painted first.
         series = {f"{name}_series": "t value low high" for name in self._main}
+        early = {f"{name}_early": "t value" for name in self._main}
         self.sources = make_sources(
-            "node", **series, other_series="t value", quality="left right kind", probe_series="t value"
+            "node",
+            **series,
+            **early,
+            other_series="t value",
+            quality="left right kind",
+            probe_series="t value",
         )
         self.now = Span(dimension="height", location=0, line_color=INK, line_dash="dotted")
         self.figures: dict[str, figure] = {}
@@ -98,6 +104,7 @@ class NodePanel:
             made.line("t", "value", source=source, color=BLUE, line_width=1.1)
         else:
             draw_band(made, source, "t", "value", line_width=1.1)
+            made.scatter("t", "value", source=self.sources[f"{name}_early"], color=BLUE, size=3)
         if name == "z":
             made.line(
                 "t", "value", source=self.sources["probe_series"], color=VERMILION, line_width=1.3,
@@ -176,14 +183,18 @@ class NodePanel:
     def _show_series(self) -> None:
         part = self._window()
         time = self._record.time[part]
+        early = [k for k in list(self._record.preview.early) if not self._record.ledger[k]]
         for name in self._main:
             factor = display(name).factor
-            values = self._series(name, factor)[part]
+            series = self._series(name, factor)
+            values = series[part]
             std = np.full_like(values, np.nan)
             if f"{name}_std" in self._record.stored:
                 std = self._series(f"{name}_std", factor)[part]
             t, value, std = envelope(time, values, std)
             low, high = band(value, std, thinned=t.size < time.size)
+            if early or len(self.sources[f"{name}_early"].data["t"]):
+                self.sources[f"{name}_early"].data = {"t": self._record.time[early], "value": series[early]}
             self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
         self._show_probe(part)
         self._show_other()

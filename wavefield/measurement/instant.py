@@ -87,6 +87,17 @@ def images_of(
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = _ready_frames(frames, geometry, beads, masks)
+    flat = _rectified(ready_frames, geometry, covered)
+    return _with_raw(flat, ready_frames, geometry, covered)
+
+
+def _with_raw(
+    flat: Mapping[str, matching.PreparedImage],
+    ready_frames: Mapping[str, NDArray[Any]],
+    geometry: GridGeometry,
+    covered: Mapping[str, Covered],
+) -> Images:
+    """Rectified images with those for matching in time."""
     raw = {
         name: matching.prepare(
             sharpened(ready_frames[name], IN_TIME),
@@ -97,13 +108,16 @@ def images_of(
         if name in ready_frames
     }
     missing = frozenset(name for name in geometry.cameras if name not in ready_frames)
-    return Images(_rectified(ready_frames, geometry, covered), raw, missing, covered)
+    return Images(flat, raw, missing, covered)
 
 
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
     """Elevation and prepared images of one instant; masks are True where pixels do not count."""
-    images = images_of(frames, geometry, dict(model.record.beads), masks)
-    found = surface(images.flat, geometry, model)
-    return Instant(found, replace(images, flat={}), frames, masks or {})
+    masks = masks or {}
+    covered = covered_in(masks, geometry)
+    ready_frames = _ready_frames(frames, geometry, dict(model.record.beads), masks)
+    # the rectified images are dropped before those for matching in time are made: either takes 20 MB
+    found = surface(_rectified(ready_frames, geometry, covered), geometry, model)
+    return Instant(found, _with_raw({}, ready_frames, geometry, covered), frames, masks)

@@ -100,8 +100,9 @@ def measure(
         covered = {name: masks[name][number] for name in masks} if masks else None
         window.append(measure_instant(instant, geometry, model, covered))
         if AROUND - neighbours < number <= steps + AROUND + neighbours:
-            images = window[-2].images.raw, window[-1].images.raw
-            moves.append(flows(*images, geometry.settings.piv, model))
+            first, second = (one.images for one in window[-2:])
+            moves.append(flows(first.raw, second.raw, geometry.settings.piv, model))
+            del first, second  # they take most of the memory
         if number:
             window[-2] = window[-2].without_images()
         if len(window) == 2 * AROUND + 2:

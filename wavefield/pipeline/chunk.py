@@ -58,6 +58,10 @@ class Chunk:
         return self.stop - self.start
 
 
+class EarlyStep(Chunk):
+    """One step with its own two frames alone, measured before its chunk, for a first look."""
+
+
 @dataclass(frozen=True)
 class Measured:
     """Results of a chunk."""

@@ -21,8 +21,9 @@ from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.lock import Lock
 from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.chunk import Chunk, make_chunk, read_frame
+from wavefield.pipeline.chunk import Chunk, EarlyStep, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work
+from wavefield.pipeline.early import SECONDS, plan_early
 from wavefield.pipeline.experiment_of_cube import labels
 from wavefield.pipeline.fingerprint import check_images, fingerprints
 from wavefield.pipeline.learning import learn_record
@@ -31,6 +32,7 @@ from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
+from wavefield.store.early import drop_early
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
 from wavefield.store.ledger_files import ledger_checksum
@@ -60,6 +62,7 @@ def run(
     *,
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
+    preview: bool = False,
     progress: ProgressFunction | None = None,
 ) -> Status:
     """Process an experiment into a cube; goes on where an earlier run stopped.
@@ -74,8 +77,12 @@ def run(
         In place of the one that the experiment names.
     workflow : path or Workflow, optional
         Cluster and recipe; by default the processes of this machine.
+    preview : bool
+        Measure some steps of the whole record first, within about a minute, each from its own two frames:
+        `wavefield look` shows them until the run has measured their chunks. They never enter the cube.
     progress : callable, optional
-        Called with steps done, steps of the whole run, and a sentence.
+        Called with steps done, steps of the whole run, and a sentence; while the preview is measured with
+        its steps and the word ``preview``.
 
     Returns
     -------
@@ -124,6 +131,7 @@ def run(
     >>> found.complete, shape
     (True, (2, 13, 9))
     """
+    preview_until = time.monotonic() + SECONDS if preview else None
     experiment, workflow = load_files(experiment, workflow)
     path = Path(out) if out is not None else experiment.resolve("cube.zarr")
     with ExitStack() as stack:
@@ -136,17 +144,21 @@ def run(
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)
             refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
-        return process(prepared, lock, map_unordered, progress)
+        return process(prepared, lock, map_unordered, progress, preview_until)
 
 
 def process(
-    prepared: PreparedRun, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None = None
+    prepared: PreparedRun,
+    lock: Lock,
+    map_unordered: MapFunction,
+    progress: ProgressFunction | None = None,
+    preview_until: float | None = None,
 ) -> Status:
     """Create the store or go on with it, until every chunk is done."""
     path = lock.store
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
-            _go_on(prepared, lock, map_unordered, progress)
+            _go_on(prepared, lock, map_unordered, progress, preview_until)
         except KeyboardInterrupt as stop:
             raise RunStopped(
                 f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
@@ -162,22 +174,28 @@ def process(
     state_jitter(path, jitter[0] if jitter else {})
     verdict.save(path)
     if found.complete:
+        drop_early(path, open_group(path))
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
     return status(path)
 
 
 def _go_on(
-    prepared: PreparedRun, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None
+    prepared: PreparedRun,
+    lock: Lock,
+    map_unordered: MapFunction,
+    progress: ProgressFunction | None,
+    preview_until: float | None,
 ) -> None:
     path = lock.store
     prepared, layout = _open_or_create(prepared, path)
     mark_complete(path, None)
     ranges = unfinished(path, layout, prepared.series)
+    early = plan_early(prepared, path, ranges, preview_until) if preview_until and ranges else []
     todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
-    tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
+    tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress, len(early))
     tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
     if todo:
-        _work_off(prepared, lock, todo, map_unordered, tracker)
+        _work_off(prepared, lock, [*early, *todo], map_unordered, tracker)
     tracker.report("done")
 
 
@@ -287,6 +305,11 @@ def _work_off(
             lock.check()
             if isinstance(result, WavefieldError):
                 raise result
+            if isinstance(chunk, EarlyStep):
+                if isinstance(result, BaseException):
+                    log.warning("step %d of the preview failed", chunk.start, exc_info=result)
+                tracker.add_early()
+                continue
             if isinstance(result, BaseException):
                 log.error("steps %d to %d failed", chunk.start, chunk.stop - 1, exc_info=result)
                 failures.append((chunk, result))
@@ -298,8 +321,9 @@ def _work_off(
             tracker.add(result.stop - result.start)
     if failures:
         chunk, error = failures[0]
+        chunks = sum(not isinstance(one, EarlyStep) for one in todo)
         raise StoreError(
-            f"{len(failures)} of {len(todo)} chunks failed, the first (steps {chunk.start} to "
+            f"{len(failures)} of {chunks} chunks failed, the first (steps {chunk.start} to "
             f"{chunk.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
             "command again to retry"
         ) from error
@@ -323,14 +347,24 @@ class _MessageLog:
 class _Tracker:
     """Counts steps, and reports the progress to the log and to the user."""
 
-    def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
+    def __init__(self, total: int, done: int, progress: ProgressFunction | None, early: int) -> None:
         self.total, self.done, self._progress = total, done, progress
+        self._early, self._early_done = early, 0  # steps of the preview
         self._since, self._before = time.monotonic(), done
         self._logged = 0.0
 
     def start(self) -> None:
         self._since = time.monotonic()
         self.report("")
+
+    def add_early(self) -> None:
+        """Count a step of the preview; the time left of the run is counted from the last of them."""
+        self._early_done += 1
+        self._since = time.monotonic()
+        if self._progress:
+            self._progress(self._early_done, self._early, "preview")
+        if self._early_done == self._early:
+            log.info("preview: %d steps done, `wavefield look` shows them", self._early)
 
     def add(self, steps: int) -> None:
         self.done += steps
@@ -348,5 +382,5 @@ class _Tracker:
         self._report_progress(sentence)
 
     def _report_progress(self, sentence: str) -> None:
-        if self._progress:
+        if self._progress and self._early_done == self._early:
             self._progress(self.done, self.total, sentence)

@@ -8,3 +8,6 @@ import os
 from wavefield.execution.worker_settings import THREAD_VARIABLES
 
 os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+
+import wavefield.measurement.measure
+import wavefield.pipeline.chunk_worker  # noqa: F401
