@@ -46,7 +46,7 @@ def _interval_names(name: str) -> tuple[str, str] | None:
     """Spectrum whose interval begins at a variable ``low_...``, and how it is counted."""
     stem = name.removeprefix("low_")
     if stem.startswith("nonlinear_ratio"):
-        return stem, f"{stem}, values"
+        return stem, stem
     if stem.startswith("komega_"):
         return f"E_{stem}", "E(k, omega) of " + stem.removeprefix("komega_")
     if stem.startswith("E_k_"):
@@ -65,8 +65,7 @@ def _factors(tree: xr.DataTree, group: str) -> Iterator[tuple[str, Array, Array,
             continue
         value, low, high = (data[n].values for n in (names[0], name, str(name).replace("low_", "high_", 1)))
         there = np.isfinite(value) & np.isfinite(low) & np.isfinite(high) & (value > 0)
-        if names[1].endswith(", values"):
-            low, high = low / value, high / value
+        if names[0].startswith("nonlinear_ratio"):
             axis = "k" if names[0].endswith("_k") else "omega"
             energy = tree["spectra"]["E_k_w" if axis == "k" else "E_w"].values
             there &= energy > STRONG * np.nanmax(energy)
@@ -77,7 +76,7 @@ def _factors(tree: xr.DataTree, group: str) -> Iterator[tuple[str, Array, Array,
         valid = "valid_" + names[0].removeprefix("Ez_")
         if names[0].startswith("Ez_") and valid in data:
             there &= data[valid].values
-        yield names[1].removesuffix(", values"), value, low, high, there
+        yield names[1], value, low, high, there
 
 
 def _intervals(one: xr.DataTree, other: xr.DataTree) -> Iterator[Count]:

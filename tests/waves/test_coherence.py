@@ -5,6 +5,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
+from independent_seas import random_lattice_sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
@@ -145,3 +146,22 @@ def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
     assert np.isnan(C["gamma2_nl"]).all()
     assert np.isnan(C["gamma2_nl_komega"]).all()
     assert np.isfinite(C["gamma2_w"]).sum() == np.isfinite(C["gamma2_tot"]).sum() > 0
+
+
+def test_of_linear_seas_the_nonlinear_term_exceeds_its_level_in_about_five_percent():
+    # neither too often nor, as with samples counted from cells that share no ridge, hardly ever
+    over = {"": [], "_komega": []}
+    for seed in (21001, 21002, 21003, 21004, 21005):
+        sea, _ = random_lattice_sea(seed)
+        cube = sea.cube(seed)
+        spectra = wv.cross_spectra(cube, ("rise", "nl"))
+        there = spectra.valid
+        for name in ("E_rise", "E_nl"):
+            there &= spectra[name] > 1e-3 * spectra[name].max()
+        found = wv.coherence(cube)
+        exceeded = found.gamma2_nl_komega > found.level_nl_komega
+        over["_komega"].append(float(exceeded.where(there).mean()))
+        strong = spectra.E_rise.sum("omega") > 1e-3 * spectra.E_rise.sum("omega").max()
+        over[""].append(float((found.gamma2_nl > found.level_nl).where(strong)[2:].mean()))
+    assert 0.01 < np.mean(over["_komega"]) < 0.1, over
+    assert np.mean(over[""]) < 0.15, over

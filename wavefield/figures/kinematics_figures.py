@@ -179,7 +179,7 @@ def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
         axes[0], ("k", "omega"), (cycles(ratio), hertz(ratio)), (CYCLES, HERTZ), strict=True
     ):
         middle, low, high = (ratio[f"{end}nonlinear_ratio_{axis}"].values for end in ("", "low_", "high_"))
-        ax.fill_between(x, low, high, color=LINES[1]["color"], alpha=0.25, linewidth=0)
+        ax.fill_between(x, low * middle, high * middle, color=LINES[1]["color"], alpha=0.25, linewidth=0)
         ax.plot(x, middle, **LINES[1])
         top = max(top, float(np.nanpercentile(middle, 95)))
         finish(ax, label, "u·∇z over w, amplitude (1)")

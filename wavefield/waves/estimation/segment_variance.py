@@ -30,6 +30,8 @@ ENOUGH_FOR_REACH = 28, 56
 SUM_SIZE = 11  # lines, or rings, where the other axis is summed
 MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
 PRODUCTS_APART = 2, 3  # independent values among those averaged, of products of waves: of cells, of sums
+PRODUCT_RINGS = 5  # over which the variance of a cross spectrum of k with such a product is averaged
+LINES_OF_CELLS = 3  # over which the cells of a cross spectrum are averaged for its sum
 MAX_LAG = 2  # segments that may be correlated
 MIN_SEGMENTS_FOR_VARIANCE = 8  # of Gaussian lines
 MIN_SEGMENTS_FOR_CORRELATION = 12
@@ -42,6 +44,11 @@ def take_in(sums: dict[str, Array], name: str, powers: Array, first: int) -> Non
     """Add the powers (2, rings, lines) of the segment from step ``first`` to ``sums``, and hold its power."""
     sums[name] += powers
     sums[f"{name} from {first:012d}"] = powers[0].astype(np.float32)
+
+
+def keep_product(sums: dict[str, Array], pair: str, product: Array, first: int) -> None:
+    """Hold the product (2, rings, lines) of two fields in the segment from step ``first``."""
+    sums[f"{pair} from {first:012d}"] = (product[0] + 1j * product[1]).astype(np.complex64)
 
 
 def keep_lines(power: Array, first: int) -> dict[str, Array]:
@@ -108,20 +115,44 @@ def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> d
     Without relation between the fields the cross spectrum has a squared modulus of the product of both powers
     over this number: few where both have their energy in the same cells, more where in others. Of the mean
     product of the powers of a cell, 1 / (1 + gamma^2) is the product of their means.
+
+    With a product of waves, which shares no ridge with them, the variance of the cross spectrum between
+    segments over what follows from the cells is undone, as an average over 5 rings and 11 lines of 28
+    segments or more (as many more cells as segments are missing), for k over 5 rings. Such a product keeps no
+    phase: only the overlap of half of the windows, 1 / 6, correlates its segments.
     """
-    power = np.sqrt(sums[first][0] * sums[second][0])
+    product = sums[first][0] * sums[second][0]
+    power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]
-    coherence = np.divide(real**2 + imaginary**2, power**4, out=np.zeros_like(power), where=power > 0)
+    coherence = np.divide(real**2 + imaginary**2, product, out=np.zeros_like(power), where=there)
     squares = 2 * sums[f"squares {first}*{second}"] / (1 + coherence)
-    cells = np.divide(power**2, welch.count * squares, out=np.ones_like(power), where=squares > 0).clip(1)
-    correlation = np.sqrt(
-        correlation_of(sums[first][0], welch)[0] * correlation_of(sums[second][0], welch)[0]
+    cells = np.divide(product, welch.count * squares, out=np.ones_like(power), where=squares > 0).clip(1)
+    of_both = zip(correlation_of(sums[first][0], welch), correlation_of(sums[second][0], welch))
+    correlation, of_sums = (np.sqrt(one * other) for one, other in of_both)
+    product_of_k = sums[first][0].sum(axis=1) * sums[second][0].sum(axis=1)
+    apart = np.divide(
+        product_of_k, power.sum(axis=1) ** 2, out=np.ones_like(product_of_k), where=product_of_k > 0
     )
-    dof = 2 * welch.count * cells / correlation
-    of_k = freedom_of_sums(power, dof, welch)["k"]
-    apart = sums[first][0].sum(axis=1) * sums[second][0].sum(axis=1)
-    of_k *= np.divide(apart, power.sum(axis=1) ** 2, out=np.ones_like(of_k), where=apart > 0)
-    return {"both": (dof / 2).clip(1, None), "k": (of_k / 2).clip(1, None)}
+    if "nl" not in (first, second):
+        # chance leaves single lines with too many cells, which counts in sums
+        even = 1 / ndimage.uniform_filter1d(1 / cells, LINES_OF_CELLS, axis=-1, mode="nearest")
+        of_k = apart * freedom_of_sums(power, 2 * welch.count * even / of_sums, welch)["k"] / 2
+        return {"both": (welch.count * cells / correlation).clip(1, None), "k": of_k.clip(1, None)}
+    correlation = np.minimum(correlation, 1 + (1 - 1 / welch.count) / 3)
+    # of segments that are independent, and of those of a sum in proportion to their share of its variance
+    both, of_k = welch.count * cells, apart * freedom_of_sums(power, 2 * welch.count * cells, welch)["k"] / 2
+    variance = product / cells
+    of_sum = (variance * correlation).sum(axis=1) / np.maximum(variance.sum(axis=1), 1e-300)
+    if welch.count >= LEAST_COUNT:
+        _, segments = _series(sums, f"{first}*{second}")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.nan_to_num(welch.count * segments.var(axis=0, ddof=1) / squares, posinf=0.0)
+            over_k = np.nan_to_num(welch.count * segments.sum(axis=2).var(axis=0, ddof=1) / product_of_k)
+        size = _variance_size(welch.count, ENOUGH_FOR_REACH[False])
+        both = both / _smooth(ratio, size).clip(1 / MAX_RATIO, MAX_RATIO)
+        expected = _smooth(1 / of_k, PRODUCT_RINGS)
+        of_k = of_k * expected / np.maximum(_smooth(over_k, PRODUCT_RINGS), 1e-2 * expected)
+    return {"both": (both / correlation).clip(1, None), "k": (of_k / of_sum).clip(1, None)}
 
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
@@ -162,7 +193,8 @@ def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
     start = f"{name} from "
     names = sorted(key for key in sums if key.startswith(start))
     steps = np.array([int(key.removeprefix(start)) for key in names])
-    return steps, np.array([sums[key] for key in names], float)
+    series = np.array([sums[key] for key in names])
+    return steps, series.astype(np.result_type(series, float))
 
 
 def _student(number: Array) -> Array:

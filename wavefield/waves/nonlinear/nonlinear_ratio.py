@@ -1,5 +1,7 @@
 """Ratio of the nonlinear term to the vertical velocity, by wavenumber and by frequency."""
 
+from typing import Any
+
 import dask
 import numpy as np
 import xarray as xr
@@ -45,7 +47,8 @@ def nonlinear_ratio(
     -------
     Dataset
         ``nonlinear_ratio_k`` (k) and ``nonlinear_ratio_omega`` (omega), with the ends of their 95 %
-        intervals, ``low_`` and ``high_``; ``mean_current_x``, ``mean_current_y``, m/s, and their ``_std``.
+        intervals as factors, ``low_`` and ``high_``; ``mean_current_x``, ``mean_current_y``, m/s, and their
+        ``_std``.
 
     Raises
     ------
@@ -80,7 +83,7 @@ def nonlinear_ratio(
 
 def from_spectra(spectra: xr.Dataset) -> xr.Dataset:
     """Ratio of nonlinear to linear, sqrt(E_nl / E_w), over k and over omega with 95 % intervals."""
-    out = {}
+    out: dict[str, Any] = {}
     for axis, stem in (("k", "E_k"), ("omega", "E")):
         w, nl = spectra[f"{stem}_w"], spectra[f"{stem}_nl"]
         power = nl / w.where(w > 0)
@@ -88,8 +91,8 @@ def from_spectra(spectra: xr.Dataset) -> xr.Dataset:
         upper = stats.f.ppf(1 - CHANCE / 2, dof_nl, dof_w), stats.f.ppf(1 - CHANCE / 2, dof_w, dof_nl)
         name = f"nonlinear_ratio_{axis}"
         out[name] = power**0.5
-        out[f"low_{name}"] = (power / upper[0]) ** 0.5
-        out[f"high_{name}"] = (power * upper[1]) ** 0.5
+        out[f"low_{name}"] = (axis, upper[0] ** -0.5)
+        out[f"high_{name}"] = (axis, upper[1] ** 0.5)
     return annotate(xr.Dataset(out), "kinematics")
 
 

@@ -127,6 +127,7 @@ def add_segment(
     dtype = first[names[0]].dtype
     transform = segments.TimeTransform(half, dtype, len(names) + 1)
     powers = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
+    before = {f"{a}*{b}": sums[f"{a}*{b}"].copy() for a, b in requested.pairs if "nl" in (a, b)}
     omega = 2 * np.pi * np.fft.fftfreq(2 * half, dt)  # signed
     to_frame_time = transfer_functions.to_frame_time(omega, dt, welch.frames, welch.z_frames).astype(dtype)
     k = half_plane(*welch.record.shape, welch.record.dy, welch.record.dx)
@@ -158,6 +159,8 @@ def add_segment(
                 wave_kernels.add_products(lines[a], lines[b], quadrature[0], quadrature[1], plane)
     for name in names:
         segment_variance.take_in(sums, name, powers[name], begin)
+    for pair, earlier in before.items():
+        segment_variance.keep_product(sums, pair, sums[pair] - earlier, begin)
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
