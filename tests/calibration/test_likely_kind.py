@@ -82,6 +82,6 @@ def test_one_sentence_where_no_image_shows_the_stated_target(images, tmp_path):
         },
     }
     (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(note, sort_keys=False))
-    words = f"line 7: no dots in 4 of 4 target images: {SHOWN['chessboard']}"
+    words = f"line 7: no dots in the first 3 of 4 target images: {SHOWN['chessboard']}"
     with pytest.raises(CalibrationError, match=re.escape(words)):
         calibrate_experiment(tmp_path / "experiment.yaml")

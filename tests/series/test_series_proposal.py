@@ -130,3 +130,16 @@ def test_probe_files_with_other_headers_get_the_form_that_names_their_columns(tm
     found = read_probes(tmp_path / "pegel.csv", Columns(form["time"], form["columns"]))
     assert list(found.probe.values) == ["Pegel1", "Pegel2"]
     assert float(found.elevation.max()) == pytest.approx(0.002)
+
+
+def test_linked_folders_are_searched_and_a_link_to_its_own_parent_ends_nothing(tmp_path):
+    for camera in ("left", "right"):
+        (tmp_path / "disk" / camera).mkdir(parents=True)
+        for k in range(4):
+            (tmp_path / "disk" / camera / f"{k:03d}.png").touch()
+    run = tmp_path / "run"
+    run.mkdir()
+    for camera in ("left", "right"):
+        (run / camera).symlink_to(tmp_path / "disk" / camera)
+    (run / "again").symlink_to(run)
+    assert sorted(yaml.safe_load(propose(run))["cameras"]) == ["left", "right"]

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from wavefield.calibration.find import find_target
-from wavefield.calibration.likely_kind import likely_target
+from wavefield.calibration.likely_kind import IMAGES_TRIED, likely_target
 from wavefield.calibration.pointfile import read_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.result import Calibration
@@ -100,6 +100,10 @@ def placed_at(points: TargetPoints, height: float) -> TargetPoints:
     return replace(points, z=own + height, placed=True)
 
 
+def _shown_instead(paths: list[Path], target: Target) -> str:
+    return likely_target([path for path in paths if path.suffix.lower() not in TABLES], target)
+
+
 def calibrate_experiment(
     experiment: str | Path | Experiment,
     progress: Callable[[int, int], None] | None = None,
@@ -145,10 +149,14 @@ def calibrate_experiment(
             f"{experiment.path}: heights names {', '.join(unknown)}; the poses are {', '.join(sorted(poses))}"
         )
     target = Target.from_dict(section.target, experiment.path)
-    jobs = [(camera, pose, path) for camera, by_pose in images.items() for pose, path in by_pose.items()]
+    order = dict.fromkeys(pose for by_pose in images.values() for pose in by_pose)
+    jobs = [
+        (camera, pose, images[camera][pose]) for pose in order for camera in images if pose in images[camera]
+    ]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes = []
     frame_sizes = _frame_sizes(experiment) if any(p.suffix.lower() in TABLES for _, _, p in jobs) else {}
+    place = place_of(experiment.path, ("calibration", "target"))
     workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
     with ProcessPoolExecutor(workers, mp_context=worker_context(), initializer=_start_worker) as pool:
         sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
@@ -161,12 +169,18 @@ def calibrate_experiment(
                 views[camera][pose] = points if height is None else placed_at(points, height)
             if progress:
                 progress(done, len(jobs))
+            if done == len(notes) == IMAGES_TRIED:  # searching all images for an absent board takes minutes
+                words = _shown_instead([path for _, _, path in jobs[:done]], target)
+                if words:
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    some = f"the first {done} of {len(jobs)} target images"
+                    raise CalibrationError(f"{place}: no {target.kind} in {some}: {words}")
     failed = [path for camera, pose, path in jobs if pose not in views[camera]]
     if len(failed) > MAX_FAILED * len(jobs):
-        words = likely_target([path for path in failed if path.suffix.lower() not in TABLES], target)
+        words = _shown_instead(failed, target)
         sentence = f"no {target.kind} in {len(failed)} of {len(jobs)} target images: {words}"
         if words and len(failed) == len(jobs):
-            raise CalibrationError(f"{place_of(experiment.path, ('calibration', 'target'))}: {sentence}")
+            raise CalibrationError(f"{place}: {sentence}")
         notes = [sentence] if words else notes
     named = {
         camera: {pose: os.path.relpath(path, experiment.path.parent) for pose, path in by_pose.items()}

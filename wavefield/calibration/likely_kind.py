@@ -32,6 +32,8 @@ _MARKERS = ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DIC
 
 def likely_target(paths: Sequence[Path], stated: Target) -> str:
     """What most of some images show, for a note; empty if it is as stated or nothing that is known."""
+    if not paths:
+        return ""
     tried = [paths[k] for k in np.unique(np.linspace(0, len(paths) - 1, IMAGES_TRIED).astype(int))]
     found = Counter(words for path in tried if (words := _shown(path, stated)))
     words, count = found.most_common(1)[0] if found else ("", 0)

@@ -28,9 +28,9 @@ Examples:
 @click.option("--steps", help="Some of the steps, counted from 0: FIRST:STOP or FIRST:STOP:EVERY.")
 @click.pass_context
 def export(context: click.Context, store: Path, output: Path, steps: str | None) -> None:
-    """Write a cube for other programs; the ending of OUTPUT chooses the format.
+    """Write a cube as NetCDF, MATLAB, ParaView or UVMAT files.
 
-    The exit status is 3 where steps of the cube are missing.
+    The ending of OUTPUT chooses the format. The exit status is 3 where steps of the cube are missing.
     """
     from wavefield.store import export as exports
     from wavefield.store.ledger import unfinished_note

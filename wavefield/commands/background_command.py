@@ -22,7 +22,7 @@ Examples:
     "--frames", default=200, show_default=True, type=click.IntRange(min=2), help="How many to average."
 )
 def background(experiment: Path, frames: int) -> None:
-    """Average the frames of every camera, so that a floor or reflections can be subtracted from them.
+    """Average the frames of each camera, to subtract what is fixed.
 
     Writes background/CAMERA.tif beside the experiment file. Frames are read less these images once the
     experiment file names them with `background:`.

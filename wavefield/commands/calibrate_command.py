@@ -23,9 +23,9 @@ Examples:
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
     """Find the rig from target images.
 
-    Reads the calibration chunk of EXPERIMENT, finds the target in its tilted and flat views, solves for all
-    cameras together, and writes the rig and a report with pictures. Where the experiment names a record of
-    the water at rest (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
+    Reads the section `calibration` of EXPERIMENT, finds the target in its tilted and flat views, solves for all
+    cameras together, and writes the rig and a report with pictures. Where the experiment names a still-water
+    record (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
     trusted the exit status is 1 and the report lists the target images to retake.
     """
     from concurrent.futures import ProcessPoolExecutor
@@ -65,7 +65,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     if loaded.rest and calibration.usable:
         from wavefield.pipeline.still_water import level_at_rest, plane_sentence
 
-        with Progress("Matching the water at rest", "frames") as progress:
+        with Progress("Matching the still-water images", "frames") as progress:
             rig, found, plane = level_at_rest(loaded.at_rest(), rig, progress=progress)
         click.echo(f"{found.sentence}\n{plane_sentence(plane)}")
     for sentence in rig_sentences(rig):

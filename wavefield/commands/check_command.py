@@ -33,7 +33,7 @@ TRIAL_SECONDS = 600.0  # a run that takes longer is better tried on some frames 
     epilog="""\b
 Examples:
   wavefield check experiment.yaml
-  wavefield check experiment.yaml --pairs      # do the cameras agree on what they see?
+  wavefield check experiment.yaml --pairs      # how consistent the cameras are, pair by pair
 """
 )
 @click.argument("source", metavar="EXPERIMENT|FOLDER|CUBE|CATALOG", type=PATH)
@@ -58,10 +58,10 @@ def check(
 ) -> None:
     """Show what is there, what is missing, and what a run will cost.
 
-    Counts the frames of each camera, names missing ones, shows how
-    much of the grid the cameras see, measures a few steps to find the time, memory and disk of the whole run,
-    and compares the cameras' images: is one mirrored, swapped, late, reversed, blurred, covered, or has it
-    moved? Changes nothing. The exit status is 1 where something prevents a run, 3 where the verdict has
+    Counts the frames of each camera, lists missing ones, computes how much of the grid all cameras see,
+    measures a few steps to estimate the time, memory and disk of the whole run, and compares the cameras'
+    images to find one that is mirrored, swapped, late, reversed, blurred, covered, or has moved. Writes
+    nothing. The exit status is 1 where something prevents a run, 3 where the verdict has
     remarks that matter.
     """
     from wavefield import pipeline
@@ -109,6 +109,9 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
             print_next("check", source, first="correct what is not ready")
         return
     more = ["--rig", rig] if rig else []
+    if found.exit_status:
+        print_next("check", source, *more, first="correct what the remarks list")
+        return
     if found.cost and found.cost.seconds > TRIAL_SECONDS:
         first = found.first_frame
         click.echo(

@@ -36,8 +36,10 @@ Your own data:  wavefield init FOLDER             # proposes experiment.yaml fro
                 wavefield report cube.zarr
                 wavefield look cube.zarr
 
-An experiment file, its folder (such as .) and its cube stand for one another.
-Completion of words by the Tab key: add one line to ~/.bashrc (zsh: ~/.zshrc, with zsh_source),
+Where a command takes an experiment, its file, its folder (such as .) or its cube may be given.
+
+\b
+To complete commands with the Tab key, add this line to ~/.bashrc (zsh: zsh_source, ~/.zshrc):
   eval "$(_WAVEFIELD_COMPLETE=bash_source wavefield)"
 """
 

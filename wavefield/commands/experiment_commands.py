@@ -146,7 +146,7 @@ def run(
 @JSON
 @click.pass_context
 def status(context: click.Context, store: Path, as_json: bool) -> None:
-    """Show the progress of a run, failed frames and why, and the verdict on the cube.
+    """Show the progress of a run, failed frames, and the verdict.
 
     The exit status is 3 where the verdict has remarks that matter, 1 where nothing could be measured.
     """
@@ -174,8 +174,8 @@ Examples:
 @click.option(
     "--quick",
     is_flag=True,
-    help="Read no data: every file there and as long as when it was written? Seconds, for any cube; bytes "
-    "that changed in place are not found.",
+    help="Read no data: check only that every file exists and has the length with which it was written. "
+    "Takes seconds for any cube; bytes that changed in place are not found.",
 )
 @click.pass_context
 def verify(
@@ -185,7 +185,7 @@ def verify(
     parameters: dict[str, str],
     quick: bool,
 ) -> None:
-    """Make sure that a cube holds what its ledger lists: every chunk there, and as it was written.
+    """Verify that the chunks of a cube are complete and unchanged.
 
     The exit status is 1 where something is damaged; the command that measured the cube then measures those
     chunks again.
@@ -208,10 +208,11 @@ def verify(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Experiment file to write."
 )
 def init(folder: Path, output: Path | None) -> None:
-    """Propose an experiment file for a folder of images, with a comment on every guess.
+    """Propose an experiment file for a folder of images.
 
-    Finds the numbered images of each camera, target images, a record at rest and probes by their names. What
-    no folder holds (frame rate, target, depth) is marked TO FILL IN. Never writes over a file.
+    Every guess has a comment. Finds the numbered images of each camera, target images, a still-water record and probes by their names.
+    What cannot be found in a folder (frame rate, target, depth) is marked TO FILL IN. Never overwrites a
+    file.
     """
     from wavefield.atomic_write import NEW_FILE, write_text
     from wavefield.errors import ExperimentError

@@ -21,7 +21,10 @@ Examples:
 )
 @click.argument("code", required=False, shell_complete=_complete)
 def explain(code: str | None) -> None:
-    """Explain a remark of `check`, `run` or `status` by its code, the word in brackets at its end."""
+    """Explain a remark of `check`, `run` or `status`.
+
+    CODE is the word in brackets at the end of the remark; without it, all codes are listed.
+    """
     from wavefield.quality.explanations import EXPLANATIONS, first_sentence
 
     if code is None:

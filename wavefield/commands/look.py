@@ -52,15 +52,17 @@ Examples:
 @click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
 @click.argument("run", required=False)
 @click.option(
-    "--waves", type=click.Path(exists=True, file_okay=False, path_type=Path), help="Its wave store."
+    "--waves",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Wave store; by default the one next to the cube.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free.")
 @click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
 def look(source: Path, run: str | None, waves: Path | None, port: int | None, open_page: bool) -> None:
-    """Look at a cube: maps, the surface, series, spectra, camera images, waves.
+    """Open an interactive page of a cube.
 
-    Serves an interactive page to this machine only. The cube may still be being written: the page follows.
-    Of a catalog name the RUN, unless only one has a cube.
+    It shows maps, the surface, series, spectra, camera images and waves. The page can be opened from this machine only. While the cube is being written, the page shows new steps
+    as they come. For a catalog name the RUN, unless only one of its runs has a cube.
     """
     from wavefield.errors import StoreError
     from wavefield.explorer.server import session_server
@@ -92,15 +94,19 @@ Examples:
 """
 )
 @click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
-@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's rig.")
+@click.option(
+    "--rig",
+    type=click.Path(exists=True, path_type=Path),
+    help="Rig file, in place of the one that the experiment names.",
+)
 @click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next free one.")
 @click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
 def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool) -> None:
-    """Follow an experiment while its cameras write: the newest map, and lights.
+    """Monitor cameras while they record: newest map, status lights.
 
-    Measures the newest complete set of frames, as often as it can, and reports how many it skips.
-    Lights show brightness, saturation, seeding, focus, synchronisation, mismatch, coverage; they work
-    before there is a rig, too. Writes nothing.
+    Measures the newest complete set of frames as often as it can, and shows how many it skips. The lights
+    show brightness, saturation, seeding, focus, synchronisation, consistency and coverage; most of them work
+    before there is a rig. Writes nothing.
     """
     from wavefield.explorer.follow_page import follow_server
     from wavefield.explorer.follower import Follower

@@ -92,6 +92,7 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
     ) -> None:
         spent = spell_time(time.monotonic() - self.start)
-        counted = f", {self.total} {self.unit}" if self.total and self.unit else ""
+        unit = self.unit.removesuffix("s") if self.total == 1 else self.unit
+        counted = f", {self.total} {unit}" if self.total and self.unit else ""
         word = f"done in {spent}{counted}" if kind is None else f"stopped after {spent}"
         self._write(f"{self.stage}: {word}", final=True)

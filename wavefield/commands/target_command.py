@@ -28,7 +28,7 @@ Examples:
 )
 @click.argument("kind", type=click.Choice(tuple(_DEFAULT_SHAPES)))
 @click.argument("output", type=click.Path(dir_okay=False, path_type=Path))
-@click.option("--mesh", default=0.025, show_default=True, help="Between neighbouring nodes, metres.")
+@click.option("--mesh", default=0.025, show_default=True, help="Distance between neighbouring nodes, metres.")
 @click.option(
     "--shape",
     metavar="NXxNY",
@@ -36,9 +36,20 @@ Examples:
     help="Inner corners of a chessboard, squares of a ChArUco board, dots; by default 9x6, 10x7, 10x7.",
 )
 @click.option("--marker", type=float, help="ChArUco: side of a marker, metres; by default 0.7 of the mesh.")
-@click.option("--dictionary", default="DICT_4X4_50", show_default=True, help="ChArUco: OpenCV's name of it.")
-@click.option("--diameter", type=float, help="Of a dot, metres; by default half of the mesh.")
-@click.option("--paper", type=click.Choice(_PAPERS), default="auto", show_default=True)
+@click.option(
+    "--dictionary",
+    default="DICT_4X4_50",
+    show_default=True,
+    help="ChArUco: OpenCV's name of the marker dictionary.",
+)
+@click.option("--diameter", type=float, help="Diameter of a dot, metres; by default half of the mesh.")
+@click.option(
+    "--paper",
+    type=click.Choice(_PAPERS),
+    default="auto",
+    show_default=True,
+    help="Size of the sheet; `fit`: as large as the target.",
+)
 def target(
     kind: str,
     output: Path,

@@ -48,8 +48,9 @@ Examples:
 @click.option(
     "--gain",
     metavar="GAIN|theory|none",
-    help="What of short waves the measurement keeps, to be undone: by default as stored with the cube. A gain"
-    " measured on a simulated experiment, `theory` for what follows from the cube's recipe, or `none`.",
+    help="Response of the measurement to short waves, which the spectra are corrected for: by default that "
+    "stored with the cube. A gain measured on a simulated experiment, `theory` for what follows from the "
+    "cube's recipe, or `none`.",
 )
 @click.option(
     "--fit",
@@ -144,7 +145,7 @@ def report(
     output: Path | None,
     waves: Path | None,
 ) -> None:
-    """Write the report of a cube as one HTML file that opens offline.
+    """Write the report of a cube: one HTML file that opens offline.
 
     For a catalog: the report of every run, and next to the catalog (or as -o) one page that compares them.
     """
@@ -178,15 +179,15 @@ def report(
     epilog="\b\nExample:\n  wavefield paper cube.zarr --rest rest.zarr      # writes paper.html next to it"
 )
 @click.argument("store", metavar=CUBE, type=PATH)
-@click.option("--rest", type=_STORE, help="Cube of the water at rest, by the same cameras.")
+@click.option("--rest", type=_STORE, help="Cube of still water, from the same cameras.")
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
 @click.option(
     "--waves", type=_STORE, help="Wave store; by default the one next to the cube, made if there is none."
 )
 def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | None) -> None:
-    """Write the figures and numbers of the method's paper for a cube.
+    """Write the figures and numbers of the method's paper.
 
-    One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, water at rest, the
+    One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, still water, the
     pairs of cameras over the whole record, and a table with the paper's numbers.
     """
     from wavefield.reports.paper_page import paper as write

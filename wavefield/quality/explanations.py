@@ -34,13 +34,13 @@ EXPLANATIONS = {
         "EXPERIMENT --pairs` compares the pairs."
     ),
     "disagree": (
-        "No two cameras see the same water: at most a few patches of one image are found in another. Usual "
+        "No two cameras match: at most a few patches of one image are found in another. Usual "
         "causes: a rig of other images, frames of other moments (`offset`), water without texture."
     ),
     "covered": (
-        "A camera shows nothing where the others see texture: something is in front of it, or light is "
-        "missing. What it does not show is measured by the others, or not at all. A lasting object belongs "
-        "into `mask:`."
+        "An image has no texture where those of the others have: something is in front of the camera, or light"
+        " is missing. That part of the water is measured by the others, or not at all. Draw a lasting object "
+        "as a `mask:`."
     ),
     "out-of-focus": (
         "The beads' images of a camera are wider than those of the others, in pixels and on the water. Short "
@@ -60,9 +60,9 @@ EXPLANATIONS = {
         "have errors of the stated size in pixels. `settings: {vibration: correct}` turns images back."
     ),
     "jitter": (
-        "Of cameras: their images move against each other along the line on which they are placed; the "
-        "uncertainties include it. Of the record: the times of the frames depart from those assumed, so that "
-        "all displacements of a step are off by one factor; state the time stamps (`times:`)."
+        "Either the cameras' images move against each other along the line on which the cameras are placed; the "
+        "uncertainties include it. Or the frames were not taken at the times assumed, so that all "
+        "displacements of a step have one wrong factor; state the time stamps (`times:`)."
     ),
     "turned-back": (
         "For information: images were turned back by the stated shift, as the settings request (`vibration: "
@@ -78,7 +78,7 @@ EXPLANATIONS = {
     ),
     "left-out": (
         "Nodes were measured without this camera: its frame was missing, or it was inconsistent with the "
-        "others there. Look for drops on its window, reflections, focus, late frames."
+        "others there. Check for drops on its window, reflections, focus, late frames."
     ),
     # recordings and frames
     "longer": (
@@ -86,7 +86,7 @@ EXPLANATIONS = {
         " other camera are missing, or their numbers differ (`offset`)."
     ),
     "duration": (
-        "The record lasts longer than anybody films: `frame_rate` is not in Hz, or the frames are not "
+        "The record is implausibly long: `frame_rate` is not in Hz, or the frames are not "
         "numbered one by one."
     ),
     "frame-rate": (
@@ -98,12 +98,12 @@ EXPLANATIONS = {
         "Record to the camera's memory, to a faster disk, or at a lower rate."
     ),
     "uneven-times": (
-        "Intervals between images are no whole ones: velocities there are of the nominal interval, and wrong."
-        " Use an even part of the record (`frames:`), or state the time stamps (`times:`)."
+        "Some intervals between images are not multiples of the nominal one, which velocities assume: they are "
+        "wrong there. Use an even part of the record (`frames:`), or state the time stamps (`times:`)."
     ),
     "drift": (
-        "The clocks of two cameras drift apart. Harmless if one trigger drives both; else frames of one "
-        "number are of different moments."
+        "The clocks of two cameras drift apart. Harmless if one trigger drives both; else frames with "
+        "the same number were taken at different moments."
     ),
     "unreadable": (
         "A file is damaged or of another format: frames, or the table of the wave probes. Frames that cannot "
@@ -123,7 +123,7 @@ EXPLANATIONS = {
         "Numbers without a file. Their steps are not measured; the others keep their times. Copy them, or "
         "state a range that is complete (`frames:`)."
     ),
-    "few-usable-steps": "Fewer than half of the steps have two good frames of every camera.",
+    "few-usable-steps": "Fewer than half of the steps have two usable frames of every camera.",
     "few-common-steps": (
         "Fewer than half of the steps have a file of every camera at both moments: files are missing, or the "
         "cameras number their frames differently (`offset`)."
@@ -169,7 +169,7 @@ EXPLANATIONS = {
         "The water would move faster than any wave: `frame_rate` is not in Hz, or the rig is not in metres."
     ),
     "kinematics": (
-        "The surface does not rise as its water moves: z_t - w + u . grad z exceeds its standard uncertainty."
+        "The kinematic condition is violated: z_t - w + (u, v)·∇z exceeds its standard uncertainty."
         " Check frame rate, synchronisation and seeding; waves may be too short for the images."
     ),
     "discontinuous-steps": (
@@ -196,8 +196,8 @@ EXPLANATIONS = {
     ),
     "position": "A probe fits the measured surface at another place than stated. Correct its place.",
     "unlike": (
-        "A probe does not resemble the measured surface near it at any time. Is it in the field, of the same "
-        "record, and was it wet?"
+        "A probe does not resemble the measured surface near it at any time. Check its place, that its file belongs to this record, and that it was "
+        "in the water."
     ),
 }
 

@@ -1,8 +1,9 @@
 """Images of a folder by their names: which are one series, what numbers its frames, what names its camera."""
 
+import os
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,14 +36,27 @@ class NumberedImages:
         return _FRAME.sub("*", self.pattern)
 
 
+def files_below(folder: Path) -> Iterator[Path]:
+    """Files in a folder and in those below, of linked folders too; stores are passed over."""
+    entered: set[str] = set()
+    for here, folders, names in os.walk(folder, followlinks=True):
+        entered.add(os.path.realpath(here))
+        folders[:] = [
+            name
+            for name in sorted(folders)
+            if not name.endswith(".zarr") and os.path.realpath(os.path.join(here, name)) not in entered
+        ]
+        yield from (path for name in names if (path := Path(here, name)).is_file())
+
+
 def image_paths(folder: Path) -> list[str]:
     """Paths of the images in a folder and in those below, from that folder."""
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is no folder; name the one that contains the images")
     return sorted(
         path.relative_to(folder).as_posix()
-        for path in folder.rglob("*")
-        if path.suffix.lower() in IMAGE_ENDINGS and path.is_file()
+        for path in files_below(folder)
+        if path.suffix.lower() in IMAGE_ENDINGS
     )
 
 

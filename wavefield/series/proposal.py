@@ -9,6 +9,7 @@ from wavefield.series.image_names import (
     NumberedImages,
     camera_names,
     common_patterns,
+    files_below,
     find_series,
     image_paths,
 )
@@ -158,7 +159,7 @@ def _probes(folder: Path) -> Iterator[str]:
     """The file that is most likely of wave probes: by its name, then by its ending."""
     from wavefield.waves.probes.probe_files import read_probes, suggested_columns
 
-    tables = [p for p in folder.rglob("*") if p.suffix.lower() in (".csv", ".txt", ".dat") and p.is_file()]
+    tables = [p for p in files_below(folder) if p.suffix.lower() in (".csv", ".txt", ".dat")]
     tables = [
         p
         for p in tables
