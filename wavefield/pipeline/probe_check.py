@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from wavefield.errors import WavefieldError
 from wavefield.pipeline.experiment_of_cube import load_experiment
 from wavefield.quality.probe_remarks import compare_probes, remark_on_fits, remark_on_probe_file
@@ -21,6 +23,8 @@ def check_probes(experiment: Experiment, span: tuple[float, float]) -> tuple[lis
         f"{', '.join(map(str, probes['probe'].values))}, from {clock[0]:g} to {clock[-1]:g} s; frames from "
         f"{span[0]:g} to {span[1]:g} s"
     )
+    if not np.isfinite(probes["probe_x"].values).all():
+        sentence += "; state where they are (`places: {name: [x, y]}` in `probes:`) to compare them with z"
     cube = _own_cube(experiment)
     if cube is not None and not remarks:
         fits, dt = compare_probes(experiment, cube)

@@ -77,7 +77,13 @@ def probe_items(run: Run) -> list[Item]:
         return []
     compared = at_probes(run.cube, probes)
     if not compared.sizes["probe"]:
-        return [Text("No probe lies in the grid while the cameras recorded: only spectra are compared.")]
+        nowhere = not np.isfinite(probes["probe_x"].values).any()
+        reason = (
+            "The experiment file does not state where the probes are (`places` in `probes:`)"
+            if nowhere
+            else "No probe lies in the grid while the cameras recorded"
+        )
+        return [Text(f"{reason}: only spectra are compared.")]
     shares = ", ".join(
         f"{one.probe.item()}: rms difference {number(1e3 * float(one.rms_difference), 'mm', 2)}, correlation "
         f"{min(float(one.correlation), 0.9999):.4f}"
