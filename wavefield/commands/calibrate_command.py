@@ -23,9 +23,9 @@ Examples:
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
     """Find the rig from target images.
 
-    Reads the section `calibration` of EXPERIMENT, finds the target in its tilted and flat views, solves for all
-    cameras together, and writes the rig and a report with pictures. Where the experiment names a still-water
-    record (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
+    Reads the section `calibration` of EXPERIMENT, finds the target in its tilted and flat views, solves for
+    all cameras together, and writes the rig and a report with pictures. Where the experiment names a
+    still-water record (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
     trusted the exit status is 1 and the report lists the target images to retake.
     """
     from concurrent.futures import ProcessPoolExecutor

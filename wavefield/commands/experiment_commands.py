@@ -210,9 +210,9 @@ def verify(
 def init(folder: Path, output: Path | None) -> None:
     """Propose an experiment file for a folder of images.
 
-    Every guess has a comment. Finds the numbered images of each camera, target images, a still-water record and probes by their names.
-    What cannot be found in a folder (frame rate, target, depth) is marked TO FILL IN. Never overwrites a
-    file.
+    Every guess has a comment. Finds the numbered images of each camera, target images, a still-water record
+    and probes by their names. What cannot be found in a folder (frame rate, target, depth) is marked TO FILL
+    IN. Never overwrites a file.
     """
     from wavefield.atomic_write import NEW_FILE, write_text
     from wavefield.errors import ExperimentError

@@ -34,13 +34,13 @@ EXPLANATIONS = {
         "EXPERIMENT --pairs` compares the pairs."
     ),
     "disagree": (
-        "No two cameras match: at most a few patches of one image are found in another. Usual "
-        "causes: a rig of other images, frames of other moments (`offset`), water without texture."
+        "No two cameras match: at most a few patches of one image are found in another. Usual causes: a rig"
+        " of other images, frames of other moments (`offset`), water without texture."
     ),
     "covered": (
-        "An image has no texture where those of the others have: something is in front of the camera, or light"
-        " is missing. That part of the water is measured by the others, or not at all. Draw a lasting object "
-        "as a `mask:`."
+        "An image has no texture where those of the others have: something is in front of the camera, or "
+        "light is missing. That part of the water is measured by the others, or not at all. Draw a lasting "
+        "object as a `mask:`."
     ),
     "out-of-focus": (
         "The beads' images of a camera are wider than those of the others, in pixels and on the water. Short "
@@ -60,8 +60,8 @@ EXPLANATIONS = {
         "have errors of the stated size in pixels. `settings: {vibration: correct}` turns images back."
     ),
     "jitter": (
-        "Either the cameras' images move against each other along the line on which the cameras are placed; the "
-        "uncertainties include it. Or the frames were not taken at the times assumed, so that all "
+        "Either the cameras' images move against each other along the line on which the cameras are placed;"
+        " the uncertainties include it. Or the frames were not taken at the times assumed, so that all "
         "displacements of a step have one wrong factor; state the time stamps (`times:`)."
     ),
     "turned-back": (
@@ -86,8 +86,8 @@ EXPLANATIONS = {
         " other camera are missing, or their numbers differ (`offset`)."
     ),
     "duration": (
-        "The record is implausibly long: `frame_rate` is not in Hz, or the frames are not "
-        "numbered one by one."
+        "The record is implausibly long: `frame_rate` is not in Hz, or the frames are not numbered one by "
+        "one."
     ),
     "frame-rate": (
         "A recording states another frame rate than the experiment file. Velocities are proportional to it. "
@@ -98,12 +98,12 @@ EXPLANATIONS = {
         "Record to the camera's memory, to a faster disk, or at a lower rate."
     ),
     "uneven-times": (
-        "Some intervals between images are not multiples of the nominal one, which velocities assume: they are "
-        "wrong there. Use an even part of the record (`frames:`), or state the time stamps (`times:`)."
+        "Some intervals between images are not multiples of the nominal one, which velocities assume: they "
+        "are wrong there. Use an even part of the record (`frames:`), or state the time stamps (`times:`)."
     ),
     "drift": (
-        "The clocks of two cameras drift apart. Harmless if one trigger drives both; else frames with "
-        "the same number were taken at different moments."
+        "The clocks of two cameras drift apart. Harmless if one trigger drives both; else frames with the "
+        "same number were taken at different moments."
     ),
     "unreadable": (
         "A file is damaged or of another format: frames, or the table of the wave probes. Frames that cannot "
@@ -196,8 +196,8 @@ EXPLANATIONS = {
     ),
     "position": "A probe fits the measured surface at another place than stated. Correct its place.",
     "unlike": (
-        "A probe does not resemble the measured surface near it at any time. Check its place, that its file belongs to this record, and that it was "
-        "in the water."
+        "A probe does not resemble the measured surface near it at any time. Check its place, that its file"
+        " belongs to this record, and that it was in the water."
     ),
 }
 

@@ -25,7 +25,8 @@ def rig_sentences(rig: Rig) -> Iterator[str]:
         f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
     )
     yield (
-        f"Distance from the target's origin: {distances}; if you measure another, correct `mesh` by that ratio."
+        f"Distance from the target's origin: {distances}; if you measure another, correct `mesh` by that "
+        "ratio."
     )
     try:
         field = common_field(rig.cameras.values())
