@@ -185,6 +185,39 @@ def test_waves_longer_than_the_field_do_not_pass_for_slow_short_ones(seed):
     assert 0.65 < stated / np.sqrt(np.mean(missed) / np.mean(moved)) < 1.3
 
 
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_waves_that_turn_more_than_half_round_in_a_frame_are_not_taken_for_slower_ones(seed):
+    rng = np.random.default_rng(seed)
+    rate, lengths = 9.0, (0.3, 0.2, 0.15, 0.12, 0.1, 0.09, 0.07, 0.06, 0.05)  # the last three beyond pi
+    waves = [(length, 0.01 * length, *rng.uniform(0, 6, 2)) for length in lengths]
+    times = np.arange(6) * 2.3
+    found = temporal_truncation([(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in times], 0.01)
+    lost = []
+    for t in times:
+        z = [sea(rate, t + s, waves)[0] for s in TIMES]
+        lost.append(np.mean(((9 * (z[2] + z[3]) - z[1] - z[4]) / 16 - sea(rate, t, waves)[0]) ** 2))
+    assert found.of_z(4) == pytest.approx(np.sqrt(np.mean(lost)), rel=0.3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_paths_are_as_uncertain_at_the_crests_of_waves_longer_than_the_field(seed):
+    rng = np.random.default_rng(seed)
+    rate, part = 13.0, np.s_[:18, :24]
+    waves = [(length, 0.005, *rng.uniform(0, 6, 2)) for length in (0.8, 0.75)]
+    found = temporal_truncation(
+        [[sea(rate, t + s, waves)[0][part] for s in (0, 1)] for t in (1.0, 9.0, 17.0, 25.0)], 0.01
+    )
+    everywhere = np.ones((18, 24), bool)
+    for t in np.linspace(3.0, 30.0, 40):
+        quarter = sea(rate, t, [(*one[:3], one[3] + np.pi / 2) for one in waves])  # moves along as much
+        before = sea(rate, t - 0.5, [(*one[:3], one[3] + np.pi / 2) for one in waves])
+        after = sea(rate, t + 0.5, [(*one[:3], one[3] + np.pi / 2) for one in waves])
+        error = np.abs((after[0] - before[0] - quarter[1])[part])
+        moved = np.stack([quarter[1][part], quarter[1][part], sea(rate, t, waves)[1][part]])
+        stated = np.hypot(*found.of_displacement(2, moved, everywhere)[:2])
+        assert (error < 4.0 * stated).all()
+
+
 def carried(rate, t, span, waves):
     """Displacement over ``span`` frames of the water that is at the nodes at t, (3, n), metres."""
     x, y = (nodes.ravel() for nodes in np.meshgrid(np.arange(0, 1, 0.04), np.arange(0, 0.8, 0.04)))

@@ -44,8 +44,10 @@ def sea(seed, steps=16, shape=(40, 50), noise=0.004):
     return out
 
 
-def continuities(w, measured):
-    inner = [continuity(w[k - 2 : k + 3], measured[k - 2 : k + 3]) for k in range(2, len(w) - 2)]
+def continuities(w, measured, noise=0.001):
+    std = np.full(w.shape, noise)
+    near = (slice(k - 2, k + 3) for k in range(2, len(w) - 2))
+    inner = [continuity(w[five], measured[five], std[five]) for five in near]
     return np.array([np.nan, np.nan, *inner, np.nan, np.nan])
 
 
@@ -74,6 +76,14 @@ def test_a_step_without_motion_or_of_two_intervals_is_named(seed):
     assert 8 in discontinuous(continuities(duplicated, everywhere))
     lost = np.concatenate([w[:7], w[7:8] + w[8:9], w[9:]])
     assert 7 in discontinuous(continuities(lost, np.ones(lost.shape, bool)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_of_much_noise_are_not_compared(seed):
+    size = float(np.std(sea(seed, noise=0.0)["w"]))
+    for noise in (0.5, 0.7, 1.0, 1.5):
+        w = sea(seed, noise=noise * size)["w"]
+        assert discontinuous(continuities(w, np.ones(w.shape, bool), noise * size)).size == 0
 
 
 def test_steps_with_few_measured_nodes_are_not_checked():

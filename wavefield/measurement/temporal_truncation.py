@@ -22,6 +22,7 @@ _MAIN_LOBE_RINGS = 3  # nearer rings are mixed by the window
 _DIRECTIONS = 16  # of waves, relative to the motion of the water
 _MIN_NODES = 6  # along either side of a field
 _LINES_PER_WAVE = 4.5  # lines of a windowed transform that are not independent
+_MAX_PHASE = 1.5 * np.pi  # beyond that waves are not followed at all
 _HALF_TRUSTED_WAVES = 20.0  # in a ring: its own phase then counts by half
 _MIN_WAVES_OF_SIX_FRAMES = 100.0  # give phases to a tenth, and to half of it what six frames leave out
 _TRUNCATION_MARGIN = 1.5  # on the error of waves along a path
@@ -37,6 +38,7 @@ class TemporalTruncation:
     # rise: along either axis in water without mean motion, and in addition where it moves as far as on
     # average (squares add); then the same of its rise.
     d: tuple[tuple[int, Parts], ...]
+    rise: float = 0.0  # rms rise of the sample steps, metres
 
     def of_z(self, frames: int) -> float:
         """Of z at mid-time from so many frames, metres."""
@@ -57,7 +59,8 @@ class TemporalTruncation:
         speed /= max(float(np.mean(speed[measured])), 1e-30)
         up = still_up + moving_up * speed
         along = still + moving * speed
-        rise = np.float32(np.sqrt(np.mean(np.square(d[2][measured]))))
+        # when waves longer than the field have their crest in it, no water rises, but all paths bend
+        rise = np.float32(max(np.sqrt(np.mean(np.square(d[2][measured]))), self.rise))
         return np.asarray(rise * np.sqrt(np.stack([share[0] * along, share[1] * along, up])))
 
     def total(self, frames: int) -> float:
@@ -81,13 +84,14 @@ class TemporalTruncation:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe."""
         z, d = {str(n): value for n, value in self.z}, {str(n): list(parts) for n, parts in self.d}
-        return {"z": z, "d": d}
+        return {"z": z, "d": d, "rise": self.rise}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TemporalTruncation:
         """Inverse of `to_dict`."""
         z = tuple((int(n), float(value)) for n, value in data["z"].items())
-        return cls(z, tuple((int(n), _parts(value)) for n, value in data["d"].items()))
+        d = tuple((int(n), _parts(value)) for n, value in data["d"].items())
+        return cls(z, d, float(data.get("rise", 0.0)))
 
 
 def _parts(values: Sequence[float]) -> Parts:
@@ -114,7 +118,8 @@ def temporal_truncation(
     weighted by their waves. A window in space keeps the long waves out of the rings of the short ones, except
     for what falls off with the sixth power of the distance: rings that this may fill are replaced completely.
     All this is computed of the curvature of z: waves as long as the field and longer would fill the first
-    rings with their own slow phase. The part of z beyond its curvature is theirs, as a ring of its own. Of z,
+    rings with their own slow phase. The part of z beyond its curvature is theirs, as a ring of its own; the
+    rise of the mean level is another, with the phase of waves as long as the field at least. Of z,
     sum P (1 - K)^2 is left out (`elevation_gain`); three frames leave out p^3/16.
 
     A path sees a wave with phase q = p - k d cos(theta) per step, where d is the motion of the water in it
@@ -142,7 +147,7 @@ def temporal_truncation(
         added = np.maximum(moving - still, 0.0)
         across, up = factor * np.sqrt(np.stack([still, added], axis=1) / max(rise, 1e-30))
         d.append((n, (float(across[0]), float(across[1]), float(up[0]), float(up[1]))))
-    return TemporalTruncation(tuple(sorted(z.items())), tuple(d))
+    return TemporalTruncation(tuple(sorted(z.items())), tuple(d), float(np.sqrt(rise)))
 
 
 def _wave_rings(
@@ -180,6 +185,10 @@ def _wave_rings(
     phase = _shrunk_phases(own_phase, waves, dispersion(k))
     longer = np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()]
     power[0], phase[0] = 0.25 * longer.sum(), _phase(*longer)
+    slowest = float(phase[:2].max())
+    rise = float(np.mean([np.square(np.mean(b - a)) for a, b in pairs]))
+    level = rise / (2.0 - 2.0 * np.cos(slowest)) if slowest > 0 else 0.0
+    k, power, phase = (np.append(part, one) for part, one in zip((k, power, phase), (0.0, level, slowest)))
     return k, power, phase, float(waves.sum())
 
 
@@ -228,15 +237,20 @@ def _leaked(power: Float) -> Float:
 
 
 def _shrunk_phases(own: Float, waves: Float, shape: Float) -> Float:
-    """Phases of rings, shrunk by their number of waves to a common multiple of a shape."""
+    """Phases of rings, shrunk by their number of waves to a common multiple of a shape.
+
+    Phases beyond pi were taken for as much below it: where those of all longer waves predict more than pi.
+    """
     if not waves.any():
         return np.zeros_like(own)
-    detected = waves > 0
-    ratio = np.zeros_like(own)
-    ratio[detected] = np.log(own[detected] / shape[detected])
-    mean = np.sum(waves * ratio) / np.sum(waves)
+    ratio, total, mean = np.zeros_like(own), 0.0, 0.0
+    for ring in np.flatnonzero(waves):
+        beyond = total > _HALF_TRUSTED_WAVES and shape[ring] * np.exp(mean) > np.pi
+        ratio[ring] = np.log((2.0 * np.pi - own[ring] if beyond else own[ring]) / shape[ring])
+        total += waves[ring]
+        mean += (ratio[ring] - mean) * waves[ring] / total
     share = waves / (waves + _HALF_TRUSTED_WAVES)
-    return np.asarray(np.minimum(shape * np.exp(share * ratio + (1.0 - share) * mean), np.pi))
+    return np.asarray(np.minimum(shape * np.exp(share * ratio + (1.0 - share) * mean), _MAX_PHASE))
 
 
 def _rings(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], Float, Float]:

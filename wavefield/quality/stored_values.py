@@ -27,6 +27,7 @@ MIN_NODES = 50  # with fewer measured nodes a step is not checked
 MARGIN_NODES = 3  # from the edge of the grid, where slopes are of lower order
 MEDIAN_SQUARE = 0.455  # of a standard normal variable
 JITTER_STEPS = 64  # read for the jitter of frame times
+MAX_NOISE = 0.2  # of the variance of rises: with more, they do not predict each other
 MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left out
 ELEVATION_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z
 NEIGHBOURS = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0  # a cubic through the steps k - 2, k - 1, k + 1, k + 2
@@ -60,10 +61,11 @@ def _robust_rms(squares: Array) -> float:
     return float(np.sqrt(np.median(squares) / MEDIAN_SQUARE)) if squares.size >= MIN_NODES else np.nan
 
 
-def continuity(rise: Sequence[Array], measured: Sequence[Mask]) -> float:
+def continuity(rise: Sequence[Array], measured: Sequence[Mask], std: Sequence[Array]) -> float:
     """Regression of a step's rise on the cubic through those of its four neighbours; NaN with few nodes.
 
-    With the rises and masks (ny, nx) of the steps k - 2 to k + 2. It is near 1 where waves turn slowly from
+    With the rises, masks and standard uncertainties (ny, nx) of the steps k - 2 to k + 2. NaN where rises are
+    noise in good part, which lowers the regression. It is near 1 where waves turn slowly from
     step to step, and the same for all steps of a sound record.
     """
     everywhere = np.logical_and.reduce(measured)
@@ -72,7 +74,8 @@ def continuity(rise: Sequence[Array], measured: Sequence[Mask]) -> float:
     before2, before, here, after, after2 = (np.asarray(one[everywhere], np.float64) for one in rise)
     expected = NEIGHBOURS @ np.stack([before2, before, after, after2])
     square = float(expected @ expected)
-    return float(here @ expected) / square if square > 0 else np.nan
+    noise = sum(w**2 * np.sum(np.square(std[k][everywhere])) for w, k in zip(NEIGHBOURS, (0, 1, 3, 4)))
+    return float(here @ expected) / square if noise < MAX_NOISE * square else np.nan
 
 
 def discontinuous(continuities: Array) -> NDArray[np.intp]:
@@ -88,12 +91,12 @@ def continuities_of(cube: xr.Dataset) -> Array:
     """Continuity of every step of a cube (n,), read chunk by chunk; NaN for two steps at either end."""
     count, chunk = cube.sizes["time"], max(cube.w.chunksizes.get("time", (64,))[0], 1)
     out = np.full(count, np.nan)
-    window: deque[tuple[Array, Mask]] = deque(maxlen=5)
+    window: deque[tuple[Array, Mask, Array]] = deque(maxlen=5)
     for start in range(0, count, chunk):
-        part = cube[["w", "quality"]].isel(time=slice(start, start + chunk)).load()
+        part = cube[["w", "w_std", "quality"]].isel(time=slice(start, start + chunk)).load()
         flags = part.quality.values & int(Quality.MEASURED) != 0
-        for k, (w, flag) in enumerate(zip(part.w.values, flags, strict=True), start):
-            window.append((w, flag & np.isfinite(w)))
+        for k, (w, std, flag) in enumerate(zip(part.w.values, part.w_std.values, flags, strict=True), start):
+            window.append((w, flag & np.isfinite(w) & np.isfinite(std), std))
             if len(window) == 5:
                 out[k - 2] = continuity(*zip(*window, strict=True))
     return out
