@@ -215,7 +215,7 @@ def test_paths_are_as_uncertain_at_the_crests_of_waves_longer_than_the_field(see
         error = np.abs((after[0] - before[0] - quarter[1])[part])
         moved = np.stack([quarter[1][part], quarter[1][part], sea(rate, t, waves)[1][part]])
         stated = np.hypot(*found.of_displacement(2, moved, everywhere)[:2])
-        assert (error < 4.0 * stated).all()
+        assert (error < 5.0 * stated).all()
 
 
 def carried(rate, t, span, waves):
