@@ -39,6 +39,17 @@ def test_locks_that_libraries_make_in_workers_are_not_left_behind(tmp_path):
     assert done.stderr == ""  # the tracker of resources counts what is left, at the very end
 
 
+def imported(name):
+    return name in sys.modules
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
+def test_workers_share_the_imports_of_the_process_that_they_are_forked_from():
+    pool = Pool(1)
+    found = dict(pool.map_unordered(imported, ["wavefield.measurement.measure"]))
+    assert found == {"wavefield.measurement.measure": True}
+
+
 class Crashing:
     def __init__(self, folder, how=None):
         self.folder, self.how = folder, how
