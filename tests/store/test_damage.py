@@ -1,6 +1,6 @@
 """Whatever happens to any file of a cube or of its waves: no other values in silence, no unforeseen error.
 
-Draws are the same every time; more by hand: ``WAVEFIELD_DRAWS=3000 pytest tests/cubes/test_damage.py``.
+Draws are the same every time; more by hand: ``WAVEFIELD_DRAWS=3000 pytest tests/store/test_damage.py``.
 """
 
 import contextlib

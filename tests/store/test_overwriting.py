@@ -1,6 +1,6 @@
 """No command, with any target, removes or changes a file that this program did not write as the same product.
 
-Draws are the same every time; more by hand: ``WAVEFIELD_DRAWS=3000 pytest tests/cubes/test_overwriting.py``.
+Draws are the same every time; more by hand: ``WAVEFIELD_DRAWS=3000 pytest tests/store/test_overwriting.py``.
 """
 
 import contextlib
