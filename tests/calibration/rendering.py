@@ -227,6 +227,19 @@ def dots(shape, mesh, diameter, bright=False):
     return inside
 
 
+def dots_with_rings(shape, mesh, diameter, rings, hole, bright=False):
+    """Reflectance of a grid of dots, those at some nodes with a hole of a fraction of the diameter."""
+    plain = dots(shape, mesh, diameter, True)
+
+    def inside(x, y):
+        out = plain(x, y)
+        for i, j in rings:
+            out = np.where(np.hypot(x - i * mesh, y - j * mesh) < hole * diameter / 2, 0.0, out)
+        return out if bright else 1.0 - out
+
+    return inside
+
+
 def charuco(shape, mesh, marker, dictionary=cv2.aruco.DICT_4X4_50):
     """Reflectance of a ChArUco board; its inner corner at the lower left is (0, 0), y upwards."""
     nx, ny = shape

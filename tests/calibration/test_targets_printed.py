@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from rendering import Picture, aprilgrid, camera_at, centred, charuco, chessboard, dots, pattern_picture
+from rendering import (
+    Picture,
+    aprilgrid,
+    camera_at,
+    centred,
+    charuco,
+    chessboard,
+    dots,
+    dots_with_rings,
+    pattern_picture,
+)
 
 from wavefield.calibration import Target, find_target
 from wavefield.calibration.pointfile import read_points, write_points
@@ -70,6 +80,39 @@ def test_dots_are_found_without_the_bias_of_their_centroids(bright):
     assert bias > 0.02
     assert np.abs(errors(corrected, camera, mesh).mean(0)).max() < 0.2 * bias
     assert np.sqrt((errors(corrected, camera, mesh) ** 2).mean()) < 0.02
+
+
+def picture_with_rings(seed, rings=((3, 3), (5, 3), (3, 4))):
+    """A grid with rings from a random side, partly out of view; the camera and the dots' diameter."""
+    rng = np.random.default_rng(seed)
+    mesh, (tilt, turn, roll) = 0.04, rng.uniform(0, [50, 360, 360])
+    diameter, hole, at = rng.uniform(0.4, 0.75) * mesh, rng.uniform(0.36, 0.7), rng.uniform(3, 5, 2) * mesh
+    camera = camera_at(SIZE, tilt, turn, roll, 2.0, rng.uniform(1000, 2000), at)
+    inside = dots_with_rings((12, 9), mesh, diameter, rings, hole, bright=bool(seed % 2))
+    return pattern_picture(camera, inside, PICTURE, samples=2), camera, mesh, diameter
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_dots_are_numbered_from_their_rings_also_partly_out_of_view(seed):
+    image, camera, mesh, diameter = picture_with_rings(seed)
+    points = find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
+    places = (points.node + 3) * mesh
+    error = points.pixel - np.stack(camera.project(places[:, 0], places[:, 1], 0.0), -1)
+    assert len(points) > 50
+    assert np.sqrt((error**2).mean()) < 0.02
+    assert np.sqrt((error**2).mean()) < 2.0 * np.median(points.std)
+
+
+def test_a_grid_without_all_its_rings_and_one_larger_than_stated_are_refused():
+    image, _, mesh, diameter = picture_with_rings(1, rings=((3, 3), (5, 3)))
+    with pytest.raises(CalibrationError, match="2 of the three rings"):
+        find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
+    image, _, mesh, diameter = picture_with_rings(1, rings=((3, 3), (5, 3), (4, 4)))
+    with pytest.raises(CalibrationError, match="right angle"):
+        find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
+    image, _, mesh, diameter = picture_with_rings(1)
+    with pytest.raises(CalibrationError, match="more than the 5 x 5"):
+        find_target(image, Target("dots", mesh, (5, 5), diameter=diameter, origin_mark="ring"))
 
 
 @pytest.mark.parametrize("roll", [15.0, 100.0])

@@ -31,12 +31,14 @@ class Target:
         Distance between neighbouring nodes, metres (of an AprilGrid: a tag and the gap beside it); of a
         two-level target that of neighbouring rows, half of that between the dots of a row.
     shape : tuple of int, optional
-        Nodes along x and along y. Needed for a chessboard (inner corners) and for dots; for ChArUco the
-        number of *squares* along x and y, as its makers count; for an AprilGrid that of tags. A grid of
-        strings needs none.
+        Nodes along x and along y. Needed for a chessboard (inner corners) and for dots without rings; for
+        ChArUco the number of *squares* along x and y, as its makers count; for an AprilGrid that of tags. A
+        grid of strings needs none.
     origin_mark, x_mark : str
         Marks of a grid of strings: a disc on the node (0, 0), a smaller one on (1, 0). A two-level target has
-        a square in place of the dot at (0, 0) and a triangle in place of one further along x.
+        a square in place of the dot at (0, 0) and a triangle in place of one further along x. A grid of dots
+        with ``origin_mark: ring`` has rings in place of three dots: (0, 0), one further along x and one
+        further along y; it may be partly out of view.
     diameter : float, optional
         Diameter of a dot, metres. With it the bias of a dot's centroid in perspective is removed.
     dictionary : str
@@ -65,7 +67,7 @@ class Target:
     kind: Literal["strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level"]
     mesh: Length
     shape: tuple[Nodes, Nodes] | None = None
-    origin_mark: Literal["disc", "square"] = "disc"
+    origin_mark: Literal["disc", "square", "ring"] = "disc"
     x_mark: Literal["small disc", "triangle"] = "small disc"
     diameter: Length | None = None
     dictionary: str = ""
@@ -76,7 +78,10 @@ class Target:
     def __post_init__(self) -> None:
         if self.kind == "two-level" and not self.depth:
             raise ValueError("a two-level target needs its depth, for example depth: 0.002 (metres)")
-        if self.shape is None and self.kind not in ("strings", "two-level"):
+        with_rings = self.origin_mark == "ring"
+        if with_rings and self.kind != "dots":
+            raise ValueError("rings mark the origin of a grid of dots only (kind: dots)")
+        if self.shape is None and self.kind not in ("strings", "two-level") and not with_rings:
             raise ValueError(f"a {self.kind} target needs its shape, for example shape: [9, 6]")
         if self.diameter is not None and self.diameter >= self.mesh:
             raise ValueError("the target's dots are larger than its mesh; check diameter and mesh (metres)")

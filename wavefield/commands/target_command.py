@@ -23,7 +23,7 @@ def _counts(context: click.Context, parameter: click.Parameter, value: str | Non
 Examples:
   wavefield target chessboard board.pdf                          # 9 x 6 inner corners, 25 mm, A4
   wavefield target charuco board.pdf --mesh 0.04 --marker 0.03   # on the smallest paper that holds it
-  wavefield target dots dots.pdf --shape 20x15 --mesh 0.03 --diameter 0.012 --paper fit
+  wavefield target dots dots.pdf --shape 20x15 --mesh 0.03 --diameter 0.012 --rings --paper fit
 """
 )
 @click.argument("kind", type=click.Choice(tuple(_DEFAULT_SHAPES)))
@@ -44,6 +44,11 @@ Examples:
 )
 @click.option("--diameter", type=float, help="Diameter of a dot, metres; by default half of the mesh.")
 @click.option(
+    "--rings",
+    is_flag=True,
+    help="Dots: rings mark the origin and the axes, so that parts may be out of view.",
+)
+@click.option(
     "--paper",
     type=click.Choice(_PAPERS),
     default="auto",
@@ -58,6 +63,7 @@ def target(
     marker: float | None,
     dictionary: str,
     diameter: float | None,
+    rings: bool,
     paper: str,
 ) -> None:
     """Write a calibration target to print, to scale, as a PDF.
@@ -74,6 +80,9 @@ def target(
         data |= {"marker": round(0.7 * mesh, 6) if marker is None else marker, "dictionary": dictionary}
     if kind == "dots":
         data |= {"diameter": mesh / 2 if diameter is None else diameter}
+        data |= {"origin_mark": "ring"} if rings else {}
+    elif rings:
+        raise click.UsageError("--rings is for dots")
     described = Target.from_dict(data)
     figure = target_page(described, paper)
     pdf = OwnFile("a target to print", lambda path: b"(wavefield target)" in path.read_bytes())

@@ -21,6 +21,7 @@ MM_PER_INCH = 25.4
 MARGIN = 8.0  # mm, of a page: printers leave it white
 CAPTION = 14.0  # mm, below the board
 SCALE_LINE = 100.0  # mm
+HOLE = 0.5  # of a ring's diameter
 PAPERS = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)} | {
     f"A{k}": (round(841 / 2 ** (k / 2)), round(1189 / 2 ** (k / 2))) for k in (3, 2, 1, 0)
 }
@@ -35,10 +36,11 @@ class Shapes:
     black: list[Rectangle] = field(default_factory=list)
     white: list[Rectangle] = field(default_factory=list)
     dots: list[tuple[float, float, float]] = field(default_factory=list)  # x, y, diameter
+    holes: list[tuple[float, float, float]] = field(default_factory=list)  # white discs, in dots
 
 
 def target_shapes(target: Target) -> Shapes:
-    """The board of a target; its node (0, 0) is the lower left one.
+    """The board of a target; its node (0, 0) is the lower left one, or the ring at the right angle.
 
     Raises
     ------
@@ -56,6 +58,12 @@ def target_shapes(target: Target) -> Shapes:
         edge = mesh  # white around the outer dots' centres
         out = Shapes((nx - 1) * mesh + 2 * edge, (ny - 1) * mesh + 2 * edge)
         out.dots = [(edge + i * mesh, edge + j * mesh, diameter) for j in range(ny) for i in range(nx)]
+        if target.origin_mark == "ring":
+            i, j = nx // 2 - 1, ny // 2 - 1
+            out.holes = [
+                (edge + a * mesh, edge + (ny - 1 - b) * mesh, HOLE * diameter)
+                for a, b in ((i, j), (i + 2, j), (i, j + 1))
+            ]
         return out
     if target.kind == "chessboard":
         out = Shapes((nx + 1) * mesh, (ny + 1) * mesh)
@@ -165,12 +173,14 @@ def target_page(target: Target, paper: str = "auto") -> Figure:
     for rectangles, colour in ((shapes.black, "black"), (shapes.white, "white")):
         moved = [(left + x, top + y, w, h) for x, y, w, h in rectangles]
         _fill(axes, moved, colour)
-    if shapes.dots:
-        x, y, diameter = np.array(shapes.dots).T
+    for discs, colour in ((shapes.dots, "black"), (shapes.holes, "white")):
+        if not discs:
+            continue
+        x, y, diameter = np.array(discs).T
         axes.add_collection(
             EllipseCollection(
                 diameter, diameter, np.zeros_like(x), units="xy", offsets=np.stack([left + x, top + y], -1),
-                offset_transform=axes.transData, facecolors="black", edgecolors="none",
+                offset_transform=axes.transData, facecolors=colour, edgecolors="none",
             ),
             autolim=False,
         )  # fmt: skip
@@ -213,5 +223,6 @@ def experiment_entry(target: Target) -> str:
         more = f", marker: {target.marker:g}, dictionary: {target.dictionary}"
     if target.kind == "dots":
         more = f", diameter: {target.diameter or target.mesh / 2:g}"
+        more += ", origin_mark: ring" if target.origin_mark == "ring" else ""
     nx, ny = target.shape or (0, 0)
     return f"target: {{kind: {target.kind}, mesh: {target.mesh:g}, shape: [{nx}, {ny}]{more}}}"
