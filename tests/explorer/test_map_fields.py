@@ -11,7 +11,7 @@ from wavefield.explorer import selections
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import colour_limits, palette, streamlines
 from wavefield.explorer.place import COLOUR_MAPS
-from wavefield.explorer.time_averages import time_averages
+from wavefield.explorer.time_averages import phase_averages, phases_of, time_averages
 
 X, Y = np.linspace(-0.5, 0.5, 41), np.linspace(-0.4, 0.4, 33)
 GX, GY = np.meshgrid(X, Y)
@@ -87,4 +87,18 @@ def test_averages_over_time_are_those_of_numpy(tmp_path):
         np.testing.assert_allclose(found[name].rms, rms, atol=2e-5)
     vorticity = record.steps("vorticity", 0, record.layout.steps)  # at once, not by chunks
     np.testing.assert_allclose(found["vorticity"].mean, vorticity.mean(axis=0), rtol=1e-4, atol=1e-5)
+    assert done[-1] == 1.0
+
+
+def test_phase_averages_are_those_of_the_waves_of_the_period_alone(tmp_path):
+    make_cube(tmp_path / "cube.zarr")
+    record, done = CubeRecord(tmp_path / "cube.zarr"), []
+    period = 24 * float(np.diff(record.time).mean())
+    found = phase_averages(record, ("z",), period, done.append)["z"]
+    steps = record.steps("z", 0, record.layout.steps).astype(float)
+    assert len(found) == phases_of(period, record.frame_rate) == 24
+    # steps half a step from a phase contribute to it and to the next one alike
+    for k in (0, 7, 23):
+        alike = 0.5 * (steps[k::24].mean(axis=0) + steps[(k - 1) % 24 :: 24].mean(axis=0))
+        np.testing.assert_allclose(found[k], alike, atol=2e-4)
     assert done[-1] == 1.0

@@ -105,6 +105,27 @@ def test_a_mean_over_time_is_shown_with_its_own_colours(cube, average):
     assert "t = " in page.panels.map.figure.title.text
 
 
+def test_phase_averages_need_a_period_and_are_shown_at_the_phase_of_the_step(cube):
+    page, _ = build(cube)
+    page.change(show="z", average="phase", step=3)
+    page.redraw()
+    assert page.controls.period.visible
+    assert "enter the period of the waves" in page.panels.map.figure.title.text
+    page.change(period=0.8)
+    page.redraw()
+    for _ in range(200):
+        if page.averages.get(page._request(), None) is not None:
+            break
+        time.sleep(0.02)
+    page.redraw()
+    assert re.search(r"phase average over 0\.8 s, phase \d+°", page.panels.map.figure.title.text)
+    assert Place.read({"average": "phase", "period": "0.8"}).period == 0.8
+    assert Place.read({"period": "-1"}).period is None
+    page.change(average="mean")
+    page.redraw()
+    assert not page.controls.period.visible
+
+
 def test_logarithmic_colours_are_those_of_magnitudes(cube):
     page, _ = build(cube)
     page.change(show="w", log=True, colours="viridis")

@@ -37,6 +37,10 @@ class LookControls:
         self.average = Select(
             title="Over time", value=place.average, options=list(AVERAGES.items()), name="average", width=130
         )
+        self.period = NumericInput(
+            title="Period (s)", value=place.period, mode="float", low=0.0, name="period", width=85,
+            visible=place.average == "phase",
+        )  # fmt: skip
         self.step = Slider(
             title="Step", start=0, end=max(record.layout.steps - 1, 1), value=place.step, step=1, name="step",
             sizing_mode="stretch_width", show_value=False, min_width=240,
@@ -65,7 +69,7 @@ class LookControls:
         self.link.js_on_change("text", CustomJS(code=_LINK))
         self.layout = column(
             row(
-                self.variable, self.average, back, self.play, forward, self.step,
+                self.variable, self.average, self.period, back, self.play, forward, self.step,
                 sizing_mode="stretch_width", styles=_WRAP,
             ),
             self.link, name="controls", sizing_mode="stretch_width",

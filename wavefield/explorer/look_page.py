@@ -1,7 +1,7 @@
 """The page of `wavefield look`: one session of one reader, thin over the panels."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -19,7 +19,13 @@ from wavefield.explorer.place import AVERAGES, TABS, Place, Value
 from wavefield.explorer.plot_parts import PanelEvents, chosen, clear
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.template import apply_template
-from wavefield.explorer.time_averages import AverageRequest, TimeAverage, time_averages
+from wavefield.explorer.time_averages import (
+    AverageRequest,
+    Field,
+    phase_averages,
+    phases_of,
+    time_averages,
+)
 from wavefield.figures.display import display
 from wavefield.variables import FrameStatus
 
@@ -42,8 +48,8 @@ class LookPage:
             self.pick, self._take_corner, self._masks_changed, lambda: self._soon(self._show_view)
         )
         self.panels = LookPanels(session, place, self.controls.drag, events)
-        self.averages: BackgroundReader[AverageRequest, dict[str, TimeAverage]] = BackgroundReader(
-            lambda request, progress: time_averages(session.record, request.names, progress),
+        self.averages: BackgroundReader[AverageRequest, Mapping[str, Sequence[Field]]] = BackgroundReader(
+            self._read_averages,
             on_progress=lambda words: self.panels.map.figure.title.update(text=words),
             on_error=lambda words: self.header.report(StoreError(words)),
             on_end=lambda: self._soon(self.redraw),
@@ -64,6 +70,7 @@ class LookPage:
         controls.average.on_change(
             "value", lambda a, o, new: self.change(average=chosen(controls.average), limits=None)
         )
+        controls.period.on_change("value", lambda a, o, new: self.change(period=new or None, limits=None))
         controls.colours.on_change("value", lambda a, o, new: self.change(colours=chosen(controls.colours)))
         controls.overlay.on_change("value", lambda a, o, new: self.change(overlay=chosen(controls.overlay)))
         controls.log.on_change("active", lambda a, o, new: self.change(log=bool(new), limits=None))
@@ -216,7 +223,22 @@ class LookPage:
         """The variables of the map: the displayed one, and u and v of the arrows."""
         record = self.session.record
         names = self.place.show, *(name for name in ("u", "v") if name in record.stored)
-        return AverageRequest(tuple(dict.fromkeys(names)), record.steps_done)
+        period = (self.place.period or 0.0) if self.place.averaged == "phase" else 0.0
+        return AverageRequest(tuple(dict.fromkeys(names)), record.steps_done, period)
+
+    def _phase(self, period: float) -> tuple[int, float]:
+        """The phase average nearest to the step that is shown, by its index, and its phase, degrees."""
+        phases = phases_of(period, self.session.record.frame_rate)
+        index = round(float(self.session.record.time[self.place.step]) / period * phases) % phases
+        return index, 360 * index / phases
+
+    def _read_averages(
+        self, request: AverageRequest, progress: Callable[[float], None]
+    ) -> Mapping[str, Sequence[Field]]:
+        record = self.session.record
+        if request.period:
+            return phase_averages(record, request.names, request.period, progress)
+        return time_averages(record, request.names, progress)
 
     def _fields(self) -> dict[str, NDArray[np.float32]] | None:
         """What the map shows of the displayed variable and of u and v, (ny, nx); None while it is read."""
@@ -226,14 +248,24 @@ class LookPage:
             if early is not None:
                 return {name: record.preview.early_field(name, early) for name in names}
             return {name: record.field(name, place.step) for name in names}
-        found = self.averages.get(self._request(), self._document)
-        return {name: getattr(average, place.average) for name, average in found.items()} if found else None
+        request = self._request()
+        if place.averaged != "phase":
+            index = ("mean", "rms").index(place.averaged)
+        elif request.period * record.frame_rate > 2:
+            index = self._phase(request.period)[0]
+        else:
+            return None
+        found = self.averages.get(request, self._document)
+        return {name: average[index] for name, average in found.items()} if found else None
 
     def _show_map(self) -> None:
         record, place, panel = self.session.record, self.place, self.panels.map
+        self.controls.period.visible = place.average == "phase"
         fields = self._fields()
         if fields is None:
-            panel.figure.title.text = f"{place.show}: reading all steps"
+            known = place.averaged != "phase" or (place.period or 0.0) * record.frame_rate > 2
+            ask = f"enter the period of the waves, more than {2 / record.frame_rate:.3g} s"
+            panel.figure.title.text = f"{place.show}: {'reading all steps' if known else ask}"
             clear(panel.sources["image"], panel.sources["arrows"])
             return
         panel.show(place, fields)
@@ -249,6 +281,8 @@ class LookPage:
         what = f"{place.show}: {shown.long_name}{shown.in_unit}"
         if place.averaged:
             words = f"{what}, {AVERAGES[place.averaged]}"
+            if place.averaged == "phase" and place.period:
+                words += f" over {place.period:g} s, phase {self._phase(place.period)[1]:.0f}°"
         else:
             status = _STATUS_WORDS.get(FrameStatus(code), "")
             if early is not None:

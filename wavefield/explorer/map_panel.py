@@ -223,8 +223,9 @@ class MapPanel:
         if place.overlay == "streamlines":
             xs, ys = streamlines(u, v, x, y)
         else:
-            fastest = top_speed(u, v) if place.averaged else self._fastest or top_speed(u, v)
-            self._fastest = self._fastest or (0.0 if place.averaged else fastest)
+            fixed = place.averaged == "mean"  # others keep the scale of the first step that was shown
+            fastest = top_speed(u, v) if fixed else self._fastest or top_speed(u, v)
+            self._fastest = self._fastest or (0.0 if fixed else fastest)
             xs, ys, metres = arrows(u, v, x, y, fastest)
             speed = number(float(f"{100 * fastest:.1g}"))
             self.arrow_key.text = f"longest arrows: {speed} cm/s" if metres else ""

@@ -5,13 +5,18 @@ from dataclasses import asdict, dataclass, replace
 from urllib.parse import urlencode
 
 TABS = ("map", "surface", "cameras", "waves")
-AVERAGES = {"": "this step", "mean": "mean over time", "rms": "rms over time"}  # as they are called
+AVERAGES = {
+    "": "this step",
+    "mean": "mean over time",
+    "rms": "rms over time",
+    "phase": "phase average",
+}  # as they are called
 COLOUR_MAPS = ("", "RdBu_r", "cividis", "viridis", "inferno", "turbo", "gray")  # "": that of the variable
 OVERLAYS = ("arrows", "streamlines", "nothing")  # of the velocity, on the map
 MAX_MOVIE_FRAMES = 2000
 DRAGS = {"move": "pan", "line": "line", "rectangle": "rectangle", "mask": "mask"}  # as they are called
 _COUNTS = {"limits": 2, "node": 2, "line": 4, "area": 4}  # of numbers
-Value = str | int | bool | tuple[float, ...] | None
+Value = str | int | float | bool | tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,7 @@ class Place:
     drag: str = "move"  # what dragging does, one of `DRAGS`
     limits: tuple[float, float] | None = None  # of the colour scale, in the displayed unit; None: fitted
     average: str = ""  # over time, on the map, one of `AVERAGES`
+    period: float | None = None  # of the phase averages, s
     colours: str = ""  # one of `COLOUR_MAPS`
     log: bool = False  # whether the colours of the map are logarithmic, of magnitudes
     overlay: str = "arrows"  # one of `OVERLAYS`
@@ -93,6 +99,8 @@ def _parse(name: str, text: str) -> Value:
             valid = len(numbers) == _COUNTS[name] and all(abs(number) < 1e6 for number in numbers)
             valid = valid and (name != "limits" or numbers[0] < numbers[1])
             return numbers if valid else None
+        if name == "period":
+            return float(text) if 0 < float(text) < 1e6 else None
         if name == "step":
             return int(text)
     except ValueError:

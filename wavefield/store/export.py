@@ -132,7 +132,9 @@ def _by_steps(cube: "xr.Dataset") -> Iterator["xr.Dataset"]:
         yield cube.isel(time=slice(start, min(start + _AT_ONCE, count))).load()
 
 
-def _netcdf(cube: "xr.Dataset", path: Path) -> None:
+def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
+    """Write a cube, or averages of one, as NetCDF (CF)."""
+    check_writable(path, PRODUCTS["netcdf"])
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
     }
@@ -182,7 +184,7 @@ def _uvmat(cube: "xr.Dataset", path: Path) -> None:
 
 
 _WRITERS: dict[str, Callable[[Any, Path], None]] = {
-    "netcdf": _netcdf,
+    "netcdf": write_netcdf,
     "matlab": _matlab,
     "paraview": _paraview,
     "vtkhdf": _vtkhdf,

@@ -131,7 +131,7 @@ def phase_average(
             f"the record holds {periods:.3g} periods of {period:g} s, of steps of {record.dt:g} s: four"
             " periods of more than two steps are needed"
         )
-    weights = _weights(angle, phases)
+    weights = phase_weights(angle, phases)
     if (weights > 0).sum(axis=0).min() < 2:
         raise CubeError(
             f"{phases} phases are more than the steps fall on: choose fewer (steps are {record.dt:g} s)"
@@ -144,7 +144,7 @@ def phase_average(
     return _label(fields, record, names, weights, design, sums).assign_attrs(period=period)
 
 
-def _weights(angle: Array, phases: int) -> Array:
+def phase_weights(angle: Array, phases: int) -> Array:
     """Share of each step in each phase, (steps, phases): linear between the two next to it."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
