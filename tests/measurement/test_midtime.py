@@ -279,5 +279,8 @@ def test_water_at_rest_leaves_nothing_out():
     assert {part for parts in dict(found.d).values() for part in parts} == {0.0}
     assert TemporalTruncation.from_dict(found.to_dict()) == found
     assert hash(found) == hash(TemporalTruncation.from_dict(found.to_dict())), "plans are looked up by it"
+    for rise in (1e-12, 1e-8, 1e-3):  # without any wave, or almost
+        level = temporal_truncation([(still, still + rise)], 0.01)
+        assert np.isfinite([*dict(level.z).values(), *np.ravel(list(dict(level.d).values()))]).all()
     line = np.zeros((1, 50))  # too few nodes to tell waves
     assert temporal_truncation([(line, line)], 0.01) == NOTHING

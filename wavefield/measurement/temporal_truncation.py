@@ -22,6 +22,7 @@ _MAIN_LOBE_RINGS = 3  # nearer rings are mixed by the window
 _DIRECTIONS = 16  # of waves, relative to the motion of the water
 _MIN_NODES = 6  # along either side of a field
 _LINES_PER_WAVE = 4.5  # lines of a windowed transform that are not independent
+_MIN_PHASE = 1e-3  # of slower waves nothing is left out
 _MAX_PHASE = 1.5 * np.pi  # beyond that waves are not followed at all
 _HALF_TRUSTED_WAVES = 20.0  # in a ring: its own phase then counts by half
 _MIN_WAVES_OF_SIX_FRAMES = 100.0  # give phases to a tenth, and to half of it what six frames leave out
@@ -187,7 +188,7 @@ def _wave_rings(
     power[0], phase[0] = 0.25 * longer.sum(), _phase(*longer)
     slowest = float(phase[:2].max())
     rise = float(np.mean([np.square(np.mean(b - a)) for a, b in pairs]))
-    level = rise / (2.0 - 2.0 * np.cos(slowest)) if slowest > 0 else 0.0
+    level = rise / max(4.0 * np.sin(0.5 * slowest) ** 2, _MIN_PHASE**2)
     k, power, phase = (np.append(part, one) for part, one in zip((k, power, phase), (0.0, level, slowest)))
     return k, power, phase, float(waves.sum())
 
