@@ -9,7 +9,16 @@ import zarr
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.quality.camera_delay import Delay, Sample, Synchrony, delays, regress, remarks
+from wavefield.quality.camera_delay import (
+    SIGNIFICANCE,
+    Delay,
+    Sample,
+    Synchrony,
+    delays,
+    is_determined,
+    regress,
+    remarks,
+)
 from wavefield.quality.camera_motion import camera_jitter, camera_motion, jump, knocks, shaking
 from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
 from wavefield.tank import Scene, Tank
@@ -93,6 +102,20 @@ def test_a_delay_is_found_whatever_the_cameras_shake():
         assert std < 0.002
     assert np.std(misses) == pytest.approx(1.0, abs=0.35)  # the uncertainty holds
     assert regress(samples(0.004, rng, instants=1)) is None
+
+
+def test_no_delay_follows_from_a_specimen_that_hardly_moves():
+    rng = np.random.default_rng(6)
+    found, low = [], np.stack([np.ones(40), *rng.uniform(-1, 1, (2, 40))], axis=-1)
+    for _ in range(20):
+        noise = rng.normal(0, 0.01, (8, 2, 40))  # px: of the matching, part of it common to miss and velocity
+        still = [Sample(miss + 1.4 * moved, moved, low) for miss, moved in noise]
+        delay, std = regress(still)
+        found.append(abs(delay) > SIGNIFICANCE * std)
+        assert not is_determined(still, delay, std)
+        moving = [Sample(s.miss, 100.0 * s.velocity, low) for s in still]
+        assert is_determined(moving, *regress(moving))
+    assert np.mean(found) > 0.5, "by its own uncertainty it would be significant"
 
 
 def test_a_delay_that_matters_is_a_remark_and_a_small_one_a_note():

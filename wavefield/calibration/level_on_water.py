@@ -68,7 +68,7 @@ def level_on_water(
     """Bring z = 0 to the mean surface of moving water, from matches of pairs of cameras at each instant.
 
     Points of the horizon (n, 2), px, by camera, give the vertical, unless the mean surface contradicts them;
-    with a distance, metres, the second camera is placed by the same fit.
+    with a distance, metres, the second camera is placed by the same fit, and the origin is below the cameras.
     """
     none = np.empty((0, 3))
     surfaces = [
@@ -85,9 +85,13 @@ def level_on_water(
         rig.cameras, axes[:, 2], float(levelled[name].centre[2] - axes[:, 2] @ rig[name].centre)
     )
     fit, (tilt_std, height_std), sentence = _best_fit(start, matches, horizons or {}, distance)
-    origin = rig[name].centre - axes @ levelled[name].centre
-    origin -= (fit.up @ origin + fit.offset) * fit.up
-    x = axes[:, 0] - (axes[:, 0] @ fit.up) * fit.up
+    if distance is None:
+        along, origin = axes[:, 0], rig[name].centre - axes @ levelled[name].centre
+    else:  # the frame of a rig that knew no poses: below the cameras, x to the right, y away from them
+        along = rig[name].R[0]
+        origin = np.mean([camera.centre for camera in fit.cameras.values()], axis=0)
+    origin = origin - (fit.up @ origin + fit.offset) * fit.up
+    x = along - (along @ fit.up) * fit.up
     x /= np.linalg.norm(x)
     tilt = _angle(fit.up, np.array([0.0, 0.0, 1.0]))
     note = {

@@ -47,7 +47,9 @@ _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(
 SIGNIFICANCE = 4.0  # standard deviations
 ROW_SIGNIFICANCE = 6.0  # of a row time: cameras show a place in nearly the same row
 MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
-MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined
+MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined,
+MAX_INTERVALS = 1.5  # nor a longer one: water does not keep its velocity for so long,
+MIN_VELOCITY = 0.03  # px per frame, rms beside constant and slopes: what moves less is noise of the matching
 
 
 @dataclass(frozen=True)
@@ -225,6 +227,13 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
     return delay, float(np.sqrt((scores**2).sum() * count / (count - 1))) / power
 
 
+def is_determined(samples: Sequence[Sample], delay: float, std: float) -> bool:
+    """Whether a delay and its standard uncertainty, in frames, follow from what moves."""
+    moving = np.concatenate([_cleared(s, np.ones(len(s.miss)))[1] for s in samples])
+    fast = float(np.sqrt(np.mean(moving**2))) >= MIN_VELOCITY
+    return fast and std < MAX_STD_INTERVALS and abs(delay) < MAX_INTERVALS
+
+
 def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
     """By how much each row is read later than the one above it, alike in both cameras, in frames."""
     other = [
@@ -286,12 +295,13 @@ def delays(
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
         found = regress(samples)
+        if found is None or not is_determined(samples, *found):
+            continue
         if (row_time := row_time_of(samples)) is not None:
             row_times.append(row_time)
-        if found is not None:
-            rows.append([float(name == b) - float(name == a) for name in names])
-            values.append(found[0] / rate)
-            spreads.append(max(found[1] / rate, 1e-7))
+        rows.append([float(name == b) - float(name == a) for name in names])
+        values.append(found[0] / rate)
+        spreads.append(max(found[1] / rate, 1e-7))
     if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
         return Synchrony({})
     design = np.array(rows) / np.array(spreads)[:, None]
