@@ -13,8 +13,10 @@ from wavefield.calibration.relative_pose import match_features, place_second
 from wavefield.commands.cli import main
 from wavefield.errors import RigError
 from wavefield.images import write_image
+from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
+from wavefield.series import Experiment
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +88,8 @@ def test_the_command_places_and_levels_cameras_of_which_only_the_lenses_are_cali
     assert main([*command, "--distance", f"{distance:.4f}"]) == 0
     assert "of 4 instants" in capsys.readouterr().out
     levelled = Rig.load(folder / "rig.yaml")
+    remark = remark_on_rest(Experiment.load(folder / "experiment.yaml"), levelled)
+    assert "mean surface of moving water: no horizon was found" in remark.sentence
     assert levelled["right"].centre[2] == pytest.approx(cameras["right"].centre[2], abs=0.05)
 
 

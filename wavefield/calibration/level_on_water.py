@@ -95,11 +95,11 @@ def level_on_water(
     x /= np.linalg.norm(x)
     tilt = _angle(fit.up, np.array([0.0, 0.0, 1.0]))
     note = {
-        "height_m": fit.height(name),
-        "height_std_m": height_std,
+        "camera_height_m": fit.height(name),
+        "camera_height_std_m": height_std,
         "tilt_deg": tilt,
         "tilt_std_deg": tilt_std,
-        "rms_m": plane.rms,
+        "waves_rms_m": plane.rms,
         "points": len(points),
         "by": sentence,
     }

@@ -51,6 +51,8 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
         return 0.0  # that of z contains it
+    if isinstance(levelled, Mapping) and "camera_height_std_m" in levelled:
+        return float(levelled["camera_height_std_m"])
     if isinstance(levelled, Mapping) and "rms_m" in levelled:
         return float(levelled["rms_m"])
     if geometry.settings.bead_height:

@@ -12,7 +12,7 @@ from wavefield.config_files import CHECKED, make, place_of
 from wavefield.errors import ExperimentError
 
 # What differs from the defaults, which are for floating beads.
-_PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+_PRESETS: dict[str, dict[str, Any]] = {
     "floating": {"stereo": {}, "piv": {}},
     "sheet": {
         "stereo": {"window": 32.0, "min_correlation": 0.2},
@@ -21,6 +21,7 @@ _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "texture": {
         "stereo": {"window": 36.0, "min_correlation": 0.3, "max_deviation": 5.0},
         "piv": {"window": 24.0, "min_correlation": 0.3},
+        "eps_limit": 5.0,  # the mismatch grows with the distance of the water
     },
 }
 _STEREO = matching.MatchSettings(
@@ -175,12 +176,9 @@ class Settings:
         >>> Settings().adjusted("texture").stereo.window
         36.0
         """
-        changes = _PRESETS[preset]
-        return replace(
-            self,
-            stereo=replace(self.stereo, **changes["stereo"]),
-            piv=replace(self.piv, **changes["piv"]),
-        )
+        changes = dict(_PRESETS[preset])
+        stereo, piv = changes.pop("stereo"), changes.pop("piv")
+        return replace(self, stereo=replace(self.stereo, **stereo), piv=replace(self.piv, **piv), **changes)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -224,6 +222,7 @@ class Settings:
                 f"{where}settings.preset: choose one of {', '.join(_PRESETS)}, not {preset!r}"
             )
         base = cls().adjusted(preset)
+        values.setdefault("eps_limit", base.eps_limit)
         for name, default in (("stereo", base.stereo), ("piv", base.piv)):
             if isinstance(values.get(name, {}), Mapping):
                 values[name] = asdict(default) | dict(values.get(name, {}))

@@ -69,6 +69,15 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
             f"`settings: {{bead_height: {height / 1e3:.2g}}}` corrects u and v for it",
             values={"height_m": height / 1e3, "rms_m": rms / 1e3},
         )
+    if isinstance(found, dict) and "camera_height_m" in found:
+        return Remark(
+            "rig",
+            "levelled",
+            "note",
+            f"z = 0 is the mean surface of moving water: {found['by']}; its tilt is uncertain by "
+            f"{found['tilt_std_deg']:.2g} degrees, and {next(iter(rig))} is {found['camera_height_m']:.2f} +- "
+            f"{found['camera_height_std_m']:.2f} m above it",
+        )
     if experiment.rest:
         return Remark(
             "rig",
