@@ -75,8 +75,8 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
             "levelled",
             "note",
             f"z = 0 is the mean surface of moving water: {found['by']}; its tilt is uncertain by "
-            f"{found['tilt_std_deg']:.2g} degrees, and {next(iter(rig))} is {found['camera_height_m']:.2f} +- "
-            f"{found['camera_height_std_m']:.2f} m above it",
+            f"{found['tilt_std_deg']:.2g} degrees, and {next(iter(rig))} is {found['camera_height_m']:.2f} "
+            f"+- {found['camera_height_std_m']:.2f} m above it",
         )
     if experiment.rest:
         return Remark(

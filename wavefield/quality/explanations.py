@@ -135,8 +135,8 @@ EXPLANATIONS = {
     "failed-steps": "Steps that could not be measured; `wavefield status` lists the frames and the reasons.",
     # rig and grid
     "levelled": (
-        "For information: z = 0 is the water at rest, found in the still-water record, or the mean surface of "
-        "moving water."
+        "For information: z = 0 is the water at rest, found in the still-water record, or the mean surface "
+        "of moving water."
     ),
     "not-levelled": (
         "The experiment names a still-water record (`rest:`), but the rig was made without it. Run `wavefield"
