@@ -32,6 +32,8 @@ MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
 PRODUCTS_APART = 2, 3  # independent values among those averaged, of products of waves: of cells, of sums
 PRODUCT_RINGS = 5  # over which the variance of a cross spectrum of k with such a product is averaged
 LINES_OF_CELLS = 3  # over which the cells of a cross spectrum are averaged for its sum
+# times stronger neighbours, after and before a line, leak more into it than it has of its own
+LEAKED = {1: 1.25, -1: 3.0}
 MAX_LAG = 2  # segments that may be correlated
 MIN_SEGMENTS_FOR_VARIANCE = 8  # of Gaussian lines
 MIN_SEGMENTS_FOR_CORRELATION = 12
@@ -73,7 +75,8 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     What follows from the variance alone is made (n - 1) / (n - 3) larger, Student's variance. n is the number
     of segments over their correlation times the independent values among those averaged: for E(omega) and
     E(k) the lines, over 1 + 6 / nu, since powers of nu degrees of freedom determine their variance less well
-    than Gaussian values. Products of waves make cells rise and fall as one: two values are independent in
+    than Gaussian values. Lines and rings beyond the ends of a sea have what leaks into them (`of_leakage`).
+    Products of waves make cells rise and fall as one: two values are independent in
     E(k, omega), three in sums.
     """
     cells = welch.freedom(sums[name])
@@ -105,8 +108,29 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     for axis, over in (("omega", 0), ("k", 1)):
         mean = (of_sums * variance).sum(axis=over) / np.maximum(variance.sum(axis=over), 1e-300)
         expected = freedom_of_sums(power, independent, welch)[axis]
-        out[axis] = _of_sum(powers.sum(axis=1 + over), starts, welch, expected, mean, gaussian)
+        of_sum = _of_sum(powers.sum(axis=1 + over), starts, welch, expected, mean, gaussian)
+        out[axis] = of_leakage(power.sum(axis=over), of_sum)
     return out
+
+
+def of_leakage(power: Array, dof: Array) -> Array:
+    """Degrees of freedom (n,) of a sum where lines that hold what leaks into them have those of its source.
+
+    A line weaker than its neighbour towards the strongest one by more than a sea falls off with frequency (or,
+    before the strongest line, by more than chance) holds mostly what the windows spread of that: the same few
+    waves in all of its cells, however many these are.
+
+    Examples
+    --------
+    >>> of_leakage(np.array([0.1, 1.0, 8.0, 6.0, 4.0, 0.2]), np.array([90.0, 80.0, 30.0, 40.0, 50.0, 20.0]))
+    array([30., 30., 30., 40., 50., 20.])
+    """
+    out, peak = dof.copy(), int(np.argmax(power))
+    for towards, lines in zip((1, -1), (range(peak - 1, -1, -1), range(peak + 1, power.size))):
+        for i in lines:
+            if LEAKED[towards] * power[i] < power[i + towards]:
+                out[i] = min(out[i], out[i + towards])
+    return np.asarray(out)
 
 
 def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> dict[str, Array]:
@@ -156,9 +180,14 @@ def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> d
 
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
-    """Degrees of freedom of the sums over k and over omega of powers (rings, lines)."""
+    """Degrees of freedom of the sums over k and over omega of powers (rings, lines).
+
+    The ridge of a line is thinner than the rings that see it: their powers have the correlation that the
+    amplitudes of even energy have.
+    """
+    overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
-        "omega": sum_freedom(power, dof, welch.table.overlap),
+        "omega": sum_freedom(power, dof, np.sqrt(overlap * np.outer(own, own))),
         "k": sum_freedom(power.T, dof.T, hann_correlation(power.shape[1])),
     }
 
@@ -208,6 +237,8 @@ def _of_sum(
 ) -> Array:
     """Degrees of freedom of sums (segments, n), from those expected if segments were independent."""
     between, _ = _variances(powers, starts, welch)
+    # segments that are correlated vary less about their own mean
+    between = between * (welch.count - 1) / np.maximum(welch.count - correlation, 1.0)
     ratio = _smooth(between * expected / 2, SUM_SIZE).clip(1e-9 * expected, None)
     single = expected / (welch.count * ratio)  # of one segment's sum
     apart = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0) if gaussian else PRODUCTS_APART[1]
