@@ -116,9 +116,9 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
 def of_leakage(power: Array, dof: Array) -> Array:
     """Degrees of freedom (n,) of a sum where lines that hold what leaks into them have those of its source.
 
-    A line weaker than its neighbour towards the strongest one by more than a sea falls off with frequency (or,
-    before the strongest line, by more than chance) holds mostly what the windows spread of that: the same few
-    waves in all of its cells, however many these are.
+    A line weaker than its neighbour towards the strongest one by more than a sea falls off with frequency
+    (before the strongest line, by more than chance) holds mostly what the windows spread of that: the same
+    few waves in all of its cells, however many these are.
 
     Examples
     --------
@@ -142,7 +142,8 @@ def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> d
 
     With a product of waves, which shares no ridge with them, the variance of the cross spectrum between
     segments over what follows from the cells is undone, as an average over 5 rings and 11 lines of 28
-    segments or more (as many more cells as segments are missing), for k over 5 rings. Such a product keeps no
+    segments or more (as many more cells as segments are missing), times Student's variance as in `freedom`;
+    for k over 5 rings. Such a product keeps no
     phase: only the overlap of half of the windows, 1 / 6, correlates its segments.
     """
     product = sums[first][0] * sums[second][0]
@@ -173,7 +174,8 @@ def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> d
             ratio = np.nan_to_num(welch.count * segments.var(axis=0, ddof=1) / squares, posinf=0.0)
             over_k = np.nan_to_num(welch.count * segments.sum(axis=2).var(axis=0, ddof=1) / product_of_k)
         size = _variance_size(welch.count, ENOUGH_FOR_REACH[False])
-        both = both / _smooth(ratio, size).clip(1 / MAX_RATIO, MAX_RATIO)
+        student = _student(PRODUCTS_APART[0] * welch.count / correlation)
+        both = both / (_smooth(ratio, size) * student).clip(1 / MAX_RATIO, MAX_RATIO)
         expected = _smooth(1 / of_k, PRODUCT_RINGS)
         of_k = of_k * expected / np.maximum(_smooth(over_k, PRODUCT_RINGS), 1e-2 * expected)
     return {"both": (both / correlation).clip(1, None), "k": (of_k / of_sum).clip(1, None)}
