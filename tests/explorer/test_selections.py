@@ -136,19 +136,20 @@ def test_images_are_centred_on_their_nodes():
 
 def test_a_link_shows_the_same_place_again():
     place = Place(
-        "eps_piv",
-        77,
-        "waves",
-        "line",
-        (-2.5, 2.5),
-        "rms",
-        "viridis",
-        True,
-        "streamlines",
-        (0.1, -0.25),
-        (0, 0, 1, 0.5),
-        (-1, -1, 1, 1),
-        "cam2",
+        show="eps_piv",
+        step=77,
+        tab="waves",
+        drag="line",
+        limits=(-2.5, 2.5),
+        average="phase",
+        period=0.8,
+        colours="viridis",
+        log=True,
+        overlay="streamlines",
+        node=(0.1, -0.25),
+        line=(0, 0, 1, 0.5),
+        area=(-1, -1, 1, 1),
+        camera="cam2",
     )
     query = dict(pair.split("=") for pair in place.query().split("&"))
     assert Place.read(query, ("w", "eps_piv"), 100) == place

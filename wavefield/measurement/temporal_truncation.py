@@ -27,6 +27,7 @@ _MAX_PHASE = 1.5 * np.pi  # beyond that waves are not followed at all
 _HALF_TRUSTED_WAVES = 20.0  # in a ring: its own phase then counts by half
 _MIN_WAVES_OF_SIX_FRAMES = 100.0  # give phases to a tenth, and to half of it what six frames leave out
 _TRUNCATION_MARGIN = 1.5  # on the error of waves along a path
+_LEVEL_WAVELENGTH = 1.5  # fields: the mean over the field has a sixth of the variance of such waves, or less
 _CHORD_FACTOR = 1.1  # a chord is not on the path either, the less so the steeper the waves
 
 
@@ -120,7 +121,7 @@ def temporal_truncation(
     for what falls off with the sixth power of the distance: rings that this may fill are replaced completely.
     All this is computed of the curvature of z: waves as long as the field and longer would fill the first
     rings with their own slow phase. The part of z beyond its curvature is theirs, as a ring of its own; the
-    rise of the mean level is another, with the phase of waves as long as the field at least. Of z,
+    rise of the mean level is another, with the phase of the shortest waves that move it. Of z,
     sum P (1 - K)^2 is left out (`elevation_gain`); three frames leave out p^3/16.
 
     A path sees a wave with phase q = p - k d cos(theta) per step, where d is the motion of the water in it
@@ -186,7 +187,7 @@ def _wave_rings(
     phase = _shrunk_phases(own_phase, waves, dispersion(k))
     longer = np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()]
     power[0], phase[0] = 0.25 * longer.sum(), _phase(*longer)
-    slowest = float(phase[:2].max())
+    slowest = float(phase[:2].max()) / np.sqrt(_LEVEL_WAVELENGTH)  # by the relation of deep water
     rise = float(np.mean([np.square(np.mean(b - a)) for a, b in pairs]))
     level = rise / max(4.0 * np.sin(0.5 * slowest) ** 2, _MIN_PHASE**2)
     k, power, phase = (np.append(part, one) for part, one in zip((k, power, phase), (0.0, level, slowest)))
