@@ -75,6 +75,11 @@ def test_version_and_help(capsys):
     assert "wavefield demo" in capsys.readouterr().out
 
 
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "wavefield", "--version"], capture_output=True, text=True)
+    assert done.stdout == f"wavefield {__version__}\n", done.stderr
+
+
 def test_help_is_quick_because_nothing_heavy_is_imported():
     heavy = ["numba", "xarray", "dask", "cv2", "matplotlib", "scipy", "zarr", "distributed"]
     code = f"import sys, wavefield.commands.cli; print([m for m in {heavy} if m in sys.modules])"
