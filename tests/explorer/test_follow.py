@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from wavefield.errors import ExperimentError
 from wavefield.explorer import learner as learning
 from wavefield.explorer.features import bead_size, frame_features
 from wavefield.explorer.follow_page import lights_table
@@ -26,7 +27,7 @@ from wavefield.explorer.lights import (
 from wavefield.explorer.watch import FolderWatch
 from wavefield.images import write_image
 from wavefield.series import Experiment
-from wavefield.variables import Quality
+from wavefield.variables import AROUND, Quality
 
 CAMERAS = ("cam1", "cam2", "cam3")
 
@@ -371,6 +372,56 @@ def test_a_mask_that_moves_with_the_frames_is_followed(small_tank, tmp_path):
     x_nodes = follower.nodes[0]
     middle = [float(x_nodes[np.nonzero(m)[1]].mean()) for m in masked[:2]]
     assert 0.005 < middle[1] - middle[0] < 0.035
+
+
+def with_background(folder, small_tank, background):
+    """A follower of five frames with a floor, and the follower's folder."""
+    rig, frames = small_tank
+    path = record(folder, rig)
+    draws = np.random.default_rng(8)
+    for name in CAMERAS:
+        shape = frames[0][name].shape
+        floor = np.where(draws.random(shape) > 0.97, 90, 0).astype(np.uint8)
+        for number in range(3):
+            write(folder, number, {name: np.minimum(frames[number][name], 150) + floor})
+        write_image(folder / "background" / f"{name}.tif", background(floor))
+    path.write_text(path.read_text() + 'background: "background/{camera}.tif"\n')
+    follower = Follower(Experiment.load(path))
+    follower.poll()
+    return follower
+
+
+def test_a_background_is_subtracted_as_in_a_run_before_a_step_is_measured(small_tank, tmp_path, monkeypatch):
+    from wavefield.measurement import measure
+
+    def spy(images, *rest):
+        seen.append(images)
+        return measure(images, *rest)
+
+    seen = []
+    monkeypatch.setattr("wavefield.measurement.measure", spy)
+    follower = with_background(tmp_path, small_tank, lambda floor: floor)
+    series = follower.experiment.open_frames()
+    for name in CAMERAS:
+        for number in (1, 2):
+            np.testing.assert_array_equal(seen[0][name][AROUND + number - 1], series[name].read(number).image)
+        newest = follower.latest.images[name]  # what the page and the lights of a camera show
+        assert newest.max() > series[name].read(2).image.max()
+    pairs = follower._measurer.pairs(follower.watch.newest_set())
+    assert all(pair.matched > 0.9 for pair in pairs.values())
+
+
+def test_a_background_of_other_images_is_named_and_nothing_is_measured(small_tank, tmp_path):
+    follower = with_background(tmp_path, small_tank, lambda floor: floor[1:])
+    assert "run `wavefield background experiment.yaml` again" in follower.latest.trouble
+    assert follower.latest.fields == {}
+
+
+def test_following_without_the_background_that_is_named_is_refused_as_a_run_is(tmp_path):
+    path = record(tmp_path)
+    path.write_text(path.read_text() + 'background: "background/{camera}.tif"\n')
+    with pytest.raises(ExperimentError, match=r"`wavefield background experiment\.yaml` writes it"):
+        Follower(Experiment.load(path))
 
 
 def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, tmp_path):

@@ -33,7 +33,9 @@ from wavefield.explorer.live_masks import LiveMasks
 from wavefield.explorer.watch import FolderWatch, FrameSet
 from wavefield.rig import Rig
 from wavefield.series import Experiment
+from wavefield.series.frames import subtracted
 from wavefield.series.masks import footprints
+from wavefield.series.mean_images import read_backgrounds, refuse_other_images
 from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
@@ -176,6 +178,9 @@ class LiveMeasurement:
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None) -> None:
         self._experiment, self._rig = experiment, rig
+        self._backgrounds = read_backgrounds(
+            experiment.background, experiment.measuring_cameras, experiment.resolve, experiment.path
+        )
         self._sizes: dict[str, tuple[int, int]] = {}  # of the images that the geometry was tried for
         self._masks: LiveMasks | None = None
         self.learner: Learner | None = None
@@ -185,14 +190,15 @@ class LiveMeasurement:
         """Fields (ny, nx) of a step and their summary; nothing without a rig, which `trouble` explains."""
         from wavefield.measurement import measure
 
-        sizes = {name: (both[0].shape[1], both[0].shape[0]) for name, both in frames.images.items()}
-        if self.learner is None or (self.trouble and sizes != self._sizes):
-            self._prepare(sizes)
+        firsts = {name: both[0] for name, both in frames.images.items()}
+        if self.learner is None or (self.trouble and _sizes(firsts) != self._sizes):
+            self._prepare(firsts)
         if self.learner is None:
             return {}, None
-        pairs = {name: frames.images.get(name, (None, None)) for name in self.learner.geometry.cameras}
         first, second = self._masks.of(frames.number) if self._masks else ({}, {})
         try:
+            bare = {n: [self._bare(n, image) for image in both] for n, both in frames.images.items()}
+            pairs = {name: bare.get(name, [None, None]) for name in self.learner.geometry.cameras}
             instants = {n: p[0] for n, p in pairs.items()}, {n: p[1] for n, p in pairs.items()}
             self.learner.add(instants, (first, second))
             geometry = self.learner.geometry
@@ -217,7 +223,9 @@ class LiveMeasurement:
             return {}
         geometry = self.learner.geometry
         flat = {
-            name: pair_surface.prepare(ready(both[1], geometry.sights[name].binning), name, geometry)
+            name: pair_surface.prepare(
+                ready(self._bare(name, both[1]), geometry.sights[name].binning), name, geometry
+            )
             for name, both in frames.images.items()
             if name in geometry.surface_cameras and usable(both[1], geometry.rig[name].size)
         }
@@ -231,15 +239,23 @@ class LiveMeasurement:
                 out[f"{a}-{b}"] = PairSummary(rms, float(match.valid.sum() / max(visible.sum(), 1)))
         return out
 
-    def _prepare(self, sizes: dict[str, tuple[int, int]]) -> None:
-        """Compute the geometry for images of these sizes."""
+    def _bare(self, name: str, image: NDArray[Any]) -> NDArray[Any]:
+        """An image of a camera less its background, as a run reads it."""
+        background = self._backgrounds.get(name)
+        return image if background is None else subtracted(image, background)
+
+    def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
+        """Compute the geometry for images like these."""
         from wavefield.execution.workflow import Workflow
         from wavefield.measurement import GridGeometry
         from wavefield.pipeline.prepare import make_settings
 
-        self._sizes = sizes
+        self._sizes = sizes = _sizes(images)
         experiment = self._experiment
         try:
+            for name in self._backgrounds.keys() & images.keys():
+                shape, dtype = images[name].shape, str(images[name].dtype)
+                refuse_other_images(self._backgrounds[name], name, shape, dtype, experiment.path)
             rig = self._rig if isinstance(self._rig, Rig) else experiment.load_rig(self._rig)
             rig = replace(rig, cameras={name: rig[name] for name in experiment.measuring_cameras})
             for name, (width, height) in sizes.items():
@@ -257,3 +273,8 @@ class LiveMeasurement:
             self.trouble = ""
         except WavefieldError as error:
             self.trouble = f"nothing is measured: {error}"
+
+
+def _sizes(images: Mapping[str, NDArray[Any]]) -> dict[str, tuple[int, int]]:
+    """Columns and rows of images, by camera."""
+    return {name: (image.shape[1], image.shape[0]) for name, image in images.items()}

@@ -256,8 +256,6 @@ class Experiment(RecordSection):
             If images are not there or cannot be numbered.
         """
         series = open_record(self, self._path, self.image_folder, self.measuring_cameras)
-        if self.background is None:
-            return series
         return with_backgrounds(series, self.background, self.resolve, self._path)
 
     def read_probes(self) -> Any:

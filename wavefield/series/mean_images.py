@@ -1,7 +1,7 @@
 """The background of a camera, which its frames have in common: a floor, reflections, hot pixels."""
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,33 +30,50 @@ def mean_image(series: FrameSeries, frames: int) -> Image:
     return np.asarray(np.rint(mean) if np.dtype(series.dtype).kind in "ui" else mean).astype(series.dtype)
 
 
-def with_backgrounds(
-    series: Mapping[str, FrameSeries],
-    named: str | Mapping[str, str],
+def read_backgrounds(
+    named: str | Mapping[str, str] | None,
+    cameras: Iterable[str],
     resolve: Callable[[str], Path],
     experiment: Path,
-) -> dict[str, FrameSeries]:
-    """Series whose frames are read less the backgrounds that an experiment file names."""
-    out = dict(series)
-    for name, one in series.items():
-        file = named if isinstance(named, str) else named.get(name)
+) -> dict[str, Image]:
+    """The images, (row, column), by camera, that an experiment file names as backgrounds."""
+    files = {name: named if isinstance(named, str) else (named or {}).get(name) for name in cameras}
+    out = {}
+    for name, file in files.items():
         if file is None:
             continue
-        path = resolve(file.replace("{camera}", name))
         try:
-            image = read_image(path)
+            out[name] = read_image(resolve(file.replace("{camera}", name)))
         except FrameError as error:
             raise ExperimentError(
                 f"{experiment}: background: {error}; `wavefield background {experiment.name}` writes it"
             ) from None
-        if image.shape != one.shape or image.dtype != one.dtype:
-            raise ExperimentError(
-                f"{experiment}: background: {path} is {image.shape[1]} x {image.shape[0]} {image.dtype}, the "
-                f"frames of {name} are {one.shape[1]} x {one.shape[0]} {one.dtype}; run "
-                f"`wavefield background {experiment.name}` again"
-            )
-        out[name] = replace(one, background=image)
     return out
+
+
+def refuse_other_images(
+    background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
+) -> None:
+    """Refuse the background of a camera whose frames have another size or type."""
+    if background.shape != shape or background.dtype != dtype:
+        raise ExperimentError(
+            f"{experiment}: background of {name}: it is {background.shape[1]} x {background.shape[0]} "
+            f"{background.dtype}, the frames of {name} are {shape[1]} x {shape[0]} {dtype}; run "
+            f"`wavefield background {experiment.name}` again"
+        )
+
+
+def with_backgrounds(
+    series: Mapping[str, FrameSeries],
+    named: str | Mapping[str, str] | None,
+    resolve: Callable[[str], Path],
+    experiment: Path,
+) -> dict[str, FrameSeries]:
+    """Series whose frames are read less the backgrounds that an experiment file names."""
+    images = read_backgrounds(named, series, resolve, experiment)
+    for name, image in images.items():
+        refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
+    return {name: replace(one, background=images.get(name)) for name, one in series.items()}
 
 
 def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
