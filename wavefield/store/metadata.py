@@ -4,6 +4,7 @@ What a run writes chunk by chunk has a checksum for each chunk. Everything else 
 coordinates, the table of the gain) is small, and is kept a second time in ``checksum/metadata.zip``.
 """
 
+import time
 import zipfile
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from wavefield.errors import StoreError
 from wavefield.variables import CUBE_FIELDS
 
 ARCHIVE = "checksum/metadata.zip"
+SETTLING_SECONDS = 5.0  # in which a run at work, which has changed small files, writes their copies
 _COMPLETE = "checksum/complete"  # checksum of the ledger of a run that has ended
 
 _BY_BLOCK = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status", "checksum", "stored_bytes")
@@ -35,14 +37,21 @@ def _is_small(name: str) -> bool:
 
 
 def check_metadata(path: Path) -> None:
-    """Compare a cube's small files with their copies."""
-    for name, content in _kept(path).items():
-        if _read(path / name) != content:
+    """Compare a cube's small files with their copies, which a run at work writes shortly after them."""
+    until = time.monotonic() + SETTLING_SECONDS
+    while name := _changed_file(path):
+        if is_complete(path) or time.monotonic() > until:
             what = "not as it was written" if (path / name).exists() else "missing"
             raise StoreError(
                 f"{path / name} is {what}: without it the cube would be read wrongly; "
                 "`wavefield run EXPERIMENT` puts it back"
             )
+        time.sleep(0.1)
+
+
+def _changed_file(path: Path) -> str | None:
+    """The first small file of a cube that differs from its copy, if any."""
+    return next((name for name, content in _kept(path).items() if _read(path / name) != content), None)
 
 
 def restore_metadata(path: Path) -> list[str]:
