@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,6 +14,7 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.matching import MatchSettings
 from wavefield.matching.matching_kernels import BLOCK
+from wavefield.measurement.covered import Covered, Pixels
 from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.rectified_view import RectifiedPlane, RectifiedView, fit_plane, rectified_views
 from wavefield.measurement.regrid import BlockLattice
@@ -22,9 +22,6 @@ from wavefield.measurement.sight import Sight
 from wavefield.rig import Camera, Rig
 from wavefield.rig.pairs import pairs_of
 from wavefield.rig.resolution import pixel_at, pixel_sides
-
-if TYPE_CHECKING:
-    from wavefield.measurement.masked import Covered
 
 Float = NDArray[np.floating]
 Pair = tuple[str, str]
@@ -106,7 +103,7 @@ class GridGeometry:
         )
         if not any((self.views[a].visible & self.views[b].visible).any() for a, b in self.pairs):
             raise RigError("no pair of cameras sees the grid in common: does the grid lie in their view?")
-        self.prepared_masks: dict[str, tuple[NDArray[np.bool_], Covered]] = {}  # the last of each camera
+        self.prepared_masks: dict[str, tuple[Pixels, Covered]] = {}  # the last of each camera
 
     def __reduce__(self) -> tuple[object, ...]:
         return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings, self.covered)

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.measurement import pair_surface
+from wavefield.measurement.covered import Covered
 from wavefield.measurement.elevation import Surface, surface
 from wavefield.measurement.frame import IN_TIME, ready, sharpened, usable
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.masked import Covered, Masks, covered_in
+from wavefield.measurement.masked import Masks, covered_in
 from wavefield.measurement.model import Model
 
 Frames = Mapping[str, NDArray[Any] | None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,28 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.prepared import Mask
+from wavefield.measurement.covered import Covered, Pixels
 from wavefield.measurement.geometry import GridGeometry
 
-Pixels = NDArray[np.bool_]
 Masks = Mapping[str, Pixels | None]
-
-
-@dataclass(frozen=True)
-class Covered:
-    """Mask of one image of one camera, ready for matching."""
-
-    raw: Mask  # Of the binned image, for matching in time
-    flat: Mask | None  # Of the rectified image; None for a camera that does not measure the surface
-
-    def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Whether the blocks around positions hold masked pixels."""
-        whole = self.raw.levels[0]
-        h, w = whole.shape
-        with np.errstate(invalid="ignore"):
-            inside = (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
-        column = np.rint(np.where(inside, X, 0)).astype(np.intp)
-        row = np.rint(np.where(inside, Y, 0)).astype(np.intp)
-        return np.asarray(inside & (whole[row, column] == 0))
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
