@@ -6,10 +6,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from wavefield.execution.cluster_settings import ClusterSettings
 from wavefield.execution.memory import memory_error
 from wavefield.execution.pool import Pool
 from wavefield.execution.worker_settings import one_thread
-from wavefield.execution.workflow import Workflow
 
 _MOST_THREADS = 4  # of a run's own process
 
@@ -17,7 +17,7 @@ Work = Callable[[Any], Any]
 MapUnordered = Callable[[Work, Sequence[Any]], Generator[tuple[Any, Any], None, None]]
 
 
-def count_workers(workflow: Workflow) -> int:
+def count_workers(workflow: ClusterSettings) -> int:
     """Number of workers that a workflow asks for, at most."""
     if workflow.cluster == "none":
         return 1
@@ -26,7 +26,7 @@ def count_workers(workflow: Workflow) -> int:
     return workflow.workers if isinstance(workflow.workers, int) else workflow.workers.maximum
 
 
-def threads_here(workflow: Workflow) -> int:
+def threads_here(workflow: ClusterSettings) -> int:
     """Threads that a run takes in its own process while its workers have nothing to do yet or any more."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
@@ -38,7 +38,7 @@ def _cores() -> int:
 
 @contextmanager
 def open_cluster(
-    workflow: Workflow,
+    workflow: ClusterSettings,
     logs: Path | None = None,
     ahead: bool = False,
     lasting: bool = False,

@@ -31,9 +31,9 @@ from wavefield.execution.pool import portable
 
 if TYPE_CHECKING:  # seconds to import
     from distributed import Client
+from wavefield.execution.cluster_settings import ClusterSettings
 from wavefield.execution.slurm_queue import QueueWatch
 from wavefield.execution.worker_settings import settle_worker
-from wavefield.execution.workflow import Workflow
 
 log = logging.getLogger("wavefield.run")
 Look = Callable[[], None]
@@ -79,7 +79,7 @@ def _dotted(version: tuple[int, ...]) -> str:
 
 @contextmanager
 def open_dask_cluster(
-    workflow: Workflow, count: int, logs: Path, lasting: bool = False
+    workflow: ClusterSettings, count: int, logs: Path, lasting: bool = False
 ) -> Iterator[Callable[[Callable[[Any], Any], Sequence[Any]], Generator[tuple[Any, Any], None, None]]]:
     """Give a function that maps work over items on a Dask cluster that it starts and ends."""
     if workflow.cluster == "slurm" or of_jobqueue(workflow):
@@ -100,7 +100,7 @@ def open_dask_cluster(
         yield map_unordered
 
 
-def _start(workflow: Workflow, count: int, logs: Path, stack: ExitStack) -> tuple[Any, Look]:
+def _start(workflow: ClusterSettings, count: int, logs: Path, stack: ExitStack) -> tuple[Any, Look]:
     with deferred_signals():  # what is closed while it starts prints tracebacks from other threads
         settings = dask_settings(workflow)
         if needs_tls(workflow):
@@ -127,7 +127,7 @@ def _merged(*settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _connect(
-    workflow: Workflow, count: int, logs: Path, settings: dict[str, Any], stack: ExitStack
+    workflow: ClusterSettings, count: int, logs: Path, settings: dict[str, Any], stack: ExitStack
 ) -> tuple[Any, Look]:
     from distributed import Client
 
@@ -156,7 +156,7 @@ def _connect(
     return stack.enter_context(client), watch
 
 
-def _local(workflow: Workflow, count: int) -> Any:
+def _local(workflow: ClusterSettings, count: int) -> Any:
     from distributed import LocalCluster
 
     return LocalCluster(
@@ -172,7 +172,7 @@ def _local(workflow: Workflow, count: int) -> Any:
     )
 
 
-def _deploy(workflow: Workflow, settings: dict[str, Any]) -> Any:
+def _deploy(workflow: ClusterSettings, settings: dict[str, Any]) -> Any:
     """Start a cluster of any class that deploys Dask."""
     name, options = workflow.deploy or "", dict(workflow.options)
     if of_jobqueue(workflow):  # its jobs do not have our configuration, such as TLS

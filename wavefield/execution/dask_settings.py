@@ -10,7 +10,7 @@ from typing import Any
 import dask
 
 from wavefield.errors import ExperimentError
-from wavefield.execution.workflow import Workflow
+from wavefield.execution.cluster_settings import ClusterSettings
 
 # Blocks are independent and a worker may die for reasons of its own, so be patient with both. Tasks take
 # minutes, so check them less often than every few ms: for two workers that takes 15 % of a core.
@@ -42,31 +42,31 @@ _DASK: dict[str, Any] = {
 _PROFILE = {"distributed": {"worker": {"profile": {"enabled": True}}}}  # a report is made from it
 
 
-def dask_settings(workflow: Workflow) -> dict[str, Any]:
+def dask_settings(workflow: ClusterSettings) -> dict[str, Any]:
     """Dask's configuration for a run."""
     profile = _PROFILE if workflow.performance_report else {}
     merged: dict[str, Any] = dask.config.merge(_DASK, profile, workflow.dask)
     return merged
 
 
-def dashboard_address(workflow: Workflow) -> str:
+def dashboard_address(workflow: ClusterSettings) -> str:
     """Where the scheduler answers browsers: on the loopback, unless the workflow names another host.
 
     Examples
     --------
-    >>> dashboard_address(Workflow(dashboard=":8787")), dashboard_address(Workflow())
+    >>> dashboard_address(ClusterSettings(dashboard=":8787")), dashboard_address(ClusterSettings())
     ('127.0.0.1:8787', '127.0.0.1:0')
     """
     host, _, port = (workflow.dashboard or ":0").rpartition(":")
     return f"{host or '127.0.0.1'}:{port}"
 
 
-def of_jobqueue(workflow: Workflow) -> bool:
+def of_jobqueue(workflow: ClusterSettings) -> bool:
     """Whether a class of dask-jobqueue deploys the cluster: PBSCluster, LSFCluster and others."""
     return (workflow.deploy or "").startswith("dask_jobqueue.")
 
 
-def needs_tls(workflow: Workflow) -> bool:
+def needs_tls(workflow: ClusterSettings) -> bool:
     """Whether client, scheduler and workers talk through TLS, with credentials made for this run."""
     if workflow.security == "auto":
         open_ports = workflow.deploy == "distributed.SSHCluster" or of_jobqueue(workflow)

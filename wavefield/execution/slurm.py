@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from wavefield.errors import ExperimentError
+from wavefield.execution.cluster_settings import ClusterSettings
 from wavefield.execution.dask_settings import dashboard_address
 from wavefield.execution.worker_settings import THREAD_VARIABLES
-from wavefield.execution.workflow import Workflow
 
 
 def import_jobqueue() -> None:
@@ -30,7 +30,7 @@ def import_jobqueue() -> None:
         signal.signal(signal.SIGINT, interrupt)
 
 
-def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, object]) -> Any:
+def slurm_cluster(workflow: ClusterSettings, logs: Path, settings: dict[str, object]) -> Any:
     """A `dask_jobqueue.SLURMCluster` without jobs so far; ``job_script()`` shows what it will submit."""
     import_jobqueue()
     from dask_jobqueue import SLURMCluster
@@ -81,7 +81,7 @@ def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, object]) -
     return Cluster(**keywords)
 
 
-def _keywords(workflow: Workflow, logs: Path, settings: dict[str, object]) -> dict[str, Any]:
+def _keywords(workflow: ClusterSettings, logs: Path, settings: dict[str, object]) -> dict[str, Any]:
     """Keywords of SLURMCluster: ours, then the workflow's."""
     given = workflow.slurm
     keywords: dict[str, Any] = {
@@ -124,7 +124,7 @@ def _exports(settings: dict[str, object], prefix: str) -> Iterator[str]:
             yield f"export {variable}={shlex.quote(str(value))}"
 
 
-def count_jobs(workflow: Workflow) -> tuple[int, int]:
+def count_jobs(workflow: ClusterSettings) -> tuple[int, int]:
     """Number of Slurm jobs that give the workers asked for."""
     processes = int(workflow.slurm.get("processes", workflow.slurm.get("cores", 1)))
     workers = workflow.workers
