@@ -1,17 +1,49 @@
 """What commands do with a catalog: the same with each of its runs, one after the other."""
 
-from collections.abc import Callable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import click
 
-from wavefield.commands.sources import find_cube
+from wavefield.commands.sources import PATH, find_cube
 from wavefield.errors import StoreError, WavefieldError
 
 T = TypeVar("T")
 
-ENTRIES = click.argument("entries", nargs=-1, metavar="[RUN]...")
+
+@dataclass(frozen=True)
+class Source:
+    """What a command works on: an experiment, a cube, or a catalog with some of its runs."""
+
+    path: Path
+    entries: tuple[str, ...]  # Runs of a catalog; all if none is named
+    parameters: dict[str, str]  # Values of the catalog's parameters
+
+    def is_catalog(self) -> bool:
+        """Whether it is a catalog; runs of anything else are wrong use."""
+        from wavefield.pipeline import is_catalog
+
+        if self.path.is_file() and is_catalog(self.path):
+            return True
+        if self.entries or self.parameters:
+            raise click.UsageError(f"{self.path} is not a catalog: it has no runs and parameters")
+        return False
+
+    def cubes(self) -> list[tuple[str, Path]]:
+        """Names and newest cubes of a catalog's runs."""
+        from wavefield.pipeline.catalog import cube_of, runs_of
+
+        return [
+            (run, cube_of(self.path, {"run": run, **self.parameters}))
+            for run in runs_of(self.path, self.entries)
+        ]
+
+    def for_each_cube(self, work: Callable[[Path], int]) -> int:
+        """Work on a cube, or on those of a catalog's runs; returns the exit status."""
+        return each(self.cubes(), with_cube(work)) if self.is_catalog() else work(find_cube(self.path))
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
@@ -22,32 +54,36 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
     return dict(value.split("=", 1) for value in values)
 
 
-PARAMETERS = click.option(
-    "-p",
-    "--parameter",
-    "parameters",
-    multiple=True,
-    callback=named,
-    help="name=value for a catalog's parameter.",
-)
+def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the argument `source`, with runs and parameters where it is a catalog."""
 
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(command)
+        def with_source(
+            *context: click.Context,
+            source: Path,
+            entries: tuple[str, ...],
+            parameters: dict[str, str],
+            **options: object,
+        ) -> None:
+            command(*context, source=Source(source, entries, parameters), **options)
 
-def is_campaign(source: Path, entries: Sequence[str], parameters: Mapping[str, str] | None = None) -> bool:
-    """Whether a command was given a catalog; runs of anything else are wrong use."""
-    from wavefield.pipeline import is_catalog
+        for parameter in (
+            click.option(
+                "-p",
+                "--parameter",
+                "parameters",
+                multiple=True,
+                callback=named,
+                help="name=value for a catalog's parameter.",
+            ),
+            click.argument("entries", nargs=-1, metavar="[RUN]..."),
+            click.argument("source", metavar=metavar, type=PATH),
+        ):
+            parameter(with_source)
+        return with_source
 
-    if source.is_file() and is_catalog(source):
-        return True
-    if entries or parameters:
-        raise click.UsageError(f"{source} is not a catalog: it has no runs and parameters")
-    return False
-
-
-def cubes_of(source: Path, entries: Sequence[str], parameters: Mapping[str, str]) -> list[tuple[str, Path]]:
-    """Names and newest cubes of a catalog's runs."""
-    from wavefield.pipeline.catalog import cube_of, runs_of
-
-    return [(run, cube_of(source, {"run": run, **parameters})) for run in runs_of(source, entries)]
+    return decorate
 
 
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
@@ -78,12 +114,3 @@ def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
         return work(cube)
 
     return checked
-
-
-def for_each_cube(
-    source: Path, entries: Sequence[str], parameters: Mapping[str, str], work: Callable[[Path], int]
-) -> int:
-    """Work on a cube, or on those of a catalog's runs; returns the exit status."""
-    if not is_campaign(source, entries, parameters):
-        return work(find_cube(source))
-    return each(cubes_of(source, entries, parameters), with_cube(work))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,11 +37,9 @@ Examples:
   wavefield check experiment.yaml --pairs      # how consistent the cameras are, pair by pair
 """
 )
-@click.argument("source", metavar="EXPERIMENT|FOLDER|CUBE|CATALOG", type=PATH)
-@campaign_commands.ENTRIES
+@campaign_commands.takes_source("EXPERIMENT|FOLDER|CUBE|CATALOG")
 @click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=PATH, help="Where and how it would run: a file as in workflows/.")
-@campaign_commands.PARAMETERS
 @click.option(
     "--pairs", is_flag=True, help="Also compare each pair of cameras, and their clocks at more instants."
 )
@@ -48,11 +47,9 @@ Examples:
 @click.pass_context
 def check(
     context: click.Context,
-    source: Path,
-    entries: tuple[str, ...],
+    source: campaign_commands.Source,
     rig: Path | None,
     workflow: Path | None,
-    parameters: dict[str, str],
     pairs: bool,
     as_json: bool,
 ) -> None:
@@ -68,19 +65,22 @@ def check(
     from wavefield.execution.worker_settings import keep_memory
 
     keep_memory()
-    source = experiment_file(source)
-    if not campaign_commands.is_campaign(source, entries, parameters):
+    source = replace(source, path=experiment_file(source.path))
+    if not source.is_catalog():
         with Progress("Reading the frames and measuring a few steps"):
-            found = pipeline.check(source, rig, workflow)
+            found = pipeline.check(source.path, rig, workflow)
         if as_json:
             click.echo(json.dumps(found.to_dict(), indent=1, default=str))
             context.exit(found.exit_status)
-        _report(found, source, rig, workflow, pairs)
-        _next(found, source, rig)
+        _report(found, source.path, rig, workflow, pairs)
+        _next(found, source.path, rig)
         context.exit(found.exit_status)
     from wavefield.pipeline.catalog import find_experiment, runs_of
 
-    runs = [(run, find_experiment(source, {"run": run, **parameters})) for run in runs_of(source, entries)]
+    runs = [
+        (run, find_experiment(source.path, {"run": run, **source.parameters}))
+        for run in runs_of(source.path, source.entries)
+    ]
     checks: dict[str, Check] = {}
 
     def work(run: str, experiment: Experiment) -> int:

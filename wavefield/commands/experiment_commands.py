@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,8 +60,7 @@ Examples:
   wavefield run campaign.yaml -p location=/disk2     # a catalog whose images are elsewhere
 """
 )
-@click.argument("source", metavar="EXPERIMENT|FOLDER|CUBE|CATALOG", type=PATH)
-@campaign_commands.ENTRIES
+@campaign_commands.takes_source("EXPERIMENT|FOLDER|CUBE|CATALOG")
 @click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=PATH, help="Where and how to run: a file as in workflows/.")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Cube to write.")
@@ -75,19 +75,16 @@ Examples:
     is_flag=True,
     help="Measure some steps of the whole record first: `wavefield look` shows it after about a minute.",
 )
-@campaign_commands.PARAMETERS
 @JSON
 @click.pass_context
 def run(
     context: click.Context,
-    source: Path,
-    entries: tuple[str, ...],
+    source: campaign_commands.Source,
     rig: Path | None,
     workflow: Path | None,
     output: Path | None,
     frames: tuple[int, int] | None,
     preview: bool,
-    parameters: dict[str, str],
     as_json: bool,
 ) -> None:
     """Measure an experiment, or all or some entries of a catalog.
@@ -100,12 +97,13 @@ def run(
     from wavefield.execution.worker_settings import keep_memory
 
     keep_memory()  # where it measures in this very process
-    if output is None and is_store(source):
-        output = source
-    source = experiment_file(source)
-    with Progress(f"{'Previewing' if preview else 'Measuring'} {source}", "steps") as progress:
+    if output is None and is_store(source.path):
+        output = source.path
+    path = experiment_file(source.path)
+    source = replace(source, path=path)
+    with Progress(f"{'Previewing' if preview else 'Measuring'} {path}", "steps") as progress:
         how: dict[str, Any] = {"rig": rig, "workflow": workflow}
-        if campaign_commands.is_campaign(source, entries, parameters):
+        if source.is_catalog():
             if frames or preview:
                 raise click.UsageError(
                     "a trial or a preview is of one experiment: leave out --frames and --preview, or name "
@@ -117,12 +115,12 @@ def run(
                 progress(done, total)
 
             states = pipeline.run_catalog(
-                source, entries, output, parameters=parameters, progress=report_progress, **how
+                path, source.entries, output, parameters=source.parameters, progress=report_progress, **how
             )
         else:
-            measured, output = _trial(source, frames, output) if frames else (source, output)
-            early = progress.stage_of(f"Previewing {source}", "steps")
-            later = progress.stage_of(f"Measuring {source}", "steps")
+            measured, output = _trial(path, frames, output) if frames else (path, output)
+            early = progress.stage_of(f"Previewing {path}", "steps")
+            later = progress.stage_of(f"Measuring {path}", "steps")
 
             def report(done: int, total: int, sentence: str) -> None:
                 (early if sentence == "preview" else later)(done, total)
@@ -137,7 +135,7 @@ def run(
             click.echo(
                 f"Nothing to do: all {states[0].steps} steps of {states[0].store} were measured before."
             )
-        print_next("analyze", source if len(states) > 1 else states[0].store)
+        print_next("analyze", path if len(states) > 1 else states[0].store)
     context.exit(campaign_commands.worst([state.exit_status for state in states]))
 
 
@@ -168,9 +166,7 @@ Examples:
   wavefield verify campaign.yaml
 """
 )
-@click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
-@campaign_commands.ENTRIES
-@campaign_commands.PARAMETERS
+@campaign_commands.takes_source(f"{CUBE}|CATALOG")
 @click.option(
     "--quick",
     is_flag=True,
@@ -180,9 +176,7 @@ Examples:
 @click.pass_context
 def verify(
     context: click.Context,
-    source: Path,
-    entries: tuple[str, ...],
-    parameters: dict[str, str],
+    source: campaign_commands.Source,
     quick: bool,
 ) -> None:
     """Verify that the chunks of a cube are complete and unchanged.
@@ -199,7 +193,7 @@ def verify(
         print_next(*(("analyze", cube) if found.sound else ("run", cube)))
         return 0 if found.sound else 1
 
-    context.exit(campaign_commands.for_each_cube(source, entries, parameters, work))
+    context.exit(source.for_each_cube(work))
 
 
 @click.command(epilog="\b\nExample:\n  wavefield init run07          # writes run07/experiment.yaml")

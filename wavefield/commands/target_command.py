@@ -1,8 +1,19 @@
 """`wavefield target`: calibration targets to print, to scale."""
 
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import click
+
+
+class TargetParts(TypedDict):
+    """Options of `wavefield target` for one kind of target."""
+
+    marker: float | None  # m, of a ChArUco board
+    dictionary: str
+    diameter: float | None  # m, of a dot
+    rings: bool
+
 
 _DEFAULT_SHAPES = {"chessboard": (9, 6), "charuco": (10, 7), "dots": (10, 7)}
 _PAPERS = ("auto", "A4", "A3", "A2", "A1", "A0", "letter", "fit")
@@ -58,13 +69,10 @@ Examples:
 def target(
     kind: str,
     output: Path,
+    paper: str,
     mesh: float,
     shape: tuple[int, int] | None,
-    marker: float | None,
-    dictionary: str,
-    diameter: float | None,
-    rings: bool,
-    paper: str,
+    **parts: Unpack[TargetParts],
 ) -> None:
     """Write a calibration target to print, to scale, as a PDF.
 
@@ -77,11 +85,13 @@ def target(
 
     data: dict[str, object] = {"kind": kind, "mesh": mesh, "shape": list(shape or _DEFAULT_SHAPES[kind])}
     if kind == "charuco":
-        data |= {"marker": round(0.7 * mesh, 6) if marker is None else marker, "dictionary": dictionary}
+        marker = parts["marker"]
+        data |= {"marker": round(0.7 * mesh, 6) if marker is None else marker}
+        data |= {"dictionary": parts["dictionary"]}
     if kind == "dots":
-        data |= {"diameter": mesh / 2 if diameter is None else diameter}
-        data |= {"origin_mark": "ring"} if rings else {}
-    elif rings:
+        data |= {"diameter": mesh / 2 if parts["diameter"] is None else parts["diameter"]}
+        data |= {"origin_mark": "ring"} if parts["rings"] else {}
+    elif parts["rings"]:
         raise click.UsageError("--rings is for dots")
     described = Target.from_dict(data)
     figure = target_page(described, paper)

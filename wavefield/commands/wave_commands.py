@@ -31,9 +31,7 @@ Examples:
   wavefield analyze .              # the cube in this folder
 """
 )
-@click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
-@campaign_commands.ENTRIES
-@campaign_commands.PARAMETERS
+@campaign_commands.takes_source(f"{CUBE}|CATALOG")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Wave store to write.")
 @click.option(
     "--segment",
@@ -68,9 +66,7 @@ Examples:
 @click.pass_context
 def analyze(
     context: click.Context,
-    source: Path,
-    entries: tuple[str, ...],
-    parameters: dict[str, str],
+    source: campaign_commands.Source,
     output: Path | None,
     workflow: Path | None,
     **options: Unpack[AnalyzeOptions],
@@ -84,10 +80,10 @@ def analyze(
     def work(cube: Path) -> int:
         return _analyze(cube, output, workflow, options)
 
-    if output and campaign_commands.is_campaign(source, entries, parameters):
+    if output and source.is_catalog():
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
-    exit_status = campaign_commands.for_each_cube(source, entries, parameters, work)
-    print_next("report", source)
+    exit_status = source.for_each_cube(work)
+    print_next("report", source.path)
     context.exit(exit_status)
 
 
@@ -127,9 +123,7 @@ Examples:
   wavefield report .
 """
 )
-@click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
-@campaign_commands.ENTRIES
-@campaign_commands.PARAMETERS
+@campaign_commands.takes_source(f"{CUBE}|CATALOG")
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
 @click.option(
     "--waves",
@@ -139,9 +133,7 @@ Examples:
 @click.pass_context
 def report(
     context: click.Context,
-    source: Path,
-    entries: tuple[str, ...],
-    parameters: dict[str, str],
+    source: campaign_commands.Source,
     output: Path | None,
     waves: Path | None,
 ) -> None:
@@ -158,20 +150,22 @@ def report(
         click.echo(f"Wrote {page}; open it in a browser.")
         return 0
 
-    if not campaign_commands.is_campaign(source, entries, parameters):
-        source = find_cube(source)
-        status = work(source, output)
-        print_next("look", source)
+    if not source.is_catalog():
+        cube = find_cube(source.path)
+        status = work(cube, output)
+        print_next("look", cube)
         context.exit(status)
     if waves:
         raise click.UsageError("the waves of a campaign are next to its cubes; leave out --waves")
     from wavefield.reports.campaign_page import CampaignEntry, compare
 
-    cubes = campaign_commands.cubes_of(source, entries, parameters)
+    cubes = source.cubes()
     found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
-    page = compare(source.stem, [CampaignEntry(*one) for one in cubes], output or source.with_suffix(".html"))
+    page = compare(
+        source.path.stem, [CampaignEntry(*one) for one in cubes], output or source.path.with_suffix(".html")
+    )
     click.echo(f"Wrote {page}, which compares {len(cubes)} runs; open it in a browser.")
-    print_next("look", source, cubes[0][0])
+    print_next("look", source.path, cubes[0][0])
     context.exit(found)
 
 
