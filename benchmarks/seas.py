@@ -104,7 +104,10 @@ def _intervals(one: xr.DataTree, other: xr.DataTree) -> Iterator[Count]:
             if a.shape != b.shape or a.shape != std_a.shape:
                 continue
             if (there := np.isfinite(a + b + std_a + std_b)).any():
-                inside = np.abs(a - b) <= HALF_INTERVAL * np.hypot(std_a, std_b)
+                apart = a - b
+                if one[group][value].attrs.get("units") == "rad":
+                    apart = np.angle(np.exp(1j * apart))
+                inside = np.abs(apart) <= HALF_INTERVAL * np.hypot(std_a, std_b)
                 yield "interval", f"{group}: {value}", float(inside[there].mean())
 
 

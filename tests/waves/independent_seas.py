@@ -187,8 +187,8 @@ FAMILIES = ("broad and clean", "noisy tail", "roll-off", "narrow band", "bimodal
 class LatticeSea:
     """Settings of a Gaussian sea without end: random amplitudes on a fine lattice of wave vectors.
 
-    Free waves with linear kinematics on a uniform current, without surface tension; fields at the nodes of a
-    small window. The lattice is fine enough that waves do not come round again within about 30 s.
+    Free waves with linear kinematics on a uniform current; fields at the nodes of a small window. The
+    lattice is fine enough that waves do not come round again within about 30 s.
 
     Parameters
     ----------
@@ -234,10 +234,8 @@ class LatticeSea:
         line = 2 * np.pi * np.fft.fftfreq(self.side, self.dx)
         kx, ky = line[None, :], line[:, None]
         k = np.maximum(np.hypot(kx, ky), 1e-6)
-        free = np.sqrt(GRAVITY * k * np.tanh(k * self.depth))
-        group = np.gradient(
-            np.sqrt(GRAVITY * (t := np.linspace(1e-3, 200, 20001)) * np.tanh(t * self.depth)), t
-        )
+        free = still_frequency(k, self.depth)
+        group = np.gradient(still_frequency(t := np.linspace(1e-3, 200, 20001), self.depth), t)
         f, angle = free / (2 * np.pi), np.arctan2(ky, kx)
         spread = sum(
             weight * np.abs(np.cos((angle - heading) / 2)) ** (2 * s) * _spread_norm(s)
