@@ -122,10 +122,21 @@ def _paragraphs(text: str) -> str:
 
 
 def write_commands(folder: Path) -> None:
-    """Write a page for every command."""
+    """Write a page for every command, and the table of them all."""
+    from wavefield.quality.explanations import EXPLANATIONS
+
     folder.mkdir(exist_ok=True)
+    rows = ["| command | what it does |", "|---|---|"]
     for name, command in commands():
-        (folder / f"{name.replace(' ', '-')}.md").write_text(command_page(name, command), encoding="utf-8")
+        page, file = command_page(name, command), f"{name.replace(' ', '-')}.md"
+        if name == "explain":
+            codes = [f"| `{code}` | {text} |" for code, text in EXPLANATIONS.items()]
+            page += (
+                "\n" + "\n".join(["| remark | what it means and what to do |", "|---|---|", *codes]) + "\n"
+            )
+        (folder / file).write_text(page, encoding="utf-8")
+        rows.append(f"| [wavefield {name}]({folder.name}/{file}) | {command.get_short_help_str(200)} |")
+    (folder / "table.txt").write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 def last_figure(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:

@@ -361,6 +361,8 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
     value = problem.get("input")
     if value is None:
         return "is empty; fill it in"
+    if sort in ("float_parsing", "int_parsing"):
+        return f"should be a number, not {value!r}"
     return message.replace("Input should", "should") + (f", not {value!r}" if _is_short(value) else "")
 
 

@@ -93,7 +93,7 @@ def test_a_target_is_written_as_pdf_with_its_entry_and_never_over_other_files(tm
         (["charuco", "--shape", "40x30"], "choose a larger dictionary"),
         (["chessboard", "--mesh", "0.3"], "does not fit A0"),
         (["dots", "--diameter", "0.03"], "larger than its mesh"),
-        (["chessboard", "--mesh", "25"], "mesh should be less than 2"),
+        (["chessboard", "--mesh", "25"], "mesh: give metres, above 0.00005 and below 2"),
     ],
 )
 def test_a_target_that_cannot_be_printed_is_refused_with_the_remedy(words, reason, tmp_path, capsys):

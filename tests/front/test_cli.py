@@ -177,6 +177,42 @@ def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
     assert again["cam1"].fx == pytest.approx(rig["cam1"].fx, rel=1e-12)
     assert main(["rig", "a.xml", "cam2=b.xml"]) == 2
     assert main(["rig", "cam1=a.xml", "--size", "big"]) == 2
+    capsys.readouterr()
+    for words in (["show", str(tmp_path / "rig.yaml")], [str(tmp_path)]):
+        assert main(["rig", *words]) == 0
+        assert "cam3: 2432 x 1728 px" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("experiment.yaml", "frame_rate: 20\ncameras: {cam1: {images: a}}", "it is an experiment file; give"),
+        ("rig.yaml", "cameras: {cam1: {images: a}}", "camera 'cam1': got an unexpected keyword argument"),
+        ("image.tif", "II*\0\0", "is not a rig file of a program that `wavefield rig convert --help` lists"),
+        ("report.html", "<!doctype html>", "is not a rig file of a program that"),
+    ],
+)
+def test_a_file_that_is_no_rig_is_named_with_what_it_is(tmp_path, capsys, name, content, reason):
+    (tmp_path / name).write_text(content)
+    assert main(["rig", "show", str(tmp_path / name)]) == 1
+    said = capsys.readouterr().err
+    assert name in said
+    assert reason in said
+
+
+def test_simulate_lists_every_scene(capsys):
+    from wavefield.tank import Scene
+
+    assert main(["simulate", "--help"]) == 0
+    listed = capsys.readouterr().out.split("Scenes:")[1].split("Examples:")[0].replace(",", " ").split()
+    assert set(Scene.presets()) <= set(listed)
+
+
+def test_commands_are_listed_in_the_order_of_their_use(capsys):
+    main(["--help"])
+    words = [line.split()[0] for line in capsys.readouterr().out.split("Commands:")[1].splitlines() if line]
+    path = ["init", "calibrate", "check", "run", "analyze", "report", "look"]
+    assert [word for word in words if word in path][: len(path)] == path
 
 
 def test_every_public_name_is_there_and_known_to_type_checkers():

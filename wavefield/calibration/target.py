@@ -4,13 +4,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from wavefield.config_files import make
 from wavefield.errors import CalibrationError
 
-Length = Annotated[float, Field(gt=5e-5, lt=2)]  # m; what laboratories have, not cm or mm
+
+def _metres(value: object) -> object:
+    """Refuse lengths that no laboratory has, such as those in millimetres, with their unit."""
+    try:
+        sound = value is None or 5e-5 < float(value) < 2  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise ValueError(f"give metres, above 0.00005 and below 2 (0.05 for 5 cm), not {value!r}")
+    return value
+
+
+Length = Annotated[float, BeforeValidator(_metres)]
 Nodes = Annotated[int, Field(ge=3)]
 
 

@@ -151,7 +151,8 @@ class _Files(click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):
-            args = ["convert", *args]
+            named_show = args[0] == "show" and not Path("show").exists()
+            args = ["convert", *args[named_show:]]
         return super().parse_args(ctx, args)
 
 
@@ -159,14 +160,14 @@ class _Files(click.Group):
     cls=_Files,
     epilog="""\b
 Examples:
-  wavefield rig rig.yaml                             # show it; `convert` may be left out
+  wavefield rig rig.yaml                             # show it
   wavefield rig cal.xml -o rig.yaml                  # from VIC-3D or OpenCV
   wavefield rig level sea/experiment.yaml -o rig.yaml
   wavefield rig sheet piv/experiment.yaml -o rig.yaml
 """,
 )
 def rig() -> None:
-    """Show, convert or level rigs; other programs' as well."""
+    """Show, convert or level rigs, also those of other programs."""
 
 
 rig.add_command(level)

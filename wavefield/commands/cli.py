@@ -44,8 +44,17 @@ To complete commands with the Tab key, add this line to ~/.bashrc (zsh: zsh_sour
 """
 
 
+class _InOrder(click.Group):
+    """A group that lists its commands in the order in which they are used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
 @click.group(
-    epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+    cls=_InOrder,
+    epilog=_EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.option(
     "--version",
@@ -59,7 +68,7 @@ To complete commands with the Tab key, add this line to ~/.bashrc (zsh: zsh_sour
 @click.option("-v", "--verbose", is_flag=True, help="Print more about what is done.")
 @click.option("--debug", is_flag=True, help="Show the whole traceback of an error.")
 def cli(quiet: bool, verbose: bool, debug: bool) -> None:
-    """Water-surface elevation and velocity from three cameras, and the waves in them."""
+    """Water-surface elevation and velocity from two or more cameras, and the waves in them."""
     level = logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING
     handler = logging.StreamHandler()
     handler.setLevel(level)  # a run lowers its logger's level for the log beside the store
@@ -74,25 +83,25 @@ def cli(quiet: bool, verbose: bool, debug: bool) -> None:
 
 for _command in (
     simulate_command.demo,
-    simulate_command.simulate,
     experiment_commands.init,
-    check_command.check,
-    explain_command.explain,
     target_command.target,
     calibrate_command.calibrate,
     calibrate_command.refine,
+    archive.rig,
     background_command.background,
+    check_command.check,
+    explain_command.explain,
+    look.follow,
     experiment_commands.run,
     experiment_commands.status,
     experiment_commands.verify,
     wave_commands.analyze,
     wave_commands.report,
-    wave_commands.paper,
     look.look,
-    look.follow,
     archive.export,
+    wave_commands.paper,
     archive.catalog,
-    archive.rig,
+    simulate_command.simulate,
 ):
     cli.add_command(_command)
 

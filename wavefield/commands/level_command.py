@@ -30,10 +30,11 @@ Examples:
     "--frames", default=20, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
 )
 def level(experiment: Path, rig: Path | None, output: Path, distance: float | None, frames: int) -> None:
-    """Place and level cameras by moving water of natural texture, as at sea.
+    """Place and level cameras by the sea that they see.
 
-    Features that the cameras share are triangulated at many instants; the plane through them becomes z = 0,
-    whatever frame the rig is in. For water at rest seeded with beads `wavefield refine` is the better way.
+    For moving water of natural texture. Features that the cameras share are triangulated at many instants;
+    the plane through them becomes z = 0, whatever frame the rig is in. For water at rest seeded with beads
+    `wavefield refine` is the better way.
     """
     from wavefield.calibration.level_on_water import level_experiment
 
@@ -63,10 +64,11 @@ Examples:
     "--frames", default=50, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
 )
 def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
-    """Bring z = 0 to a light sheet, and correct a camera that has moved, from the particles themselves.
+    """Bring z = 0 to a light sheet by its particles.
 
-    The cameras' images of one instant, dewarped to z = 0, are correlated; where they disagree, the sheet is
-    not at the target's plane or a camera has moved. Reports the thickness of the sheet, too.
+    Also corrects a camera that has moved. The cameras' images of one instant, dewarped to z = 0, are
+    correlated; where they disagree, the sheet is not at the target's plane or a camera has moved. Reports the
+    thickness of the sheet, too.
     """
     from wavefield.calibration.light_sheet import find_sheet
 

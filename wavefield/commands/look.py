@@ -45,7 +45,7 @@ def give_way(steps_to_come: int) -> None:
 Examples:
   wavefield look cube.zarr
   wavefield look experiment.yaml              # the cube that `wavefield run` writes next to it
-  wavefield look tank.yaml coriolis-07        # the cube of a run of a catalog
+  wavefield look campaign.yaml run07          # the cube of a run of a catalog
   wavefield look cube.zarr --port 5010        # behind ssh -L 5010:localhost:5010
 """
 )

@@ -10,7 +10,7 @@ from wavefield.commands.progress import Progress
 
 @click.command(
     epilog="""\b
-Example:
+Examples:
   wavefield demo                                # into ./wavefield-demo
   wavefield demo --scene two_cameras /tmp/two   # of two cameras
 """
@@ -32,7 +32,24 @@ def demo(directory: Path, scene: str) -> None:
 
 @click.command(
     epilog="""\b
-Example:
+Scenes:
+  demo            middle of the paper's tank at full resolution, a random sea, 43 frames
+  two_cameras     the same seen by two cameras, calibrated with a chessboard
+  four_cameras    the same seen by four cameras
+  full            the paper's tank, full-size cameras, a random sea of 1.4 cm rms
+  half            the same with images of half the size
+  rest            still water
+  steep           a steep sea: elevations to 7 cm, slopes to 0.4
+  spectra         full size, 515 frames, waves down to 3 cm
+  gaps, holes     beads in clusters and places without any
+  lighting        cameras of different brightness, flicker
+  low_light       faint beads, noisy cameras
+  noisy           twice the noise, beads that one camera misses
+  texture         painted texture in place of beads
+  sea             the open sea: two cameras on a platform, no target
+  sheet           particles in a light sheet, two cameras
+\b
+Examples:
   wavefield simulate demo tank             # the scene of the demo
   wavefield simulate my_scene.yaml tank    # your own: start from tank/scene.yaml
 """
@@ -42,8 +59,8 @@ Example:
 def simulate(scene: str, directory: Path) -> None:
     """Write a simulated experiment: images, targets, probes, truth.
 
-    SCENE is a YAML file or the name of a scene that comes with the program; DIRECTORY is made. Use it to plan
-    an experiment: which camera angle, how many beads, what error.
+    SCENE is a YAML file or the name of a scene below; DIRECTORY is made. Use it to plan an experiment: which
+    camera angle, how many beads, what error.
     """
     from wavefield import tank
     from wavefield.tank.scene_parts import PlatformRig

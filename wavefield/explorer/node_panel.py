@@ -13,7 +13,7 @@ from wavefield.explorer.background_reader import BackgroundReader
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.derived_series import SeriesRequest, derived_series
 from wavefield.explorer.map_fields import readings
-from wavefield.explorer.node_spectrum import NodeSpectrum, nearest_probe
+from wavefield.explorer.node_spectrum import NearProbe, NodeSpectrum, nearest_probe
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import (
     BLUE,
@@ -152,7 +152,7 @@ class NodePanel:
         values = {name: float(record.field(name, place.step)[j, i]) for name in record.stored}
         kind = quality_kind(np.array([int(values.get("quality", 0))]))[0]
         every = record.preview.thin.every
-        near = nearest_probe(self.probes, record.x[i], record.y[j])
+        near = self._near()
         self.words.text = (
             f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, "
             f"t {record.time[place.step]:.3f} s:</b> "
@@ -167,6 +167,13 @@ class NodePanel:
         """Row and column of the picked node on a grid."""
         assert self._node is not None
         return nearest(y, self._node[1]), nearest(x, self._node[0])
+
+    def _near(self) -> NearProbe | None:
+        """The probe nearest to the picked node of the cube, not to that of the thinner preview."""
+        if self._node is None:
+            return None
+        j, i = self._index(self._record.y, self._record.x)
+        return nearest_probe(self.probes, self._record.x[i], self._record.y[j])
 
     def _series(self, name: str, factor: float) -> NDArray[np.floating]:
         """A stored variable at the nearest node of the preview, (time,), times a factor."""
@@ -202,9 +209,7 @@ class NodePanel:
     def _show_probe(self, part: slice) -> None:
         """Draw the elevation at the nearest probe over that of the node, at some steps of the cube."""
         data: dict[str, NDArray[np.floating]] = {"t": np.empty(0), "value": np.empty(0)}
-        preview = self._record.preview
-        j, i = self._index(preview.y, preview.x)
-        found = nearest_probe(self.probes, preview.x[i], preview.y[j])
+        found = self._near()
         if found is not None:
             time, half_step = self._record.time[part], 0.5 / self._record.frame_rate
             near = found.probe.sel(time=slice(time[0] - half_step, time[-1] + half_step))
@@ -248,11 +253,9 @@ class NodePanel:
 
     def _show_spectrum(self) -> None:
         if self._node is not None:
-            name, preview = chosen(self.spectrum.variable), self._record.preview
-            j, i = self._index(preview.y, preview.x)
+            name = chosen(self.spectrum.variable)
             values = self._series(name, display(name).factor)
-            probe = nearest_probe(self.probes, preview.x[i], preview.y[j])
-            self.spectrum.show(values, self._record.time, probe)
+            self.spectrum.show(values, self._record.time, self._near())
 
     def _zoomed(self) -> None:
         """Draw finer series for a narrower view."""

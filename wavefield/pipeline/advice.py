@@ -1,5 +1,6 @@
 """What would help where little is measured: other settings that measure more of the same step, or why not."""
 
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.cost import fraction_measured, has_step, in_view, whole_step
 from wavefield.pipeline.prepare import PreparedRun
+from wavefield.store.verdict import Remark
 from wavefield.variables import Quality
 
 if TYPE_CHECKING:
@@ -28,10 +30,12 @@ _WHY = {
 }
 
 
-def advise(prepared: PreparedRun, measured: float) -> str:
-    """What would measure more: other settings are tried on the step of the forecast."""
+def advise(prepared: PreparedRun, measured: float, wrong: Sequence[Remark] = ()) -> str:
+    """What would measure more: a camera of the remarks, or settings, tried on the step of the forecast."""
     if measured >= ENOUGH or not has_step(prepared.series):
         return ""
+    if wrong:
+        return f"advice: only {100 * measured:.0f} % measured: {_of_cameras(prepared, wrong)}"
     settings = prepared.geometry.settings
     tried = {name: fraction_measured(_quality(prepared, settings.adjusted(name))) for name in _OTHERS}
     best = max(tried, key=lambda name: tried[name])
@@ -43,6 +47,26 @@ def advise(prepared: PreparedRun, measured: float) -> str:
     return (
         f"advice: only {100 * measured:.0f} % measured, mostly because {_why(_quality(prepared, settings))}"
     )
+
+
+def grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:
+    """Remarks on single cameras with which nothing good can be measured."""
+    grave = [one for one in remarks if one.weight == "grave"]
+    return [one for one in grave if set(one.subject.split(" and ")) <= set(prepared.rig)]
+
+
+def _of_cameras(prepared: PreparedRun, wrong: Sequence[Remark]) -> str:
+    """Which cameras to correct, and that no pair of those that are named does without one of them."""
+    names = {name for one in wrong for name in one.subject.split(" and ")}
+    sentence = f"correct {', '.join(sorted(names))} first, as stated below"
+    others = [name for name in prepared.rig if name not in names]
+    pairs = prepared.geometry.pairs
+    if prepared.experiment.surface and len(others) > 1 and all(names & set(pair) for pair in pairs):
+        sentence += (
+            f"; every pair of `surface: pairs` contains {' or '.join(sorted(names))}, so z cannot be measured"
+            f" from the others: [{others[0]}, {others[1]}] would be such a pair"
+        )
+    return sentence
 
 
 def _why(quality: np.ndarray) -> str:

@@ -1,7 +1,7 @@
 """What an experiment has, what is missing, and what its run will cost."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.worker_settings import one_thread
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
-from wavefield.pipeline.advice import advise
+from wavefield.pipeline.advice import advise, grave_cameras
 from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, fraction_measured, measure_cost, spell_size
 from wavefield.pipeline.magnitudes import (
     expected_coverage,
@@ -274,12 +274,14 @@ def check(
                 shares["measured"] = fraction_measured(fields["quality"])
             except ExperimentError as error:
                 problems.append(str(error))
-            sentences["advice"] = advise(prepared, shares.get("measured", 0.0))
     remarks = [*remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample)]
     if cost and cost.free < MIN_FREE_SHARE * cost.disk:
         remarks.append(_remark_on_disk(cost))
-    faults = compare_cameras(prepared) if prepared and not problems else None
+    faults, wrong = compare_cameras(prepared) if prepared and not problems else None, []
     if prepared and faults:
+        wrong = grave_cameras(prepared, faults.remarks)
+        with one_thread():
+            sentences["advice"] = advise(prepared, shares["measured"], wrong)
         remarks += faults.remarks
         if not any(one.weight == "grave" for one in faults.remarks):
             sentences["clocks"], late = clocks(prepared)
@@ -288,7 +290,7 @@ def check(
     of_probes, sentences["probes"] = check_probes(experiment, record_span(experiment, series))
     remarks += of_probes
     if prepared:
-        remarks += _remarks_on_trial(prepared, shares["coverage"], fields or {})
+        remarks += _remarks_on_trial(prepared, shares["coverage"], fields or {}, wrong)
     verdict = None
     if faults:
         verdict = Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
@@ -312,12 +314,12 @@ def check(
 
 
 def _remarks_on_trial(
-    prepared: PreparedRun, coverage: float, fields: Mapping[str, NDArray[Any]]
+    prepared: PreparedRun, coverage: float, fields: Mapping[str, NDArray[Any]], wrong: Sequence[Remark]
 ) -> Iterator[Remark]:
-    """Remarks on rig and grid, and on the fields of the step that was tried."""
+    """Remarks on rig and grid, and on the fields of the step that was tried if no camera spoils them."""
     yield remark_on_rest(prepared.experiment, prepared.rig)
     yield from remark_on_coverage(coverage)
-    if not fields:
+    if not fields or wrong:
         return
     yield from remark_on_holes(fraction_measured(fields["quality"]))
     yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])

@@ -150,12 +150,16 @@ class Rig:
         path = Path(path)
         try:
             data = yaml.load(read_rig_text(path), Loader=YAML_LOADER)
+            if isinstance(data, dict) and "frame_rate" in data:
+                raise RigError("it is an experiment file; give the rig.yaml that `wavefield calibrate` wrote")
             if not isinstance(data, dict) or not isinstance(data.get("cameras"), dict) or not data["cameras"]:
                 raise RigError("it has no `cameras`")
             return cls.from_dict(data)
         except RigError as error:
             raise RigError(f"{path} is not a usable rig file: {error}") from None
-        except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError) as error:
+        except yaml.YAMLError:
+            raise RigError(f"{path} is not a rig file: it is not YAML") from None
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise RigError(f"{path} is not a rig file: {' '.join(str(error).split())}") from None
 
     @classmethod
@@ -185,7 +189,8 @@ class Rig:
             try:
                 camera = Camera.from_dict(values)
             except (TypeError, ValueError) as error:
-                raise RigError(f"camera {name!r}: {error}") from None
+                words = str(error).removeprefix("Camera.__init__() ")
+                raise RigError(f"camera {name!r}: {words}") from None
             if unreal := [key for key, value in camera.to_dict().items() if not np.isfinite(value).all()]:
                 raise RigError(f"camera {name!r}: {unreal[0]} is not a finite number")
             wrong = np.abs(camera.R @ camera.R.T - np.eye(3)).max()

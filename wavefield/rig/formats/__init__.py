@@ -110,14 +110,21 @@ def load_rig(
             sentence = f"{path} is not a usable rig file: {sentence}"
         raise RigError(sentence) from None
     except _BROKEN as error:
-        raise RigError(f"{path} is not a rig file: {' '.join(str(error).split())}") from None
+        reason = " ".join(str(error).split())
+        raise RigError(
+            f"{path} is not a rig file of a program that `wavefield rig convert --help` lists: {reason}"
+        ) from None
 
 
 def _load(path: Path, options: ImportOptions) -> Rig:
     if path.is_dir():
         if is_openptv(path):
             return load_openptv(path, options)
-        return load_colmap(path, options) if is_colmap(path) else load_wass(path, options)
+        if is_colmap(path):
+            return load_colmap(path, options)
+        if (path / "rig.yaml").is_file() and not any(path.glob("intr*.xml")):
+            return Rig.load(path / "rig.yaml")  # the folder of an experiment
+        return load_wass(path, options)
     if path.suffix == ".mat" and path.exists():
         return load_matlab(path, options)
     text = read_rig_text(path)
