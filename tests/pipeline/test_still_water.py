@@ -75,7 +75,7 @@ def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
     plain.write_text(lab.read_text().replace(REST, ""))
     absent = remark_on_rest(Experiment.load(plain), rig)
     assert (absent.kind, absent.weight) == ("no rest", "note")
-    assert "name them as `rest:`" in str(absent)
+    assert "name them with the key `rest`" in str(absent)
     with pytest.raises(ExperimentError, match="names no record at rest"):
         Experiment.load(plain).at_rest()
 

@@ -207,7 +207,9 @@ def balance_history(kinematics: xr.Dataset) -> Figure:
         "residual_rms": "residual z_t − w + u·∇z",
         "finite_residual_rms": "residual along finite displacements",
     }
-    curves = {label: 100 * kinematics[name].values for name, label in labels.items() if name in kinematics}
+    stored = {name: label for name, label in labels.items() if name in kinematics}
+    curves = {label: 100 * kinematics[name].values for name, label in stored.items()}
+    curves = {label: values for label, values in curves.items() if np.isfinite(values).any()}
     draw_curves(axes[0, 0], kinematics.time.values, curves, log="y")
     finish(axes[0, 0], "time (s)", "rms over the grid (cm s⁻¹)", RIGHT)
     return figure

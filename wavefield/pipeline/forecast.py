@@ -255,7 +255,8 @@ def check(
     problems: list[str] = []
     shares: dict[str, float] = {}
     sentences: dict[str, str] = {}
-    prepared, cost, fields = None, None, None
+    prepared, cost, fields, faults = None, None, None, None
+    wrong: list[Remark] = []
     try:
         prepared = prepare(experiment, rig, workflow)
         refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
@@ -274,14 +275,14 @@ def check(
                 shares["measured"] = fraction_measured(fields["quality"])
             except ExperimentError as error:
                 problems.append(str(error))
+        faults = None if problems else compare_cameras(prepared)
+        wrong = grave_cameras(prepared, faults.remarks if faults else ())
+        with one_thread():
+            sentences["advice"] = advise(prepared, shares.get("measured", 0.0), wrong)
     remarks = [*remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample)]
     if cost and cost.free < MIN_FREE_SHARE * cost.disk:
         remarks.append(_remark_on_disk(cost))
-    faults, wrong = compare_cameras(prepared) if prepared and not problems else None, []
     if prepared and faults:
-        wrong = grave_cameras(prepared, faults.remarks)
-        with one_thread():
-            sentences["advice"] = advise(prepared, shares["measured"], wrong)
         remarks += faults.remarks
         if not any(one.weight == "grave" for one in faults.remarks):
             sentences["clocks"], late = clocks(prepared)

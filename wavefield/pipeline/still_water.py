@@ -96,7 +96,7 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
         + (f", uncertain by {1e3 * level_std:.2g} mm" if level_std > 0 else "")
         + ": visible beads are above the water, which lowers u and v of 12 cm waves by about 2 %",
         "z = 0 on the still water",
-        "record some twenty frames of still, seeded water and name them as `rest:`",
+        "record some twenty frames of still, seeded water and name them with the key `rest`",
         {"level_std_m": level_std} if level_std > 0 else {},
     )
 

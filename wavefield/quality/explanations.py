@@ -146,7 +146,7 @@ EXPLANATIONS = {
         "Without a still-water record z = 0 is the plane of the target. Visible beads are above the water "
         "(beads of 3 to 5 mm by about 0.4 mm), which lowers u and v of 12 cm waves by about 2 %; "
         "`z_level_std` of the cube is the uncertainty of z = 0, and z_std does not contain it. Record some "
-        "twenty frames of still, seeded water and name them as `rest:`."
+        "twenty frames of still, seeded water and name them with the key `rest`."
     ),
     "light-sheet": (
         "How z = 0 relates to the light sheet. `wavefield rig sheet` finds the sheet by the particles "

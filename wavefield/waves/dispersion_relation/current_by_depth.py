@@ -105,8 +105,7 @@ def current_by_depth(
         k, shift, std = _doppler(fit, gamma, settings.bands, profile)
         if k.size < 3:
             raise CubeError(
-                "the dispersion relation has too few points for a current by depth: choose a wider band or a"
-                " longer record"
+                "too few points of the dispersion relation were found: choose a wider band or a longer record"
             )
         z_of_band = -1 / (2 * k)
         if surface is not None:
