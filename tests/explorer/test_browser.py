@@ -317,6 +317,12 @@ def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_r
     page.wait(f"{model('camera_moves')}.data.X0.length > 0")
     moved = (page.column("camera_moves", "X1") - page.column("camera_moves", "X0")) / 5
     np.testing.assert_allclose(moved, (ends[1][0] - ends[0][0])[inside], atol=0.01)
+    wide, high = page.page.evaluate(
+        f"(() => {{ const v = {model('camera_view')}; "
+        "return [(v.x_range.end - v.x_range.start) / v.inner_width,"
+        " (v.y_range.start - v.y_range.end) / v.inner_height] })()"
+    )
+    assert wide == pytest.approx(high, rel=1e-6)  # pixels are square
     j, i = np.argwhere(inside)[inside.sum() // 2]
     page.click("camera_view", float(ends[0][0][j, i]), float(ends[0][1][j, i]))
     page.wait(f"Math.abs({model('map_node')}.data.x[0] - {X[i]}) < 1e-6")

@@ -22,7 +22,9 @@ from wavefield.explorer.plot_parts import (
     clear,
     draw_masks,
     draw_ring,
+    fit_image,
     grey_mapper,
+    keep_pixels_square,
     make_figure,
     make_sources,
     on_click,
@@ -126,6 +128,7 @@ class CameraPanel:
             aspect_ratio=float(np.clip(width / height, 1.15, 2.2)),
         )  # fmt: skip
         made.grid.grid_line_color = None
+        keep_pixels_square(made)
         source = self.sources
         made.image("image", source=source["image"], color_mapper=grey_mapper())
         made.multi_line("xs", "ys", source=source["grid"], color=SKY, line_alpha=0.85, line_width=1.2)
@@ -177,9 +180,7 @@ class CameraPanel:
 
     def _show_image(self, image: Image | None, shape: tuple[int, ...], message: str) -> None:
         height, width = shape
-        if self.figure.x_range.end != width:
-            self.figure.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
-            self.figure.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
+        fit_image(self.figure, width, height)
         if image is None:
             self.words.text = f"{message}; the other images can be shown."
             clear(self.sources["image"])

@@ -28,8 +28,10 @@ from wavefield.explorer.plot_parts import (
     chosen,
     colour_bar,
     draw_probes,
+    fit_image,
     grey_mapper,
     image_data,
+    keep_pixels_square,
     make_figure,
     make_sources,
     words_of,
@@ -81,6 +83,7 @@ class CameraView:
             aspect_ratio=1.25, min_border_left=34, min_width=300, title=name,
         )  # fmt: skip
         made.grid.grid_line_color = None
+        keep_pixels_square(made)
         made.image("image", source=sources["image"], color_mapper=grey_mapper())
         made.scatter(
             "x", "y", source=sources["nodes"], marker="cross", size=8, line_color=SKY, line_width=1.6
@@ -94,9 +97,7 @@ class CameraView:
         if len(x) or len(self.sources["nodes"].data["x"]):
             self.sources["nodes"].data = {"x": x, "y": y}
         height, width = image.shape
-        if self.figure.x_range.end != width:
-            self.figure.x_range.update(start=0, end=width)
-            self.figure.y_range.update(start=height, end=0)
+        fit_image(self.figure, width, height)
 
 
 class FollowPage:

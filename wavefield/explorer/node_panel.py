@@ -159,7 +159,7 @@ class NodePanel:
             f"{', '.join(_with_std(name, values) for name in self._main)}; "
             f"{readings(values, self._others(record.stored))}; "
             f"{KINDS[kind][1] if kind < len(KINDS) else 'nothing measured'}."
-            + (f" Series: the nearest of every {_ordinal(every)} node." if every > 1 else "")
+            + (f" Series: nearest node of the preview (every {_ordinal(every)})." if every > 1 else "")
             + (f" Dashed: {escape(near.words, quote=False)}." if near is not None else "")
         )
 

@@ -86,7 +86,7 @@ class NodeSpectrum:
             self.figure.title.text = "too short a record without gaps for a spectrum"
         else:
             self.figure.title.text = (
-                f"spectrum of {name}; 95 %: factor {number(found.low, 2)} to {number(found.high, 2)}"
+                f"spectrum of {name}; 95 % interval: {number(found.low, 2)} to {number(found.high, 2)} times"
             )
         if name == "z" and near is not None:
             segment = None if found is None else float(1 / found.frequency[0])

@@ -186,7 +186,10 @@ def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: st
 def draw_probes(made: figure, source: ColumnDataSource) -> None:
     """Draw probes with their names, from the columns `x`, `y` and `name`."""
     made.scatter("x", "y", source=source, marker="triangle", size=11, fill_color=YELLOW, line_color=INK)
-    made.text("x", "y", "name", source=source, x_offset=8, y_offset=4, text_font_size="11px")
+    made.text(
+        "x", "y", "name", source=source, x_offset=9, y_offset=4, text_font_size="11px", padding=2,
+        background_fill_color="white", background_fill_alpha=0.75,
+    )  # fmt: skip
 
 
 def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -> None:
@@ -199,6 +202,30 @@ def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -
     made.line("x", "y", source=drawn, color="white", line_width=4.5)
     made.line("x", "y", source=drawn, color=VERMILION, line_width=2)
     made.scatter("x", "y", source=drawn, size=8, fill_color="white", line_color=VERMILION, line_width=2)
+
+
+_SQUARE = """
+const [width, height] = made.tags, [w, h] = [made.inner_width, made.inner_height]
+if (!width || !w || !h) return
+const px = Math.max(width / w, height / h), dx = (px * w - width) / 2, dy = (px * h - height) / 2
+made.x_range.setv({start: -dx, end: width + dx, reset_start: -dx, reset_end: width + dx})
+made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset_end: -dy})
+"""
+
+
+def keep_pixels_square(made: figure) -> None:
+    """Let the browser show the whole image of `fit_image` with square pixels, whatever the figure's shape."""
+    square = CustomJS(args={"made": made}, code=_SQUARE)
+    for changed in ("inner_width", "inner_height", "tags"):
+        made.js_on_change(changed, square)
+
+
+def fit_image(made: figure, width: int, height: int) -> None:
+    """Show all of an image of another size than the one before, px; the view of the same size stays."""
+    if made.tags != [width, height]:
+        made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
+        made.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
+        made.tags = [width, height]
 
 
 def grey_mapper() -> LinearColorMapper:
