@@ -1,16 +1,17 @@
-"""What subtracting a background gains where something fixed shows between the beads.
+"""What subtracting a background gains where something that does not move shows between the beads.
 
     python -m benchmarks.background [--seeds N ...] [--frames N] [--save]
 
 The random sea of `benchmarks.measurement`, the middle half of every sensor, exact cameras. Every camera sees
-a pattern of its own that does not move, such as a scratched floor or reflections: a spot of a bead's size on
-each 40 pixels, up to so many grey levels bright (a bead: 110). The background is the mean of ``--frames``
-frames, every 7th of the record, as `wavefield background` computes it.
+a pattern of its own that does not move, such as a scratched floor: a spot of a bead's size on each 40 pixels,
+up to so many grey levels bright (a bead: 110). The background is the mean of ``--frames`` frames, every 7th
+of the record, as `wavefield background` computes it. 1 px = 1.8 mm.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,27 +33,30 @@ COLUMNS = (
     "z",
     "u dt, v dt, w dt",
     "nodes measured",
-    "within one standard uncertainty: z, u, v, w",
+    "within one standard uncertainty (ideal: 68 %): z, u, v, w",
 )
-Grey = NDArray[np.uint8]
+Images = Mapping[str, list[NDArray[Any]]]
 
 
-def pattern(shape: tuple[int, ...], height: float, seed: int) -> NDArray[np.float64]:
+def pattern(shape: tuple[int, ...], height: float, seed: int) -> NDArray[Any]:
     """Spots at places of their own in an image, grey levels (row, column)."""
     draws = np.random.default_rng([seed, 90])
     spots = np.where(draws.random(shape) < 1 / PIXELS_PER_SPOT, draws.random(shape), 0.0)
     return height * 2 * np.pi * WIDTH**2 * np.asarray(cv2.GaussianBlur(spots, (0, 0), WIDTH))
 
 
-def drawn(tank: Tank, numbers: Sequence[int], height: float) -> dict[str, list[Grey]]:
-    """Frames with the pattern of each camera in them."""
-    out: dict[str, list[Grey]] = {name: [] for name in tank.rig}
-    fixed: dict[str, NDArray[np.float64]] = {}
-    for number in numbers:
-        for k, (name, image) in enumerate(tank.render(number).items()):
-            if name not in fixed:
-                fixed[name] = np.rint(pattern(image.shape, height, 10 * tank.scene.seed + k))
-            out[name].append(np.clip(image + fixed[name], 0, 255).astype(np.uint8))
+def drawn(tank: Tank, numbers: Sequence[int]) -> Images:
+    """Frames of every camera."""
+    frames = [tank.render(number) for number in numbers]
+    return {name: [frame[name] for frame in frames] for name in tank.rig}
+
+
+def with_pattern(images: Images, height: float, seed: int) -> Images:
+    """The same frames over the pattern of each camera."""
+    out = {}
+    for k, (name, frames) in enumerate(images.items()):
+        fixed = np.rint(pattern(frames[0].shape, height, 10 * seed + k))
+        out[name] = [np.clip(image + fixed, 0, 255).astype(np.uint8) for image in frames]
     return out
 
 
@@ -62,32 +66,25 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--save", action="store_true", help="write benchmarks/results/background.yaml")
     options = parser.parse_args(words)
-    rows = []
-    for height in PATTERNS:
-        scores = {"as it is": Score(), "subtracted": Score()}
-        for seed in options.seeds:
-            tank = Tank(scene("random", seed))
-            case = Case(
-                tank.rig,
-                tank.scene.grid,
-                tank.scene.frame_rate,
-                drawn(tank, range(FRAMES), height),
-                truths(tank),
-            )
-            record = drawn(tank, range(0, EVERY * options.frames, EVERY), height)
+    scores = {(height, how): Score() for height in PATTERNS for how in ("not subtracted", "subtracted")}
+    for seed in options.seeds:
+        tank = Tank(scene("random", seed))
+        frames, truth = drawn(tank, range(FRAMES)), truths(tank)
+        record = drawn(tank, range(0, EVERY * options.frames, EVERY))
+        for height in PATTERNS:
+            images = with_pattern(frames, height, seed)
+            case = Case(tank.rig, tank.scene.grid, tank.scene.frame_rate, images, truth)
             means = {
-                name: np.rint(np.mean(images, axis=0)).astype(np.uint8) for name, images in record.items()
+                name: np.rint(np.mean(of_camera, axis=0)).astype(np.uint8)
+                for name, of_camera in with_pattern(record, height, seed).items()
             }
-            less = {
-                name: [subtracted(image, means[name]) for image in images]
-                for name, images in case.frames.items()
-            }
-            for name, one in (("as it is", case), ("subtracted", replace(case, frames=less))):
-                scores[name].add(one, reconstruct(one, Settings()))
-        for name, score in scores.items():
-            rows.append([str(height), name, *score.cells()])
-            score.report(f"pattern of {height} grey levels, {name}")
+            less = {name: [subtracted(image, means[name]) for image in images[name]] for name in images}
+            for how, one in (("not subtracted", case), ("subtracted", replace(case, frames=less))):
+                scores[height, how].add(one, reconstruct(one, Settings()))
+    for (height, how), score in scores.items():
+        score.report(f"pattern of {height} grey levels, {how}")
     if options.save:
+        rows = [[str(height), how, *score.cells()] for (height, how), score in scores.items()]
         save_result("background", COLUMNS, rows)
     return 0
 

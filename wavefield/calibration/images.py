@@ -3,7 +3,7 @@
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import forkserver, get_context, parent_process
@@ -41,6 +41,29 @@ class TargetRig:
     images: dict[str, dict[str, Path]]  # The images
     notes: tuple[str, ...]  # Images without a target
     mesh: float  # Of the target, m
+
+
+def one_note_each(unfound: Sequence[tuple[str, Path]]) -> list[str]:
+    """Notes on images, each of which may begin with its path; those of one reason become one.
+
+    Examples
+    --------
+    >>> a, b = Path("a/1.tif"), Path("b/2.tif")
+    >>> one_note_each([("a/1.tif: no target", a), ("b/2.tif: no target", b)])
+    ['no target (2 images: a/1.tif, b/2.tif)']
+    >>> one_note_each([("a/1.tif: no target", a)])
+    ['a/1.tif: no target']
+    """
+    by_reason: dict[str, list[Path]] = {}
+    for words, path in unfound:
+        by_reason.setdefault(words.removeprefix(f"{path}: "), []).append(path)
+    if len(by_reason) == len(unfound):
+        return [words for words, _ in unfound]
+    return [
+        f"{reason} ({len(paths)} image{'s' if len(paths) > 1 else ''}: "
+        f"{', '.join('/'.join(path.parts[-2:]) for path in paths)})"
+        for reason, paths in by_reason.items()
+    ]
 
 
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
@@ -154,7 +177,7 @@ def calibrate_experiment(
         (camera, pose, images[camera][pose]) for pose in order for camera in images if pose in images[camera]
     ]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
-    notes = []
+    unfound: list[tuple[str, Path]] = []  # why no target was found, and in which image
     frame_sizes = _frame_sizes(experiment) if any(p.suffix.lower() in TABLES for _, _, p in jobs) else {}
     place = place_of(experiment.path, ("calibration", "target"))
     workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
@@ -163,18 +186,19 @@ def calibrate_experiment(
         found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs), sizes)
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
             if isinstance(points, str):
-                notes.append(points)
+                unfound.append((points, jobs[done - 1][2]))
             else:
                 height = section.heights.get(pose)
                 views[camera][pose] = points if height is None else placed_at(points, height)
             if progress:
                 progress(done, len(jobs))
-            if done == len(notes) == IMAGES_TRIED:  # searching all images for an absent board takes minutes
+            if done == len(unfound) == IMAGES_TRIED:  # searching all images for an absent board takes minutes
                 words = _shown_instead([path for _, _, path in jobs[:done]], target)
                 if words:
                     pool.shutdown(wait=False, cancel_futures=True)
                     some = f"the first {done} of {len(jobs)} target images"
                     raise CalibrationError(f"{place}: no {target.kind} in {some}: {words}")
+    notes = one_note_each(unfound)
     failed = [path for camera, pose, path in jobs if pose not in views[camera]]
     if len(failed) > MAX_FAILED * len(jobs):
         words = _shown_instead(failed, target)

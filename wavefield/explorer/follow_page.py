@@ -41,6 +41,7 @@ from wavefield.explorer.target_watch import TargetWatch
 from wavefield.explorer.template import apply_template, asset
 from wavefield.figures.display import display
 from wavefield.text import spell_time
+from wavefield.variables import TABLE
 
 _REFRESH_MS = 200
 _MAX_CAMERA_PX = 800  # three images next to each other, in detail
@@ -100,6 +101,11 @@ class CameraView:
         fit_image(self.figure, width, height)
 
 
+def _named(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Choices of variables, as those of `look`."""
+    return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
+
+
 class FollowPage:
     """One reader's page."""
 
@@ -110,7 +116,7 @@ class FollowPage:
         self._remembered = 0  # entries of the history that are drawn
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights", "target": "target_words"}
         self.words = {key: words_of(name, html=True) for key, name in names.items()}
-        self.variable = Select(title="Map of", value="w", options=list(_VARIABLES), name="show", width=110)
+        self.variable = Select(title="Map of", value="w", options=_named(_VARIABLES), name="show", width=230)
         self.variable.on_change("value", lambda attr, old, new: self._redraw())
         self.mapper = LinearColorMapper(
             palette=palette(display("w").colour_map), nan_color=GREY, low=-1, high=1

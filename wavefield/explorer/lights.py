@@ -227,7 +227,7 @@ def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight
         StatusLight("eps'", "", misfit, f"displacements differ by {now.eps_piv:.2f} px"),
         StatusLight(
             "kinematics", "", rise if not words else "unknown",
-            words or f"the surface rises as its water moves to {now.kinematic_misfit:.1f} std",
+            words or f"the surface rises as its water moves, within {now.kinematic_misfit:.1f} std",
         ),
         StatusLight("coverage", "", coverage, f"{100 * now.coverage:.0f} % of the nodes measured"),
         StatusLight("range of z", "", used, f"{100 * now.range_used:.0f} % of it used"),
