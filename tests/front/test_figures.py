@@ -276,7 +276,7 @@ def test_picture_of_the_dispersion_ridge():
     assert "refused" not in group.attrs
     figure = figures.dispersion_ridge(group)
     assert text_faults(figure) == []
-    for word in ("linear theory", "measured points", "points against theory (%)"):
+    for word in ("linear theory", "measured points", "measured ω against theory (%)"):
         assert word in labels(figure)
 
 

@@ -20,7 +20,8 @@ Examples:
 """
 )
 @click.argument("code", required=False, shell_complete=_complete)
-def explain(code: str | None) -> None:
+@click.pass_context
+def explain(context: click.Context, code: str | None) -> None:
     """Explain a remark of `check`, `run` or `status`.
 
     CODE is the word in brackets at the end of the remark; without it, all codes are listed.
@@ -28,9 +29,9 @@ def explain(code: str | None) -> None:
     from wavefield.quality.explanations import EXPLANATIONS, first_sentence
 
     if code is None:
-        width = max(map(len, EXPLANATIONS))
-        for name, text in EXPLANATIONS.items():
-            click.echo(f"{name:<{width}}  {first_sentence(text)}")
+        formatter = context.make_formatter()
+        formatter.write_dl([(name, first_sentence(text)) for name, text in EXPLANATIONS.items()])
+        click.echo(formatter.getvalue(), nl=False)
         return
     name = code.strip("[]").lower()
     if name not in EXPLANATIONS:
