@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from scipy import fft
+from scipy import fft, special
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
@@ -15,6 +15,9 @@ from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
 from wavefield.waves.estimation.windows import hann, segment_count
 from wavefield.waves.nonlinear.coherence import significance_level
 from wavefield.waves.products import Noted, Product, register
+
+APART = 2  # lines: nearer ones share waves under a Hann window
+SHARED = 0.1  # of the correlation by chance: pairs whose lines share more are no test of coupling
 
 
 def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
@@ -45,10 +48,20 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
     return out
 
 
-def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarray]:
+def correlations_of(z: np.ndarray) -> np.ndarray:
+    """Squared correlation |<Z1 Z2*>|^2 / (<|Z1|^2> <|Z2|^2>) of lines (n, samples), (n, n)."""
+    gram = np.abs(z @ z.conj().T) ** 2
+    power = np.maximum(gram.diagonal(), 1e-300)
+    return np.asarray(gram / np.sqrt(power[:, None] * power))
+
+
+def tricoherence_of(
+    z: np.ndarray, shared: np.ndarray | None = None, limit: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Largest tricoherence over omega3 for each pair omega1, omega2, and the line of that omega3.
 
-    Pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s.
+    Pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s. Two pairs whose lines
+    are correlated in twos by more than a limit are left out; ``shared`` (n, n) is that correlation.
     """
     n = z.shape[0]
     value, partner = np.full((n, n), np.nan), np.full((n, n), -1)
@@ -62,7 +75,13 @@ def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarr
         norm = np.sqrt(np.maximum(gram.diagonal().real, 1e-300))
         coherence = np.abs(gram) / (norm[:, None] * norm)
         # first <= second and third <= fourth: trivial where the pairs nearly coincide
-        coherence[np.abs(first[:, None] - first) <= apart] = -1
+        trivial = np.abs(first[:, None] - first) <= APART
+        if shared is not None:
+            trivial |= (
+                shared[np.ix_(first, first)] * shared[np.ix_(second, second)]
+                + shared[np.ix_(first, second)] * shared[np.ix_(second, first)]
+            ) > limit
+        coherence[trivial] = -1
         best = coherence.argmax(axis=1)
         largest = coherence[np.arange(first.size), best]
         defined = largest >= 0
@@ -112,8 +131,10 @@ def _level_of_one(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
 
 def _level_of_largest(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
     """Level of the largest of many coherences, which follows Gumbel's distribution."""
-    quantile = -np.log(-np.log(1 - chance))
-    scale = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi
+    quantile, count = -np.log(-np.log(1 - chance)), len(surrogates)
+    # mean and scale of few surrogates are uncertain: wider as Student's distribution is
+    wider = special.stdtrit(count - 1, 1 - chance) / special.ndtri(1 - chance) * np.sqrt(1 + 1 / count)
+    scale = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi * wider
     return np.asarray(np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * scale, 1.0))
 
 
@@ -161,12 +182,14 @@ def higher_order(
     series = series[:, :: -(-series.shape[1] // allowed)]
     z = fourier_lines(series, segment, count)
     rng = np.random.default_rng(0)
-    tricoherence, partner = tricoherence_of(z)
-    bi, tri = [], []
-    for _ in range(settings.surrogates):
-        surrogate = shuffle_phases(z, series.shape[1], rng)
-        bi.append(bicoherence_of(surrogate))
-        tri.append(tricoherence_of(surrogate)[0])
+    surrogates = [shuffle_phases(z, series.shape[1], rng) for _ in range(settings.surrogates)]
+    bi = [bicoherence_of(surrogate) for surrogate in surrogates]
+    # lines beyond the ends of a sea hold what the window spreads of the same strong waves
+    chance = np.mean([correlations_of(surrogate) for surrogate in surrogates], axis=0)
+    shared = np.sqrt(np.maximum(correlations_of(z) - 2 * chance, 0.0))
+    limit = SHARED * np.sqrt(chance[np.triu_indices(count, 1)].mean())
+    tricoherence, partner = tricoherence_of(z, shared, limit)
+    tri = [tricoherence_of(surrogate, shared, limit)[0] for surrogate in surrogates]
     omega = 2 * np.pi * np.arange(count) / (segment * dt)
     dims = ("omega1", "omega2")
     pairs = {
