@@ -81,3 +81,28 @@ def test_an_edge_that_the_water_contradicts_is_no_horizon(platform, placed):
     found = level_on_water(rig, matches, roof, 2.5)
     assert "was not used" in found.sentence
     assert max(tilt_error(found.rig[name], true[name]) for name in true) < 0.3
+
+
+@pytest.mark.parametrize("instants", [1, 4])
+def test_instants_that_show_the_same_waves_give_no_uncertainty_of_the_height(platform, placed, instants):
+    rig, matches = placed
+    true, images = platform
+    same = [matches[0]] * instants
+    found = level_on_water(rig, same, {}, 2.5)
+    assert np.isnan([found.tilt_std, found.height_std]).all()
+    assert "nan" not in found.sentence
+    assert ("one instant gives" if instants == 1 else "instants that show the same waves") in found.sentence
+    assert "no uncertainty of the tilt and the height" in found.sentence
+    horizons = {name: find_horizon(images[name], true[name]) for name in true}
+    seen = level_on_water(rig, same, horizons, 2.5)
+    assert max(tilt_error(seen.rig[name], true[name]) for name in true) < 2 * seen.tilt_std
+    assert "no uncertainty of the height" in seen.sentence
+
+
+def test_neighbouring_instants_of_the_same_waves_widen_the_uncertainty(placed):
+    """Of four waters, each seen twice in succession, groups of one instant are correlated by a half."""
+    rig, matches = placed
+    apart = level_on_water(rig, matches, {}, 2.5)
+    twice = level_on_water(rig, [one for one in matches for _ in range(2)], {}, 2.5)
+    assert 0.8 < twice.height_std / apart.height_std < 2.0
+    assert 0.8 < twice.tilt_std / apart.tilt_std < 2.0

@@ -1,7 +1,9 @@
 """A lab note proposed from a folder: what names show is there, the rest is marked."""
 
 import itertools
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
@@ -9,9 +11,11 @@ from hypothesis import strategies as st
 
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
+from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.image_names import camera_names, find_series
 from wavefield.series.proposal import propose
+from wavefield.tank.rigs import platform_rig
 
 
 @pytest.fixture
@@ -143,3 +147,21 @@ def test_linked_folders_are_searched_and_a_link_to_its_own_parent_ends_nothing(t
         (run / camera).symlink_to(tmp_path / "disk" / camera)
     (run / "again").symlink_to(run)
     assert sorted(yaml.safe_load(propose(run))["cameras"]) == ["left", "right"]
+
+
+def test_lenses_beside_the_images_are_proposed_as_the_rig(tmp_path):
+    rig = platform_rig(12.0, 2.5, 20.0, 750.0, (80, 60))
+    for camera in rig:
+        (tmp_path / camera).mkdir()
+        for k in range(4):
+            (tmp_path / camera / f"{k:02d}.png").touch()
+    assert "\nrig:" not in propose(tmp_path)
+    lenses = {n: replace(c, rotation=np.eye(3), translation=np.zeros(3)) for n, c in rig.cameras.items()}
+    Rig(lenses).save(tmp_path / "lenses.yaml")
+    proposed = yaml.safe_load(propose(tmp_path).replace("frame_rate:", "frame_rate: 4", 1))
+    assert proposed["rig"] == "lenses.yaml"
+    assert proposed["settings"] == {"preset": "texture"}
+    rig.save(tmp_path / "rig.yaml")
+    proposed = yaml.safe_load(propose(tmp_path))
+    assert proposed["rig"] == "rig.yaml"
+    assert "settings" not in proposed

@@ -38,9 +38,9 @@ class Levelled:
 
     rig: Rig  # z = 0 on the mean surface, z up
     tilt: float  # By how much z was turned, degrees
-    tilt_std: float  # Its standard uncertainty from independent instants; NaN for one instant
+    tilt_std: float  # Its standard uncertainty; NaN where all instants show the same waves and no horizon
     height: float  # Of the first camera above the mean surface, metres
-    height_std: float  # Likewise, without the uncertainty of a stated distance
+    height_std: float  # Without that of a stated distance; NaN where all instants show the same waves
     rms: float  # Of the points about the plane, metres
     epipolar_error: float  # Median distance of the matches from their epipolar lines, px
     points: int  # Number of points used
@@ -50,13 +50,26 @@ class Levelled:
     @property
     def sentence(self) -> str:
         """All this for the user."""
+        height = _with_std(self.height, self.height_std, "m")
         return (
-            f"{self.points} points of {self.instants} instants: sight lines miss each other by "
-            f"{self.epipolar_error:.2f} px (median); {self.horizon}; the frame was turned by {self.tilt:.2f} "
-            f"+- {self.tilt_std:.2f} degrees; {next(iter(self.rig))} is {self.height:.2f} +- "
-            f"{self.height_std:.2f} m above the mean surface; the water is within {100 * self.rms:.2g} cm "
-            "(rms) of it"
+            f"{self.points} points of {self.instants} instant{'s' * (self.instants > 1)}: sight lines miss "
+            f"each other by {self.epipolar_error:.2f} px (median); {self.horizon}; the frame was turned by "
+            f"{_with_std(self.tilt, self.tilt_std, 'degrees')}; {next(iter(self.rig))} is {height} above the "
+            f"mean surface; the water is within {100 * self.rms:.2g} cm (rms) of it{self._unknown}"
         )
+
+    @property
+    def _unknown(self) -> str:
+        """What has no uncertainty, and why."""
+        if np.isfinite(self.height_std):
+            return ""
+        which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
+        few = "one instant gives" if self.instants == 1 else "instants that show the same waves give"
+        return f"; {few} no uncertainty of the {which}: take instants over many wave periods"
+
+
+def _with_std(value: float, std: float, unit: str) -> str:
+    return f"{value:.2f} +- {std:.2f} {unit}" if np.isfinite(std) else f"{value:.2f} {unit}"
 
 
 def level_on_water(
@@ -132,7 +145,7 @@ def _best_fit(
         return free, std, "no horizon was found, so the mean surface is the level"
     fit = fit_platform(free, matches, horizons, distance)
     apart = _angle(fit.up, free.up)
-    if apart > max(MAX_DISAGREEMENT * np.nan_to_num(std[0]), MIN_DISAGREEMENT):
+    if apart > max(MAX_DISAGREEMENT * np.nan_to_num(std[0], nan=MIN_DISAGREEMENT), MIN_DISAGREEMENT):
         return (
             free,
             std,
@@ -215,7 +228,8 @@ def level_experiment(
         raise RigError(f"a distance places the second of two cameras; this rig has {len(loaded)}")
     if distance is None and any(np.allclose(loaded[first].centre, loaded[n].centre) for n in others):
         raise RigError(
-            "the rig does not contain the positions of its cameras: state the distance between them"
+            "the rig does not contain the positions of its cameras: state the distance between them "
+            "(`--distance`)"
         )
     instants = evenly_spaced(len(series[first]), frames)
     matches: list[dict[tuple[str, str], Pixels]] = []

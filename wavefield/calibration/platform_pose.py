@@ -23,6 +23,9 @@ WAVES_IN_VIEW = 20.0  # independent elevations per instant: neighbouring feature
 HORIZON_ERROR = 0.3  # px: of the line as a whole
 PROBE = 0.1  # m: by which the plane is raised to find the parallax of an elevation
 GROUPS = 8  # of instants next to each other, left out in turn
+OUTLIER = 4.0  # robust standard deviations of the elevations
+CELLS = 6  # along each side of an image, in which the water of groups is compared
+MIN_INDEPENDENT = 1.5  # groups: fewer show the same waves, as one instant does
 MAX_MATCHES = 1500  # of a pair in the fit
 LOWEST = 0.02  # sine of the smallest angle of a sight line below the horizontal
 HUGE = 1e3  # px: where there is no water
@@ -97,17 +100,20 @@ def leave_out(
 ) -> tuple[float, float]:
     """Standard uncertainties of the tilt, degrees, and of the height, m, from groups of instants (jackknife).
 
-    NaN for fewer than two instants. Instants next to each other are left out together: they show the same
-    waves. A horizon's own uncertainty is added.
+    Instants next to each other are left out together: they show the same waves. Where neighbouring groups
+    still do, by a correlation r of their elevations, the variance is (1 + r)/(1 - r) times that of
+    independent groups. Where so few are left that all instants show the same waves, the height has no
+    uncertainty (NaN), and the tilt that of the horizon, which is added to the others, or none.
     """
     groups = [
         part for part in np.array_split(np.arange(len(matches)), min(GROUPS, len(matches))) if len(part)
     ]
-    if len(groups) < 2:
-        return float("nan"), float("nan")
     first = next(iter(fit.cameras))
     name, points = next((item for item in horizons.items()), (first, None))
     of_horizon = HORIZON_ERROR / fit.cameras[name].fy if points is not None else 0.0
+    same = _correlation(fit, matches, groups)
+    if 1.0 + (len(groups) - 1) * (1.0 - same) / (1.0 + same) < MIN_INDEPENDENT:
+        return float(np.degrees(of_horizon)) or float("nan"), float("nan")
     ups, heights = [], []
     for part in groups:
         rest = [one for number, one in enumerate(matches) if number not in part]
@@ -119,11 +125,34 @@ def leave_out(
     tilt = np.sqrt(factor * np.sum((up - up.mean(axis=0)) ** 2))
     spread = np.sqrt(factor * np.sum((height - height.mean()) ** 2))
     of_few = float(student_t.ppf(0.8413, len(groups) - 1))  # the spread of few groups is uncertain itself
+    of_few *= float(np.sqrt((1.0 + same) / (1.0 - same)))
     lever = fit.distance(matches) * of_horizon
     return (
         float(np.degrees(np.hypot(of_few * tilt, of_horizon))),
         float(np.hypot(of_few * spread, lever)),
     )
+
+
+def _correlation(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]) -> float:
+    """Correlation of the elevations of the water in neighbouring groups of instants, 0 if it is negative."""
+    products, squares = 0.0, 0.0
+    number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])
+    for one in _joined(matches):
+        one = _on_water(fit, one)
+        _, along, per_metre = _along_and_across(fit, one)
+        limit = OUTLIER * robust_std(along / per_metre)
+        elevation = np.clip(along / per_metre, -limit, limit)
+        cell = np.clip(one.a / fit.cameras[one.pair[0]].size * CELLS, 0, CELLS - 1).astype(int)
+        place = (number[one.instant] * CELLS + cell[:, 1]) * CELLS + cell[:, 0]
+        count, total = (
+            np.bincount(place, weight, len(groups) * CELLS**2).reshape(len(groups), -1)
+            for weight in (np.ones(len(elevation)), elevation)
+        )
+        mean = total / np.where(count > 0, count, np.nan)
+        first, second = mean[:-1], mean[1:]
+        products += float(np.nansum(first * second))
+        squares += float(np.nansum(0.5 * (first**2 + second**2)))
+    return max(products / squares, 0.0) if squares > 0 else 0.0
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:

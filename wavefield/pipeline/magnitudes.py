@@ -61,6 +61,11 @@ def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
     """Refuse a rig in the frame of one of its cameras, where z = 0 is no water."""
+    if rig.lenses_alone:
+        raise RigError(
+            f"{rig_file} contains lenses and no positions of the cameras; two at sea are placed by "
+            "`wavefield rig level EXPERIMENT --distance METRES -o rig.yaml`, with the distance between them"
+        )
     for name, camera in rig.cameras.items():
         if np.allclose(camera.centre, 0.0, atol=1e-9):
             raise RigError(

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
 from wavefield.rig.water_level import WaterPlane
@@ -70,13 +72,15 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
             values={"height_m": height / 1e3, "rms_m": rms / 1e3},
         )
     if isinstance(found, dict) and "camera_height_m" in found:
+        tilt, height = found["tilt_std_deg"], found["camera_height_std_m"]
+        certain = f"its tilt is uncertain by {tilt:.2g} degrees, " if np.isfinite(tilt) else ""
+        certain += f"{next(iter(rig))} is {found['camera_height_m']:.2f} "
+        certain += f"+- {height:.2f} m above it" if np.isfinite(height) else "m above it, uncertainty unknown"
         return Remark(
             "rig",
             "levelled",
             "note",
-            f"z = 0 is the mean surface of moving water: {found['by']}; its tilt is uncertain by "
-            f"{found['tilt_std_deg']:.2g} degrees, and {next(iter(rig))} is {found['camera_height_m']:.2f} "
-            f"+- {found['camera_height_std_m']:.2f} m above it",
+            f"z = 0 is the mean surface of moving water: {found['by']}; {certain}",
         )
     if experiment.rest:
         return Remark(

@@ -67,6 +67,11 @@ class Rig:
     def __len__(self) -> int:
         return len(self.cameras)
 
+    @property
+    def lenses_alone(self) -> bool:
+        """Whether all of several cameras are at the origin: nothing states where they are."""
+        return len(self) > 1 and all(np.allclose(c.centre, 0.0, atol=1e-9) for c in self.cameras.values())
+
     def __repr__(self) -> str:
         return f"Rig({', '.join(self.cameras)})"
 

@@ -4,7 +4,8 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from wavefield.errors import ExperimentError
+from wavefield.errors import ExperimentError, RigError
+from wavefield.rig.formats import load_rig
 from wavefield.series.image_names import (
     NumberedImages,
     camera_names,
@@ -74,9 +75,10 @@ def propose(folder: str | Path) -> str:
         *_head(folder),
         *_cameras(dict(zip(names, waves))),
         *_calibration(of_targets, [path for path in paths if path not in set(of_targets)], names),
+        *_rig(folder, names, bool(of_targets)),
         *_rest(rest, names),
         "grid: auto                    # what all cameras see; or {x: [..], y: [..], step: ..} in metres",
-        "water: {depth: }              # TO FILL IN: metres, such as 0.70",
+        "water: {depth: }              # TO FILL IN: metres, such as 0.70; none in deep water",
         *_probes(folder),
     ]
     return "\n".join(lines) + "\n"
@@ -121,6 +123,25 @@ def _calibration(of_targets: list[str], others: list[str], cameras: Sequence[str
         yield from _patterns("flat", flat, cameras)
     else:
         yield '  # flat: "..."              # the image of the target on z = 0, if there is one'
+
+
+def _rig(folder: Path, cameras: Sequence[str], targets: bool) -> Iterator[str]:
+    """A file of the folder that is a rig of these cameras; without positions they are those of a platform."""
+    for path in sorted(folder.glob("*.yaml"), key=lambda path: (path.name != "rig.yaml", path)):
+        try:
+            rig = load_rig(path)
+        except RigError:
+            continue
+        if set(rig) != set(cameras):
+            continue
+        if targets:
+            yield f"# rig: {path.name}      # of these cameras; `calibrate` makes one of the target images"
+        elif rig.lenses_alone:
+            yield f"rig: {path.name}      # lenses alone: `wavefield rig level` places two at sea"
+            yield "settings: {preset: texture}    # natural texture; leave it out for floating beads"
+        else:
+            yield f"rig: {path.name}"
+        return
 
 
 def _patterns(key: str, names: Sequence[str], cameras: Sequence[str]) -> Iterator[str]:

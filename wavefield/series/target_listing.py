@@ -14,6 +14,11 @@ from wavefield.series.experiment import Experiment
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
     """Target images of an experiment, by camera and by pose; that on z = 0 is called ``flat``."""
     section = experiment.calibration
+    if section is None and experiment.rig is not None:
+        raise CalibrationError(
+            f"{experiment.path} names a rig and no target images, so there is nothing to calibrate; "
+            "`wavefield check` tries the rig, and `wavefield rig level` brings it to moving water, as at sea"
+        )
     if section is None:
         raise CalibrationError(
             f"{experiment.path} has no calibration block; add one that states what the target is and where "
