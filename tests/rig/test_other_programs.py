@@ -58,6 +58,33 @@ def test_terms_that_a_program_lacks_are_refused(tmp_path, program):
         save_rig(Rig({"cam1": random_camera(1)}), tmp_path, program)
 
 
+@pytest.mark.parametrize("program", ["wass", "matlab"])
+def test_two_cameras_there_and_back_in_the_frame_of_the_first(tmp_path, program):
+    lacking = ("tau_x", "tau_y") if program == "matlab" else ("tau_x", "tau_y", "skew")
+    cameras = {f"cam{n}": random_camera(n, *lacking) for n in (1, 2)}
+    path = tmp_path if program in FOLDERS else tmp_path / "stereo.mat"
+    save_rig(Rig(cameras), path, program)
+    sizes = {name: camera.size for name, camera in cameras.items()} if program == "wass" else None
+    back = load_rig(path, sizes)
+    one, two = cameras.values()
+    turn = two.R @ one.R.T
+    for camera, found, R, T in zip(
+        (one, two), back.cameras.values(), (np.eye(3), turn), (np.zeros(3), two.T - turn @ one.T), strict=True
+    ):
+        assert found.size == camera.size
+        for before, after in ((camera.K, found.K), (camera.D, found.D), (R, found.R), (T, found.T)):
+            np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("program", ["wass", "matlab"])
+def test_programs_of_two_cameras_refuse_others(tmp_path, program):
+    three = {f"cam{n}": random_camera(n, "tau_x", "tau_y", "skew") for n in (1, 2, 3)}
+    with pytest.raises(RigError, match="has two cameras, and this rig 3"):
+        save_rig(Rig(three), tmp_path / "rig", program)
+    with pytest.raises(RigError, match="does not have tau_x"):
+        save_rig(Rig({f"cam{n}": random_camera(n) for n in (1, 2)}), tmp_path, program)
+
+
 def openptv_folder(folder, size=(1024, 800), pixel=0.0065, media="1\n1\n1"):
     (folder / "parameters").mkdir()
     (folder / "cal").mkdir()

@@ -139,6 +139,8 @@ _PROGRAMS = (
     "vic3d",
     "dice",
     "opencv",
+    "matlab",
+    "wass",
     "openptv",
     "myptv",
     "metashape",

@@ -18,13 +18,13 @@ from wavefield.rig.formats.common import LENGTHS, ImportOptions, Size
 from wavefield.rig.formats.davis_rig import load_davis
 from wavefield.rig.formats.dice import is_dice_text, is_dice_xml, load_dice_text, load_dice_xml, save_dice
 from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr
-from wavefield.rig.formats.matlab_rig import load_matlab
+from wavefield.rig.formats.matlab_rig import load_matlab, save_matlab
 from wavefield.rig.formats.myptv import is_myptv, load_myptv, save_myptv
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
 from wavefield.rig.formats.openptv import is_openptv, load_openptv, save_openptv
 from wavefield.rig.formats.uvmat_rig import load_uvmat, save_uvmat
 from wavefield.rig.formats.vic import load_vic, save_vic
-from wavefield.rig.formats.wass import load_wass
+from wavefield.rig.formats.wass import load_wass, save_wass
 from wavefield.rig.rig import YAML_LOADER, Rig, read_rig_text
 
 __all__ = [
@@ -36,7 +36,7 @@ __all__ = [
     "save_vic",
 ]
 
-FOLDERS = ("uvmat", "myptv", "openptv", "colmap")  # programs that have a folder, or a file per camera
+FOLDERS = ("uvmat", "myptv", "openptv", "colmap", "wass")  # programs that have a folder, or a file per camera
 
 
 _BROKEN = (
@@ -174,5 +174,7 @@ def save_rig(rig: Rig, path: str | Path, program: str) -> None:
             "dice": save_dice,
             "metashape": save_agisoft,
             "opencv": save_opencv,
+            "wass": save_wass,
+            "matlab": save_matlab,
         }
         savers[program](rig, path)

@@ -142,3 +142,14 @@ def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
             f"{program} does not have {', '.join(extra)}: calibrate again with a model of "
             f"fx, fy, cx, cy{', ' if terms else ''}{', '.join(terms)}"
         )
+
+
+def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
+    """Both cameras of a rig, and rotation and translation, metres, of the second in the first's frame."""
+    if len(rig) != 2:
+        raise RigError(f"{program} has two cameras, and this rig {len(rig)}: write OpenCV's file")
+    if rig.lenses_alone:
+        raise RigError(f"{program} needs the position of the second camera, which this rig does not contain")
+    one, two = rig.cameras.values()
+    R = two.R @ one.R.T
+    return one, two, R, two.T - R @ one.T

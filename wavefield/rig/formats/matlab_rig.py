@@ -7,9 +7,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from wavefield.errors import RigError
-from wavefield.rig.formats.common import ImportOptions, Pose, StoredCamera, rig_of_file, rotation_near
+from wavefield.rig.formats.common import (
+    ImportOptions,
+    Pose,
+    StoredCamera,
+    as_pair,
+    refuse_terms,
+    rig_of_file,
+    rotation_near,
+)
 from wavefield.rig.rig import Rig
 
 
@@ -72,3 +81,32 @@ def _struct(value: Mapping[str, Any]) -> StoredCamera:
     p = [*np.ravel(value.get("TangentialDistortion", (0.0, 0.0))).tolist(), 0.0, 0.0][:2]
     size = np.ravel(value["ImageSize"]).tolist() if np.size(value.get("ImageSize", ())) == 2 else None
     return StoredCamera(K, [k[0], k[1], *p, k[2]], size=None if size is None else (size[1], size[0]))
+
+
+def save_matlab(rig: Rig, path: Path) -> None:
+    """Write two cameras as the stereo results of Bouguet's toolbox, lengths in metres.
+
+    MATLAB's `stereoParametersFromOpenCV` takes the same numbers: KK_left, kc_left, KK_right, kc_right, R, T.
+    """
+    import scipy.io  # half a second that no other rig needs
+
+    one, two, R, T = as_pair(rig, "MATLAB")
+    if one.size != two.size:
+        raise RigError(
+            "MATLAB's stereo results have one image size, and these cameras two: write OpenCV's file"
+        )
+    values: dict[str, ArrayLike] = {
+        "R": R,
+        "T": T[:, None],
+        "om": Rotation.from_matrix(R).as_rotvec()[:, None],
+    }
+    for side, camera in (("left", one), ("right", two)):
+        refuse_terms(camera, "MATLAB", "k1", "k2", "p1", "p2", "k3", "skew")
+        values |= {
+            f"fc_{side}": [[camera.fx], [camera.fy]],
+            f"cc_{side}": [[camera.cx], [camera.cy]],
+            f"alpha_c_{side}": camera.skew / camera.fx,
+            f"kc_{side}": camera.D[:, None],
+            f"KK_{side}": camera.K,
+        }
+    scipy.io.savemat(str(path), values | {"nx": float(one.size[0]), "ny": float(one.size[1])})

@@ -6,7 +6,15 @@ import cv2
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.formats.common import FIRST_CAMERA, ImportOptions, StoredCamera, rig_of_file, rotation_near
+from wavefield.rig.formats.common import (
+    FIRST_CAMERA,
+    ImportOptions,
+    StoredCamera,
+    as_pair,
+    refuse_terms,
+    rig_of_file,
+    rotation_near,
+)
 from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 
@@ -43,3 +51,22 @@ def _only_matrix(path: Path) -> Array:
     finally:
         storage.release()
     raise RigError(f"{path.name} holds no matrix")
+
+
+def save_wass(rig: Rig, folder: Path) -> None:
+    """Write the configuration of WASS into a folder: lenses, and the second camera's pose from the first."""
+    one, two, R, T = as_pair(rig, "WASS")
+    for n, camera in enumerate((one, two)):
+        refuse_terms(camera, "WASS", "k1", "k2", "p1", "p2", "k3")
+        _save_matrix(folder / f"intrinsics_0{n}.xml", "intr", camera.K)
+        _save_matrix(folder / f"distortion_0{n}.xml", "dist", camera.D[:, None])
+    _save_matrix(folder / "ext_R.xml", "R", R)
+    _save_matrix(folder / "ext_T.xml", "T", T[:, None])
+
+
+def _save_matrix(path: Path, name: str, matrix: Array) -> None:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    try:
+        storage.write(name, matrix)
+    finally:
+        storage.release()
