@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from series_cases import number_image, write_experiment, write_frames
 
 from wavefield.errors import ExperimentError
+from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern, newest_frames, number_frames
 from wavefield.series.readers import close_files
@@ -185,6 +186,27 @@ def test_video_frames_are_found_by_number(tmp_path, ending, codec):
     assert len(series) == 12
     for n in (0, 1, 7, 3, 11):
         assert np.median(series.read(n).image - ramp) == pytest.approx(15 * n, abs=3)
+
+
+@pytest.mark.parametrize(("ending", "codec"), [("avi", "MJPG"), ("mp4", "mp4v"), ("mkv", "FFV1")])
+def test_a_frame_rate_that_is_left_out_is_that_of_the_videos(tmp_path, ending, codec):
+    for name in ("cam1", "cam2"):
+        path = str(tmp_path / f"{name}.{ending}")
+        writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*codec), 12.5, (64, 48))
+        for n in range(5):
+            writer.write(np.full((48, 64, 3), 20 * n, np.uint8))
+        writer.release()
+    path = tmp_path / "experiment.yaml"
+    text = f"name: two\ncameras:\n  cam1: cam1.{ending}\n  cam2: cam2.{ending}\n"
+    path.write_text(text)
+    experiment = Experiment.load(path)
+    assert experiment.frame_rate == pytest.approx(12.5)
+    [remark] = [one for one in remark_on_recordings(experiment, experiment.open_frames()) if one.code]
+    assert "12.5 Hz is that of the playback of its video" in remark.sentence
+    path.write_text(text + "frame_rate: 500\n")
+    experiment = Experiment.load(path)
+    assert experiment.frame_rate == 500
+    assert not list(remark_on_recordings(experiment, experiment.open_frames()))
 
 
 def test_zarr_array(tmp_path):

@@ -93,6 +93,11 @@ EXPLANATIONS = {
         "A recording states another frame rate than the experiment file. Velocities are proportional to it. "
         "Leave `frame_rate` out to take the recording's."
     ),
+    "playback-rate": (
+        "The frame rate is the one that a video states, because the experiment file has the same or none. It "
+        "is the rate at which the video is played: for a camera that recorded faster or slower, state "
+        "`frame_rate`. Velocities are proportional to it."
+    ),
     "dropped-images": (
         "The camera lost images, by its clock. Their places stay empty and no step is measured across them. "
         "Record to the camera's memory, to a faster disk, or at a lower rate."

@@ -8,7 +8,7 @@ from wavefield.quality.frame_remarks import remark_on_absent_frames
 from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.robust import robust_std
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.rates import is_alike, recorded_rates
+from wavefield.series.rates import is_alike, recorded_rates, video_rates
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 
@@ -76,6 +76,17 @@ def _rates(experiment: Experiment) -> Iterator[Remark]:
                 "leave frame_rate out to take the recording's; all is well if frames were left out since",
                 values={"recorded_hz": rate, "stated_hz": experiment.frame_rate},
             )
+    videos = video_rates(named, experiment.image_folder)
+    alike = [name for name, rate in videos.items() if is_alike(rate, experiment.frame_rate)]
+    if alike:
+        yield Remark(
+            alike[0],
+            "playback rate",
+            "note",
+            f"the frame rate of {experiment.frame_rate:g} Hz is that of the playback of its video; a camera "
+            "of another rate (high-speed, time lapse) needs its own as frame_rate",
+            values={"playback_hz": experiment.frame_rate},
+        )
 
 
 def _gaps(series: FrameSeries) -> Iterator[Remark]:

@@ -30,7 +30,7 @@ from wavefield.series.experiment_parts import (
 )
 from wavefield.series.frames import FrameSeries
 from wavefield.series.mean_images import with_backgrounds
-from wavefield.series.rates import one_rate, recorded_rates
+from wavefield.series.rates import one_rate, recorded_rates, video_rates
 from wavefield.series.record import open_record
 from wavefield.text import html_table
 
@@ -169,7 +169,9 @@ class Experiment(RecordSection):
         if folder:
             data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
         if data.get("frame_rate") is None and isinstance(data.get("cameras"), Mapping):
-            rate = one_rate(recorded_rates(data["cameras"], path.parent / (data.get("folder") or "")), path)
+            images = path.parent / (data.get("folder") or "")
+            stated = recorded_rates(data["cameras"], images) or video_rates(data["cameras"], images)
+            rate = one_rate(stated, path)
             data |= {} if rate is None else {"frame_rate": rate}
         out = load(cls, path, data)
         out._path = path

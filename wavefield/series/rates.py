@@ -1,10 +1,11 @@
-"""The frame rate that recordings themselves state."""
+"""The frame rate that recordings and videos themselves state."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import file_of, open_recording
+from wavefield.series.readers import video_rate
 
 RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
 
@@ -12,9 +13,8 @@ RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
 def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
     """Frame rates that recordings state, by camera; the cameras are as in the experiment file."""
     rates = {}
-    for name, camera in cameras.items():
-        images = camera.get("images") if isinstance(camera, Mapping) else camera
-        paths = recordings_of(images, str(name), folder)
+    for name, images in _images(cameras):
+        paths = recordings_of(images, name, folder)
         if not paths:
             continue
         try:
@@ -22,9 +22,26 @@ def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, flo
         except FrameError:  # reported when the images are opened
             continue
         if recording.rate:
-            rates[str(name)] = recording.rate
+            rates[name] = recording.rate
         recording.close()
     return rates
+
+
+def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
+    """Playback rates of cameras whose images are videos; those of high-speed cameras are no frame rates."""
+    rates = {}
+    for name, images in _images(cameras):
+        first = images[0] if isinstance(images, list) and images else images
+        rate = video_rate(folder / first.replace("{camera}", name)) if isinstance(first, str) else None
+        if rate is not None:
+            rates[name] = rate
+    return rates
+
+
+def _images(cameras: Mapping[str, object]) -> Iterator[tuple[str, object]]:
+    """Names of cameras, and the images of each as in the experiment file."""
+    for name, camera in cameras.items():
+        yield str(name), camera.get("images") if isinstance(camera, Mapping) else camera
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
@@ -35,7 +52,7 @@ def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """The rate that all recordings state; None if there are none."""
+    """The rate that all recordings or videos state; None if there are none."""
     if not rates:
         return None
     first = next(iter(rates))

@@ -71,6 +71,18 @@ def count_images(name: str | Path) -> tuple[Kind, int]:
         return _count_images(Path(name), ending)
 
 
+def video_rate(path: Path) -> float | None:
+    """Rate of the playback that a video states, images per second; None if it is none or states none."""
+    if path.suffix.lower() not in VIDEO_ENDINGS:
+        return None
+    try:
+        video = _Video(str(path))
+    except FrameError:  # reported when the images are opened
+        return None
+    video.close()
+    return video.rate
+
+
 def _count_images(path: Path, ending: str) -> tuple[Kind, int]:
     if file_of(path) is not None:
         recording = open_recording(path)
@@ -175,6 +187,8 @@ class _Video:
         if not self._capture.isOpened():
             raise FrameError(f"{path} cannot be read as a video; convert it to PNG or TIFF frames")
         self.count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.rate = rate if 0 < rate < 1e7 else None  # of the playback, images per second
         self._next = 0
 
     def read(self, index: int) -> np.ndarray:
