@@ -21,7 +21,7 @@ Examples:
 @click.option("--anyway", is_flag=True, help="Write the rig although it is refused; the file states why.")
 @click.pass_context
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
-    """Find the rig from target images.
+    """Calibrate the cameras, the rig, from target images.
 
     Reads the section `calibration` of EXPERIMENT, finds the target in its tilted and flat views, solves for
     all cameras together, and writes the rig and a report with pictures. Where the experiment names a
@@ -75,7 +75,10 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     click.echo(f"Wrote {output} with {', '.join(rig)}{refused}; calibration report: {page}")
     if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
         click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
-    print_next("check", experiment)
+    if loaded.settings.get("preset") == "sheet" or "sheet_thickness" in loaded.settings:
+        print_next("rig", "sheet", experiment, "--rig", output, "-o", output.with_name("sheet.yaml"))
+    else:
+        print_next("check", experiment)
 
 
 @click.command(

@@ -33,7 +33,7 @@ def demo(directory: Path, scene: str) -> None:
 @click.command(
     epilog="""\b
 Scenes:
-  demo            middle of the paper's tank at full resolution, a random sea, 43 frames
+  demo            middle of the paper's tank, a random sea, 43 frames
   two_cameras     the same seen by two cameras, calibrated with a chessboard
   four_cameras    the same seen by four cameras
   full            the paper's tank, full-size cameras, a random sea of 1.4 cm rms
@@ -48,6 +48,7 @@ Scenes:
   texture         painted texture in place of beads
   sea             the open sea: two cameras on a platform, no target
   sheet           particles in a light sheet, two cameras
+
 \b
 Examples:
   wavefield simulate demo tank             # the scene of the demo

@@ -18,7 +18,7 @@ from wavefield.reports.field_sections import cameras_over_time, coverage, distri
 from wavefield.reports.html_page import Head, ReportSection, render
 from wavefield.reports.overview import recipe, run_summary, setup
 from wavefield.reports.result_section import attention, result
-from wavefield.reports.run_data import dates_of
+from wavefield.reports.run_data import dates_of, in_light_sheet
 from wavefield.reports.run_numbers import RunNumbers
 from wavefield.reports.wave_sections import nonlinearity, spectra
 from wavefield.store.store_paths import beside
@@ -121,8 +121,10 @@ def write_report(
     """
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
-    builders += [partial(elevation, run), partial(run_summary, numbers)]
-    builders += [partial(build, run) for build in (spectra, nonlinearity, distributions, accuracy, coverage)]
+    of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
+    builders += [partial(elevation, run)] if of_surface else []
+    builders += [partial(run_summary, numbers)]
+    builders += [partial(build, run) for build in (*of_surface, accuracy, coverage)]
     builders += [partial(cameras_over_time, run, verdict or Verdict()), partial(setup, run)]
     builders += [partial(calibration_section, run), partial(recipe, run)]
     output = Path(output)

@@ -6,7 +6,7 @@ from wavefield.reports.elevation_section import probes_of
 from wavefield.reports.html_page import Facts, Item, Picture, RemarkList, ReportSection, Text
 from wavefield.reports.number_text import number
 from wavefield.reports.player import player
-from wavefield.reports.run_data import extremes_of, in_folder, reason_of, snapshot
+from wavefield.reports.run_data import extremes_of, in_folder, in_light_sheet, reason_of, snapshot
 from wavefield.reports.run_numbers import RunNumbers
 from wavefield.store.verdict import Verdict
 from wavefield.text import spell_time
@@ -33,10 +33,10 @@ def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
     lasting = spell_time(duration) if duration > 120 else f"{duration:.3g} s"
     std = {n: 1e3 * numbers.median_std(n) for n in "zuvw"}
     in_view = "" if numbers.in_view > 0.9995 else f"; {_percent(numbers.measured_in_view)} of what is in view"
+    sheet = in_light_sheet(run)
     return [
-        _height(numbers),
-        _peak(run),
-        ("Rms of the surface velocity u, v, w", f"{u}, {v}, {w} cm/s", ""),
+        *([] if sheet else [_height(numbers), _peak(run)]),
+        (f"Rms of the {'' if sheet else 'surface '}velocity u, v, w", f"{u}, {v}, {w} cm/s", ""),
         ("Coverage", _percent(numbers.measured), f"of the grid's nodes were measured{in_view}"),
         (
             "Standard uncertainty, median",

@@ -52,6 +52,11 @@ def in_folder(run: Run, words: str) -> str:
     return words
 
 
+def in_light_sheet(run: Run) -> bool:
+    """Whether velocities in a light sheet were measured: there are no surface and no waves then."""
+    return run.recipe.get("settings", {}).get("sheet_thickness") is not None
+
+
 def dates_of(run: Run) -> list[str]:
     """When the images were written and the steps measured, as far as the files' dates show."""
     ends = (entry for one in run.frames.values() for entry in (one.entries[0], one.entries[-1]) if entry)

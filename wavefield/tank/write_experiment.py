@@ -20,6 +20,7 @@ from wavefield.images import write_image
 from wavefield.rig import Rig
 from wavefield.tank.beads import BeadField
 from wavefield.tank.scene import Scene
+from wavefield.tank.scene_parts import Sheet
 from wavefield.tank.simulated_probes import write_probes
 from wavefield.tank.tank import Tank
 from wavefield.tank.truth import Truth
@@ -183,6 +184,8 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
     }
     if not scene.probes.positions:
         del experiment["probes"]
+    if isinstance(scene.surface, Sheet):
+        experiment["settings"] = {"preset": "sheet", "sheet_thickness": scene.surface.thickness}
     if not tank.target_poses:  # lenses are all that is known at sea
         del experiment["calibration"], experiment["grid"]
         experiment |= {"rig": "lenses.yaml", "settings": {"preset": "texture"}}
