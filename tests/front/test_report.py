@@ -19,12 +19,15 @@ from wavefield.measurement import GridGeometry
 from wavefield.pipeline import Run
 from wavefield.reports import write_report
 from wavefield.reports.calibration_page import with_std
+from wavefield.reports.compose import builders_of, head_of
 from wavefield.reports.elevation_section import at_probes
 from wavefield.reports.html_page import Head, Picture, ReportSection, Table, render
 from wavefield.reports.number_text import median_of, number
 from wavefield.reports.overview import without_cameras
 from wavefield.reports.player import pack
+from wavefield.reports.result_section import facts
 from wavefield.reports.run_data import snapshot
+from wavefield.reports.run_numbers import RunNumbers
 from wavefield.tank import paper_rig
 from wavefield.variables import CUBE_FIELDS, Quality
 
@@ -69,6 +72,16 @@ def page_text(cube, tmp_path_factory):
     run = run_of(cube, rig=paper_rig(), truth=0.98 * cube)
     path = write_report(run, tmp_path_factory.mktemp("report") / "report.html")
     return path.read_text(encoding="utf-8")
+
+
+def test_a_light_sheet_has_no_surface_and_no_waves_in_its_report(cube):
+    settings = {"sheet_thickness": 0.001}
+    run = run_of(cube.assign_attrs(recipe=json.dumps({"settings": settings})), rig=paper_rig())
+    names = [name for name, *_ in facts(RunNumbers(run))]
+    assert names[:2] == ["Rms of the velocity u, v, w", "Coverage"]
+    surface = run_of(cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=paper_rig())
+    assert len(builders_of(run, None)) == len(builders_of(surface, None)) - 4
+    assert "water surface" not in head_of(run, None).title
 
 
 def test_the_report_says_without_which_camera_nodes_were_measured():

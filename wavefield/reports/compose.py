@@ -119,6 +119,14 @@ def write_report(
     Path
         The file.
     """
+    output = Path(output)
+    sections = build_all(builders_of(run, verdict), progress)
+    write_text(output, render(head_of(run, verdict), sections), PAGE)
+    return output
+
+
+def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
+    """What makes the sections of a report; those on surface and waves are left out for a light sheet."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -126,10 +134,7 @@ def write_report(
     builders += [partial(run_summary, numbers)]
     builders += [partial(build, run) for build in (*of_surface, accuracy, coverage)]
     builders += [partial(cameras_over_time, run, verdict or Verdict()), partial(setup, run)]
-    builders += [partial(calibration_section, run), partial(recipe, run)]
-    output = Path(output)
-    write_text(output, render(head_of(run, verdict), build_all(builders, progress)), PAGE)
-    return output
+    return [*builders, partial(calibration_section, run), partial(recipe, run)]
 
 
 def build_all(
@@ -151,7 +156,7 @@ def head_of(run: Run, verdict: Verdict | None) -> Head:
     made = f"this page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
     dates = "; ".join([*dates_of(run), made])
     return Head(
-        f"{experiment_name(run)}: water surface and velocity",
+        f"{experiment_name(run)}: {'velocity' if in_light_sheet(run) else 'water surface and velocity'}",
         (run.experiment.description if run.experiment else "", f"{dates[0].upper()}{dates[1:]}."),
         verdict.line if verdict else "",
         verdict.weight if verdict else "note",
