@@ -84,7 +84,7 @@ class AreaPanel:
             self.spectrum.title.text = "too short a record without gaps for a spectrum"
         else:
             low_factor, high_factor = number(found.spectrum.low, 2), number(found.spectrum.high, 2)
-            self.spectrum.title.text = f"95 % interval of a single node: factor {low_factor} to {high_factor}"
+            self.spectrum.title.text = f"95 % interval of a single node: {low_factor} to {high_factor} times"
         finite = np.isfinite(found.mean)
         overall = float(np.average(found.mean[finite])) if finite.any() else float("nan")
         self.words.text = (

@@ -39,13 +39,16 @@ class LinePanel:
             "line_words", "Choose “line” for dragging (key L) and drag across the map.", html=True
         )
         self.sources = make_sources("line", now="s value", image=IMAGE)
-        self.transect = make_figure("line_transect", height=230, tools="pan,wheel_zoom,reset")
+        labels = 56  # px for those of the colour bar, which become longer with the values
+        self.transect = make_figure(
+            "line_transect", height=230, tools="pan,wheel_zoom,reset", min_border_right=labels
+        )
         self.transect.line("s", "value", source=self.sources["now"], color=BLUE, line_width=1.8)
         self.hover = add_hover(self.transect, ("", "@value"), mode="vline")
         self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=GREY)
         self.diagram = make_figure(
             "line_diagram", height=430, tools="pan,wheel_zoom,reset,save", toolbar_location="above",
-            x_range=self.transect.x_range, y_range=Range1d(0, 1),
+            x_range=self.transect.x_range, y_range=Range1d(0, 1), min_border_right=labels,
             x_axis_label="distance along the line (m)", y_axis_label="t (s)",
         )  # fmt: skip
         self.diagram.grid.grid_line_color = None

@@ -1,10 +1,12 @@
 """The head of the page of `wavefield look`: how far the run is, significant height, verdict."""
 
+import re
 from html import escape
 
 import numpy as np
 from bokeh.layouts import row
 from jinja2 import Environment
+from markupsafe import Markup
 
 from wavefield.errors import WavefieldError
 from wavefield.explorer.plot_parts import alert, number, words_of
@@ -14,6 +16,7 @@ from wavefield.store.verdict import WORDS, read_verdict
 from wavefield.text import spell_time
 
 _COLOURS = {"note": "#00664b", "remark": "#7a5200", "grave": "#a83d00"}
+_CODE = re.compile(r"`([^`]+)`")
 _VERDICT = Environment(autoescape=True).from_string(
     """<details><summary>Verdict: <b style="color: {{ colour }}">{{ words }}</b>
 {%- if count %} ({{ count }}){% endif %}</summary><ul style="margin: 2px 0; padding-left: 18px">
@@ -94,5 +97,8 @@ class LookHeader:
         count = sum(remark.weight != "note" for remark in found.remarks)
         self.verdict.text = _VERDICT.render(
             colour=_COLOURS[found.weight], words=WORDS[found.weight], count=count,
-            remarks=[str(remark) for remark in found.remarks],
+            remarks=[
+                Markup(_CODE.sub(r"<code>\1</code>", escape(str(remark), quote=False)))
+                for remark in found.remarks
+            ],
         )  # fmt: skip
