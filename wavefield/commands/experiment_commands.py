@@ -17,6 +17,7 @@ from wavefield.commands.sources import CUBE, JSON, PATH, experiment_file, find_c
 
 if TYPE_CHECKING:
     from wavefield.series import Experiment
+    from wavefield.store.ledger import Status
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
@@ -135,8 +136,14 @@ def run(
             click.echo(
                 f"Nothing to do: all {states[0].steps} steps of {states[0].store} were measured before."
             )
-        print_next("analyze", path if len(states) > 1 else states[0].store)
+        print_next(_after(states[0]), path if len(states) > 1 else states[0].store)
     context.exit(campaign_commands.worst([state.exit_status for state in states]))
+
+
+def _after(found: Status) -> str:
+    """The command after a run: a light sheet has no waves to analyse."""
+    remarks = found.verdict.remarks if found.verdict else ()
+    return "report" if any(one.kind == "light sheet" for one in remarks) else "analyze"
 
 
 @click.command(epilog="\b\nExamples:\n  wavefield status cube.zarr\n  wavefield status .")
@@ -154,7 +161,7 @@ def status(context: click.Context, store: Path, as_json: bool) -> None:
     found = run_status(store)
     click.echo(json.dumps(found.to_dict(), indent=1, default=str) if as_json else str(found))
     if not as_json:
-        print_next(*(("analyze", store) if found.complete else ("run", store)))
+        print_next(*((_after(found), store) if found.complete else ("run", store)))
     context.exit(found.exit_status)
 
 

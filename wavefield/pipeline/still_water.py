@@ -125,8 +125,8 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
             "rig",
             "light sheet",
             "note",
-            f"z = 0 is the middle of the light sheet, which was {1e3 * height:+.2f} mm from the target's "
-            "plane",
+            "z = 0 is the middle of the light sheet, which was "
+            f"{round(1e3 * height, 2) + 0.0:+.2f} mm from the target's plane",
             values={"height_m": height},
         )
     return Remark(

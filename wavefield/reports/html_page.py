@@ -175,8 +175,8 @@ def with_code(words: str) -> Markup:
 
 
 def capital(words: str) -> str:
-    """A sentence with a capital letter; one that begins with code remains as it is."""
-    return words[:1].upper() + words[1:]
+    """A sentence with a capital letter; one that begins with code or a variable remains as it is."""
+    return words if words.startswith(("z ", "u ", "v ", "w ")) else words[:1].upper() + words[1:]
 
 
 def _asset(name: str) -> Markup:

@@ -10,6 +10,7 @@ from wavefield import figures
 from wavefield.pipeline import Run
 from wavefield.reports.html_page import Listing, Picture, ReportSection, Table
 from wavefield.reports.number_text import number, without_folders
+from wavefield.reports.run_data import in_light_sheet
 from wavefield.reports.run_numbers import RunNumbers
 from wavefield.rig.pairs import pairs_of
 from wavefield.variables import Quality
@@ -21,7 +22,9 @@ _LONG = 300  # letters: longer attributes are not in the table of metadata
 def run_summary(numbers: RunNumbers) -> ReportSection:
     """What was measured, how much of it, how well."""
     eps_y, eps_piv = number(1e3 * numbers.rms("eps_y"), "mm", 2), number(numbers.rms("eps_piv"), "px", 2)
-    gist = f"sight lines miss each other by {eps_y}, displacements differ by {eps_piv} (rms)"
+    gist = f"displacements differ by {eps_piv} (rms)"
+    if not in_light_sheet(numbers.run):
+        gist = f"sight lines miss each other by {eps_y}, {gist}"
     table = Table("Run summary", ("quantity", "value"), _summary_rows(numbers))
     return ReportSection("Run summary", [table], folded=True, gist=gist)
 

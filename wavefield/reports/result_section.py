@@ -92,7 +92,7 @@ def attention(run: Run, verdict: Verdict | None) -> ReportSection:
     if verdict is not None and verdict.remarks:
         items.append(RemarkList(verdict.remarks))
     absent = {
-        "spectra and coherence": reason_of(run, "waves"),
+        "spectra and coherence": "" if in_light_sheet(run) else reason_of(run, "waves"),
         "pictures of the cameras' frames": reason_of(run, "frames"),
         "wave probes": in_folder(run, probes_of(run)[1]),
     }

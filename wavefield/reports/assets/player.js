@@ -158,7 +158,7 @@
     mark(0, -0.5 * high, `x, ${label(Number(wide.toPrecision(3)))} m`);
     mark(0.5 * wide, 0, `y, ${label(Number(high.toPrecision(3)))} m`);
     c.textAlign = "left"; c.textBaseline = "top";
-    c.fillText(`height exaggerated ${round(100 * lift)} times`, 14, 12);
+    if (lift < 1e4) c.fillText(`height exaggerated ${round(100 * lift)} times`, 14, 12);  // else it is flat
   }
 
   let step = 0, timer = null;
