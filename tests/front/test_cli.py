@@ -200,6 +200,20 @@ def test_a_file_that_is_no_rig_is_named_with_what_it_is(tmp_path, capsys, name, 
     assert reason in said
 
 
+def test_the_next_command_is_one_of_this_folder(tmp_path, monkeypatch, capsys):
+    import click
+
+    from wavefield.commands.next_command import print_next
+
+    monkeypatch.chdir(tmp_path)
+    with click.Context(click.Command("run")):
+        print_next("analyze", tmp_path / "run 7" / "cube.zarr")
+        print_next("analyze", tmp_path.parent / "cube.zarr")
+    here, elsewhere = capsys.readouterr().out.splitlines()
+    assert here == "Next: wavefield analyze 'run 7/cube.zarr'"
+    assert elsewhere.endswith(f"{tmp_path.parent}/cube.zarr")
+
+
 def test_simulate_lists_every_scene(capsys):
     from wavefield.tank import Scene
 
