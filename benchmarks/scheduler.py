@@ -113,7 +113,8 @@ def ledger(steps: int) -> None:
 
     from wavefield.pipeline import open_cube, status
     from wavefield.store.checked import chunk_path, stored_bytes
-    from wavefield.store.layout import WATCHED, StoreLayout, create_store
+    from wavefield.store.layout import StoreLayout, create_store
+    from wavefield.store.metadata import WATCHED
     from wavefield.store.recipe import Recipe
     from wavefield.store.verify import suspicious
 

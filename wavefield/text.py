@@ -40,6 +40,11 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
     return ", ".join(words) + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")
 
 
+def one_line(error: object) -> str:
+    """The words of an exception, of a library perhaps, in one line."""
+    return " ".join(str(error).split())
+
+
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A small table as notebooks show it.
 

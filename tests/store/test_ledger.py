@@ -6,9 +6,10 @@ import zarr
 
 from wavefield.errors import StoreError
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
-from wavefield.store.layout import WATCHED, StoreLayout, create_store
+from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import status
 from wavefield.store.ledger_files import read_ledger
+from wavefield.store.metadata import WATCHED
 from wavefield.store.recipe import Recipe
 
 LAYOUT = StoreLayout(47, 10, ("a", "b"), 0)

@@ -1,4 +1,4 @@
-"""Where work runs: the part of a workflow file that says nothing about the measurement."""
+"""Where work runs: the part of a workflow file that does not concern the measurement."""
 
 import re
 from typing import Any, Literal

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import wavefield
 from wavefield.errors import ExperimentError, StoreError, WavefieldError
 from wavefield.execution import slurm
+from wavefield.execution.cluster_settings import ClusterSettings
 from wavefield.execution.dask_settings import (
     configured,
     dashboard_address,
@@ -28,22 +29,21 @@ from wavefield.execution.dask_settings import (
 )
 from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.pool import portable
-
-if TYPE_CHECKING:  # seconds to import
-    from distributed import Client
-from wavefield.execution.cluster_settings import ClusterSettings
 from wavefield.execution.slurm_queue import QueueWatch
 from wavefield.execution.worker_settings import settle_worker
 
+if TYPE_CHECKING:  # seconds to import
+    from distributed import Client
+
 log = logging.getLogger("wavefield.run")
-Look = Callable[[], None]
+Watch = Callable[[], None]
 
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 _POLL_SECONDS = 2.0  # without news, after which the workers are checked
-_SILENT_SECONDS = 16.0  # without a sign of life, after which a worker is reported
-_SIGNS_SECONDS = 8.0  # between checks of them, which take long messages where workers are many
-_HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
-_MOST_TOGETHER = 8  # items in a task
+_SILENT_SECONDS = 16.0  # without a heartbeat, after which a worker is reported
+_HEARTBEAT_CHECK_SECONDS = 8.0  # between checks, which take long messages where workers are many
+_TASKS_PER_WORKER = 2  # that the scheduler holds: one at work, one ready
+_MAX_ITEMS_PER_TASK = 8
 _TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, so that all end together
 
 
@@ -84,7 +84,7 @@ def open_dask_cluster(
     """Give a function that maps work over items on a Dask cluster that it starts and ends."""
     if workflow.cluster == "slurm" or of_jobqueue(workflow):
         slurm.import_jobqueue()
-    started: list[tuple[Any, Look]] = []
+    started: list[tuple[Any, Watch]] = []
     with ExitStack() as stack:
 
         def map_unordered(
@@ -100,7 +100,7 @@ def open_dask_cluster(
         yield map_unordered
 
 
-def _start(workflow: ClusterSettings, count: int, logs: Path, stack: ExitStack) -> tuple[Any, Look]:
+def _start(workflow: ClusterSettings, count: int, logs: Path, stack: ExitStack) -> tuple[Any, Watch]:
     with deferred_signals():  # what is closed while it starts prints tracebacks from other threads
         settings = dask_settings(workflow)
         if needs_tls(workflow):
@@ -128,10 +128,10 @@ def _merged(*settings: dict[str, Any]) -> dict[str, Any]:
 
 def _connect(
     workflow: ClusterSettings, count: int, logs: Path, settings: dict[str, Any], stack: ExitStack
-) -> tuple[Any, Look]:
+) -> tuple[Any, Watch]:
     from distributed import Client
 
-    watch: Look = lambda: None  # noqa: E731
+    watch: Watch = lambda: None  # noqa: E731
     if workflow.cluster == "address":
         try:
             client = Client(workflow.address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
@@ -141,7 +141,7 @@ def _connect(
                 "`dask scheduler`, or correct `address` in the workflow"
             ) from None
         stack.enter_context(client)
-        return client, _Patience(client, workflow.address or "")
+        return client, _WithoutWorkers(client, workflow.address or "")
     if workflow.cluster == "slurm":
         cluster = stack.enter_context(slurm.slurm_cluster(workflow, logs, settings))
         fewest, most = slurm.count_jobs(workflow)
@@ -200,8 +200,8 @@ def _deploy(workflow: ClusterSettings, settings: dict[str, Any]) -> Any:
     return cluster
 
 
-class _Patience:
-    """Says, once, that a scheduler has no workers."""
+class _WithoutWorkers:
+    """Reports, once, that a scheduler has no workers."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client, self._address, self._reported = client, address, False
@@ -217,30 +217,29 @@ class _Patience:
             )
 
 
-class _Silence:
-    """Reports workers of which the scheduler hears nothing, before it replaces them (`worker-ttl`)."""
+class _SilentWorkers:
+    """Reports workers that send no heartbeat, before the scheduler replaces them (`worker-ttl`)."""
 
     def __init__(self, client: "Client") -> None:
         self._client = client
-        self._seen: dict[
-            str, tuple[float, float]
-        ] = {}  # last sign of life by its clock, and when it was new here
+        # by address: last heartbeat by the worker's clock, and when it was new here
+        self._heartbeats: dict[str, tuple[float, float]] = {}
         self._checked = -math.inf
         self._reported: set[str] = set()
 
     def check(self) -> None:
         """Log a warning, once, for each worker that has been silent for a while."""
         now = time.monotonic()
-        if now - self._checked < _SIGNS_SECONDS:
+        if now - self._checked < _HEARTBEAT_CHECK_SECONDS:
             return
-        late = now - self._checked > 3 * _SIGNS_SECONDS  # this process was itself suspended
+        late = now - self._checked > 3 * _HEARTBEAT_CHECK_SECONDS  # this process was itself suspended
         self._checked = now
         with deferred_signals():
             workers = self._client.scheduler_info()["workers"]
         for address, worker in workers.items():
-            sign, since = self._seen.get(address, (None, now))
+            sign, since = self._heartbeats.get(address, (None, now))
             if late or worker["last_seen"] != sign:
-                self._seen[address] = worker["last_seen"], now
+                self._heartbeats[address] = worker["last_seen"], now
                 self._reported.discard(address)
             elif now - since >= _SILENT_SECONDS and address not in self._reported:
                 self._reported.add(address)
@@ -254,14 +253,14 @@ class _Silence:
 
 
 def _map_on(
-    client: "Client", work: Callable[[Any], Any], items: Sequence[object], workers: int, watch: Look
+    client: "Client", work: Callable[[Any], Any], items: Sequence[object], workers: int, watch: Watch
 ) -> Generator[tuple[Any, Any], None, None]:
     """Map work over items, so that the scheduler never holds more than a few tasks for each worker."""
     from distributed import CancelledError
 
     tasks = _Tasks(client, Task(work, sys.version_info[:2], wavefield.__version__), items, workers)
     lost = StoreError("the scheduler was lost; what is done is kept: run the same command again to go on")
-    silence = _Silence(client)
+    silence = _SilentWorkers(client)
     try:
         tasks.submit()
         while tasks.futures:
@@ -276,7 +275,7 @@ def _map_on(
                     results = tasks.fetch(done)
                     tasks.submit()
                 for index, result in results:
-                    yield items[index], _understood(result)
+                    yield items[index], _as_sentence(result)
     except (OSError, CancelledError) as error:  # the connection broke while a report was fetched
         raise lost from error
     finally:
@@ -302,7 +301,7 @@ class _Tasks:
 
     def submit(self) -> None:
         """Submit until the scheduler holds enough."""
-        room = min(_HELD * self._workers - len(self.futures), len(self._left))
+        room = min(_TASKS_PER_WORKER * self._workers - len(self.futures), len(self._left))
         some = [indices for indices in (self._take() for _ in range(room)) if indices]
         if not some:
             return
@@ -315,7 +314,7 @@ class _Tasks:
     def _take(self) -> list[int]:
         if self._left and self._left[0] in self._alone:
             return [self._left.popleft()]
-        size = min(max(len(self._left) // (_TASKS_LEFT * self._workers), 1), _MOST_TOGETHER)
+        size = min(max(len(self._left) // (_TASKS_LEFT * self._workers), 1), _MAX_ITEMS_PER_TASK)
         return [self._left.popleft() for _ in range(min(size, len(self._left)))]
 
     def wait(self) -> list[Any]:
@@ -354,7 +353,7 @@ class _Tasks:
         return out
 
 
-def _understood(result: object) -> Any:
+def _as_sentence(result: object) -> Any:
     """Dask's error for a task that never ran, as a sentence."""
     from distributed import KilledWorker
 

@@ -67,7 +67,7 @@ def of_jobqueue(workflow: ClusterSettings) -> bool:
 
 
 def needs_tls(workflow: ClusterSettings) -> bool:
-    """Whether client, scheduler and workers talk through TLS, with credentials made for this run."""
+    """Whether client, scheduler and workers communicate through TLS, with credentials made for this run."""
     if workflow.security == "auto":
         open_ports = workflow.deploy == "distributed.SSHCluster" or of_jobqueue(workflow)
         return workflow.cluster == "slurm" or open_ports

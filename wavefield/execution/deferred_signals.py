@@ -24,9 +24,9 @@ def deferred_signals() -> Iterator[None]:
     def later(number: int, frame: FrameType | None) -> None:
         received.append(number)
         if len(received) > 1:
-            report_progress(number, frame)
+            deliver(number, frame)
 
-    def report_progress(number: int, frame: FrameType | None) -> None:
+    def deliver(number: int, frame: FrameType | None) -> None:
         handler = before[signal.Signals(number)]
         if callable(handler):
             handler(number, frame)
@@ -40,4 +40,4 @@ def deferred_signals() -> Iterator[None]:
         for number in ours:
             signal.signal(number, before[number])
     if received:
-        report_progress(received[0], None)
+        deliver(received[0], None)

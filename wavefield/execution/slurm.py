@@ -1,4 +1,4 @@
-"""Slurm jobs as workers: asking for them, and saying why they do not come."""
+"""Slurm jobs as workers: submitting them, and the reasons why sbatch refuses one."""
 
 import inspect
 import shlex
@@ -51,7 +51,7 @@ def slurm_cluster(workflow: ClusterSettings, logs: Path, settings: dict[str, obj
             f"dask_jobqueue.SLURMCluster; it accepts {', '.join(sorted(known))}"
         )
 
-    class Asked(SLURMJob):
+    class ReportingJob(SLURMJob):
         """Keeps the reason why sbatch refuses a job; Dask would not report it."""
 
         refused = ""
@@ -68,7 +68,7 @@ def slurm_cluster(workflow: ClusterSettings, logs: Path, settings: dict[str, obj
             await ProcessInterface.close(self)
 
     class Cluster(SLURMCluster):
-        job_cls = Asked
+        job_cls = ReportingJob
 
     keywords = _keywords(workflow, logs, settings)
     try:

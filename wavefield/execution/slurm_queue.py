@@ -1,4 +1,4 @@
-"""Looking after Slurm jobs: why they wait, why they ended, and asking again for those that are lost."""
+"""Supervision of Slurm jobs: why they wait, why they ended, and resubmission of lost ones."""
 
 import getpass
 import logging
@@ -12,10 +12,10 @@ from wavefield.errors import ExperimentError
 
 log = logging.getLogger("wavefield.run")
 
-_MOST_FAILURES = 3  # jobs that end before their workers have started
-_OFTEN, _SELDOM = 2.0, 30.0  # seconds between questions to Slurm: at first, and in a long queue
+_MAX_FAILURES = 3  # jobs that end before their workers have started
+_POLL_SECONDS = 2.0, 30.0  # between queries of Slurm: at first, and in a long queue
 _REPORT_AFTER_S = 10.0  # seconds in the queue after which the reason is worth a line
-_NEVER = (  # parts of reasons for which Slurm keeps a job waiting until somebody changes it
+_FATAL_REASONS = (  # parts of reasons for which Slurm keeps a job waiting until somebody changes it
     "BadConstraints",
     "InvalidAccount",
     "InvalidQOS",
@@ -30,13 +30,13 @@ _NEVER = (  # parts of reasons for which Slurm keeps a job waiting until somebod
     "AccountNotAllowed",
     "QOSNotAllowed",
 )
-_NOT_ITS_FAULT = ("PREEMPTED", "NODE_FAIL", "BOOT_FAIL")
-_PASSING = re.compile(r"temporar|timed out|unable to contact|limit", re.I)  # in sbatch's message of a refusal
-_TELLING = re.compile(
+_EXTERNAL_CAUSES = ("PREEMPTED", "NODE_FAIL", "BOOT_FAIL")
+_TRANSIENT = re.compile(r"temporar|timed out|unable to contact|limit", re.I)  # of sbatch
+_ERRORS = re.compile(
     r"error|cannot|no such|not found|no module|no space|quota|denied|killed|cancelled|exceeded|refused", re.I
 )
-_DECISIVE = re.compile(r"DUE TO|out of memory|oom.kill", re.I)  # of Slurm itself
-_LINE = 300  # characters of a log that are worth repeating
+_ENDED_BY_SLURM = re.compile(r"DUE TO|out of memory|oom.kill", re.I)  # of Slurm itself
+_MAX_LINE = 300  # characters of a log in a message
 
 
 class QueueWatch:
@@ -46,16 +46,15 @@ class QueueWatch:
         self._cluster, self._logs = cluster, logs
         self._since = self._checked_at = time.monotonic()
         self._reported = ""
-        self._connected: set[str] = (
-            set()
-        )  # names of workers; what becomes of their jobs later is Dask's business
+        self._connected: set[str] = set()  # names of workers, whose jobs Dask supervises from then on
         self._absent: set[str] = set()
         self._failed: list[str] = []
 
     def __call__(self) -> None:
-        """Look, unless that was a moment ago."""
+        """Check all jobs, unless that was a moment ago."""
         now = time.monotonic()
-        if now - self._checked_at < min(_SELDOM, max(_OFTEN, (now - self._since) / 10)):
+        shortest, longest = _POLL_SECONDS
+        if now - self._checked_at < min(longest, max(shortest, (now - self._since) / 10)):
             return
         self._checked_at = now
         connected = {str(worker["id"]) for worker in self._cluster.scheduler_info["workers"].values()}
@@ -77,7 +76,7 @@ class QueueWatch:
         for name, job in silent.items():
             if job.refused:
                 sentence = _refusal(job.refused)
-                if not working and not _PASSING.search(sentence):
+                if not working and not _TRANSIENT.search(sentence):
                     raise ExperimentError(f"{sentence}; correct the `slurm` block of the workflow")
                 self._report(f"{sentence}; asking again")
                 self._forget(name)
@@ -85,20 +84,20 @@ class QueueWatch:
     def _check_ended(self, asked: dict[str, str], states: dict[str, tuple[str, str]], working: bool) -> None:
         absent = {number for number in asked if number not in states}
         for number in absent & self._absent:  # twice: Slurm may list it late, and the worker may connect late
-            blameless = any(state in _shown(number) for state in _NOT_ITS_FAULT)
+            blameless = any(state in _shown(number) for state in _EXTERNAL_CAUSES)
             if not blameless and not _connected_once(number, self._logs):
                 self._failed.append(number)
             self._forget(asked[number])
         self._absent = absent - self._absent
         if working:
             self._failed.clear()  # jobs do start here
-        elif self._failed and len(self._failed) >= min(_MOST_FAILURES, len(self._cluster.worker_spec) or 1):
+        elif self._failed and len(self._failed) >= min(_MAX_FAILURES, len(self._cluster.worker_spec) or 1):
             raise ExperimentError(why_ended(self._failed[0], self._logs))
 
     def _check_queue(self, waiting: list[tuple[str, str]]) -> None:
         reasons = sorted({reason for state, reason in waiting if state == "PENDING"})
         for reason in reasons:
-            if any(never in reason for never in _NEVER):
+            if any(never in reason for never in _FATAL_REASONS):
                 raise ExperimentError(
                     f"Slurm will never start the jobs of this run: {reason}; correct `queue`, `walltime`, "
                     "`cores` or `memory` in the workflow (`scontrol show partition` lists what there is)"
@@ -164,9 +163,9 @@ def why_ended(number: str, logs: Path) -> str:
     for path in [*sorted(logs.glob(f"*-{number}*.err")), *sorted(logs.glob(f"*-{number}*.out"))]:
         lines = [line.strip() for line in path.read_text(errors="replace").splitlines() if line.strip()]
         if lines:
-            telling = [line for line in lines if _DECISIVE.search(line)]
-            telling = telling or [line for line in lines if _TELLING.search(line)] or lines
-            return f"{head}{path} has: {telling[-1][:_LINE]}"
+            causes = [line for line in lines if _ENDED_BY_SLURM.search(line)]
+            causes = causes or [line for line in lines if _ERRORS.search(line)] or lines
+            return f"{head}{path} has: {causes[-1][:_MAX_LINE]}"
     return (
         f"{head}it left no log in {logs}: is that a folder on a disk that all nodes share, with room, and is "
         "`python` of the workflow's `slurm` block there on the nodes?"

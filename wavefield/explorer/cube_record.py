@@ -16,8 +16,8 @@ from wavefield.store import early as earlies
 from wavefield.store import preview as previews
 from wavefield.store.checked import chunk_path
 from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import WATCHED
 from wavefield.store.ledger_files import LEDGER, check_chunks
+from wavefield.store.metadata import WATCHED
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
 

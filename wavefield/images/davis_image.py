@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
+from wavefield.text import one_line
 
 _HEAD = struct.Struct("<hhhh4i")  # version, packing, kind, sparse; columns, rows, depth, frames
 MAX_COMPRESSION = 2000  # by zlib
@@ -31,7 +32,7 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
     try:
         return np.asarray(lvpyio.read_buffer(str(path))[frame].components["PIXEL"].planes[0])
     except Exception as error:  # of many kinds, by the damage
-        words = " ".join(str(error).split()).rstrip("!.")
+        words = one_line(error).rstrip("!.")
         raise FrameError(f"{path} is damaged or truncated ({words}); copy it again") from None
 
 

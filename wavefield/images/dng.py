@@ -10,6 +10,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
+from wavefield.text import one_line
 
 _MOSAIC, _LINEAR = 32803, 34892  # photometric interpretation
 
@@ -28,7 +29,7 @@ def read_dng(path: str | Path) -> NDArray[Any]:
     except FileNotFoundError:
         raise FrameError(f"{path}: no such image") from None
     except Exception as error:  # of many kinds, by the damage
-        words = " ".join(str(error).split())
+        words = one_line(error)
         if "imagecodecs" in words:
             raise FrameError(
                 f"{path} is compressed: `pip install imagecodecs`, or save it uncompressed"

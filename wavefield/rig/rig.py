@@ -13,7 +13,7 @@ from wavefield.atomic_write import RIG, write_text
 from wavefield.errors import RigError
 from wavefield.file_access import accessing
 from wavefield.rig.camera import Camera
-from wavefield.text import html_table
+from wavefield.text import html_table, one_line
 
 YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where libyaml is there
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
@@ -165,7 +165,7 @@ class Rig:
         except yaml.YAMLError:
             raise RigError(f"{path} is not a rig file: it is not YAML") from None
         except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise RigError(f"{path} is not a rig file: {' '.join(str(error).split())}") from None
+            raise RigError(f"{path} is not a rig file: {one_line(error)}") from None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Rig":

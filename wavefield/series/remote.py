@@ -6,6 +6,7 @@ import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.images import decode_image
+from wavefield.text import one_line
 
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
 
@@ -48,5 +49,5 @@ def read_remote(address: str) -> np.ndarray:
 def _unreachable(address: str, error: Exception) -> str:
     if isinstance(error, FileNotFoundError):
         return f"{address}: there is nothing"
-    words = " ".join(str(error).split()).rstrip(".")
+    words = one_line(error).rstrip(".")
     return f"{address} cannot be reached ({type(error).__name__}: {words})"

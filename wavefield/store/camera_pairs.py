@@ -8,7 +8,7 @@ import zarr
 
 from wavefield.atomic_write import write_error
 from wavefield.errors import StoreError
-from wavefield.store.layout import gather_metadata
+from wavefield.store.layout import add_array, gather_metadata
 from wavefield.store.metadata import keep_metadata
 from wavefield.store.read import open_group
 from wavefield.variables import Variable, annotate, register, rows_of
@@ -40,17 +40,7 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: i
         group.attrs.put({})
         for row in rows_of(GROUP):
             values = statistics[row.name].values.astype(row.dtype)
-            array = group.create_array(
-                row.name,
-                shape=values.shape,
-                chunks=values.shape,
-                dtype=row.dtype,
-                fill_value=np.nan,
-                dimension_names=row.dims,
-                attributes=row.attrs,
-                overwrite=True,
-            )
-            array[...] = values
+            add_array(group, row, values, fill_value=np.nan, overwrite=True)
         group.attrs.put(attributes | {"ledger_checksum": ledger_checksum})
         gather_metadata(path)
         keep_metadata(path)

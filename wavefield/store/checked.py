@@ -13,11 +13,10 @@ from zarr.storage import LocalStore
 
 from wavefield.atomic_write import OwnFile, marked, write_text
 from wavefield.errors import StoreError
-from wavefield.store.layout import WATCHED
+from wavefield.store.metadata import WATCHED
 from wavefield.store.store_paths import beside
 
 DAMAGE_NOTE = OwnFile("a list of damaged chunks", marked(start=b'{"damaged blocks begin at steps": ['))
-DESCRIPTIONS = ("checksum", "stored_bytes")  # arrays that describe the files of every chunk of steps
 _NUMBER_BYTES = {"checksum": 4, "stored_bytes": 8}
 
 

@@ -11,12 +11,10 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from wavefield.atomic_write import OwnFile, atomic
-from wavefield.store.metadata import keep_metadata
+from wavefield.store.metadata import DESCRIPTIONS, WATCHED, keep_metadata
 from wavefield.store.recipe import Recipe
-from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, find, register
+from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find, register
 
-# variables whose chunks have a checksum; those after frame_fault since the ledger has one
-WATCHED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
 CUBE = OwnFile("a cube", lambda path: False, folder=True)  # never replaced
 
 register(
@@ -139,16 +137,7 @@ def _fill_in(
         ("frame", frames),
         ("path_frames", np.uint8(recipe.record.get("path_frames", 4))),
     ):
-        row = TABLE[name]
-        array = group.create_array(
-            name,
-            shape=values.shape,
-            chunks=values.shape,
-            dtype=row.dtype,
-            dimension_names=row.dims,
-            attributes=row.attrs,
-        )
-        array[...] = values
+        add_array(group, TABLE[name], values)
     inner = max(k for k in range(1, INNER_CHUNK_STEPS + 1) if steps % k == 0)
     for name in CUBE_FIELDS:
         row = TABLE[name]
@@ -156,46 +145,28 @@ def _fill_in(
         dtype = "int16" if packed else row.dtype
         fill: Any = MISSING if packed else np.nan if dtype == "float32" else 0
         encoding = {"scale_factor": PACKING[name], "add_offset": 0.0, "_FillValue": MISSING} if packed else {}
-        group.create_array(
-            name,
+        add_array(
+            group,
+            row,
             shape=(n, y.size, x.size),
             chunks=(inner, y.size, x.size),
             shards=(steps, y.size, x.size),
             dtype=dtype,
             fill_value=fill,
             compressors=BloscCodec(**COMPRESSION, shuffle="shuffle"),
-            dimension_names=CUBE_DIMS,
             attributes=row.attrs | encoding,
         )
-    count, watched = len(layout.chunks()), len(WATCHED)
+    cameras, count, watched = len(layout.cameras), len(layout.chunks()), len(WATCHED)
     if recipe.settings.get("vibration") == "correct":
         row = TABLE["camera_shift"]
-        group.create_array(
-            row.name,
-            shape=(len(layout.cameras), n + 1, 3),
-            chunks=(len(layout.cameras), steps, 3),
-            dtype=row.dtype,
-            fill_value=np.nan,
-            dimension_names=row.dims,
-            attributes=row.attrs,
-        )
+        add_array(group, row, shape=(cameras, n + 1, 3), chunks=(cameras, steps, 3), fill_value=np.nan)
     for name, shape, chunks in (
-        ("checksum", (count, watched), (1, watched)),
-        ("stored_bytes", (count, watched), (1, watched)),
+        *((name, (count, watched), (1, watched)) for name in DESCRIPTIONS),
         ("frame_status", (n,), (steps,)),
-        ("frame_fault", (len(layout.cameras), n + 1), (len(layout.cameras), steps)),
+        ("frame_fault", (cameras, n + 1), (cameras, steps)),
     ):
-        row = TABLE[name]
-        group.create_array(
-            name,
-            shape=shape,
-            chunks=chunks,
-            dtype=row.dtype,
-            fill_value=0,
-            compressors=None,  # read file by file: `read_ledger`
-            dimension_names=row.dims,
-            attributes=row.attrs,
-        )
+        # not compressed: read file by file (`read_ledger`)
+        add_array(group, TABLE[name], shape=shape, chunks=chunks, fill_value=0, compressors=None)
 
 
 def _put(path: Path, once: Mapping[str, np.ndarray | np.floating]) -> None:
@@ -203,15 +174,18 @@ def _put(path: Path, once: Mapping[str, np.ndarray | np.floating]) -> None:
     for name, values in once.items():
         row = find(name, "gain")
         assert row is not None
-        array = group.create_array(
-            name,
-            shape=values.shape,
-            chunks=values.shape,
-            dtype=values.dtype,
-            fill_value=np.nan,
-            dimension_names=row.dims,
-            attributes=row.attrs,
-        )
+        add_array(group, row, values, dtype=values.dtype, name=name, fill_value=np.nan)
+
+
+def add_array(
+    group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
+) -> None:
+    """Make the array of a row of the table: of these values in one chunk, or empty with a stated shape."""
+    how = {"name": row.name, "dtype": row.dtype, "dimension_names": row.dims, "attributes": row.attrs}
+    if values is not None:
+        how |= {"shape": values.shape, "chunks": values.shape}
+    array = group.create_array(**(how | options))
+    if values is not None:
         array[...] = values
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.store.checked import (
-    DESCRIPTIONS,
     checksum,
     chunk_path,
     damaged_chunk,
@@ -16,8 +15,8 @@ from wavefield.store.checked import (
     stored_bytes,
 )
 from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import WATCHED, StoreLayout
-from wavefield.store.metadata import is_as_completed
+from wavefield.store.layout import StoreLayout
+from wavefield.store.metadata import DESCRIPTIONS, WATCHED, is_as_completed
 
 LEDGER = ("frame_status", "frame_fault")
 

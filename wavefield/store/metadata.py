@@ -16,7 +16,9 @@ ARCHIVE = "checksum/metadata.zip"
 SETTLING_SECONDS = 5.0  # in which a run at work, which has changed small files, writes their copies
 _COMPLETE = "checksum/complete"  # checksum of the ledger of a run that has ended
 
-_BY_BLOCK = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status", "checksum", "stored_bytes")
+# variables whose chunks have a checksum; those after frame_fault since the ledger has one
+WATCHED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
+DESCRIPTIONS = ("checksum", "stored_bytes")  # arrays that describe the files of every chunk of steps
 
 
 def keep_metadata(path: Path) -> None:
@@ -33,7 +35,8 @@ def keep_metadata(path: Path) -> None:
 
 def _is_small(name: str) -> bool:
     array, _, rest = name.partition("/")
-    return name not in (ARCHIVE, _COMPLETE) and not (array in _BY_BLOCK and rest.startswith("c/"))
+    of_chunk = array in (*WATCHED, *DESCRIPTIONS) and rest.startswith("c/")
+    return name not in (ARCHIVE, _COMPLETE) and not of_chunk
 
 
 def check_metadata(path: Path) -> None:

@@ -13,6 +13,7 @@ from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, StoreLayout
 from wavefield.store.ledger_files import check_chunks
 from wavefield.store.metadata import check_metadata
+from wavefield.text import one_line
 from wavefield.variables import TABLE, annotate
 from wavefield.water import water_coordinates
 
@@ -40,7 +41,7 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
             return cast(CubeGroup, group)
     except Exception as error:
         raise StoreError(
-            f"{path} cannot be opened as a cube ({' '.join(str(error).split())[:200]}); if it is one, it is "
+            f"{path} cannot be opened as a cube ({one_line(error)[:200]}); if it is one, it is "
             "damaged beyond repair: remove it and run `wavefield run EXPERIMENT` again"
         ) from None
     raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")
@@ -168,7 +169,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
         raise
     except Exception as error:  # whatever a library makes of damaged bytes
         raise StoreError(
-            f"{path} cannot be read as a cube ({' '.join(str(error).split())[:200]}); if no copy of it is "
+            f"{path} cannot be read as a cube ({one_line(error)[:200]}); if no copy of it is "
             "left, remove it and run `wavefield run EXPERIMENT` again"
         ) from None
     out.encoding["source"] = str(path)

@@ -14,9 +14,8 @@ from wavefield.store.checked import (
     read_chunk,
     stored_bytes,
 )
-from wavefield.store.layout import WATCHED
 from wavefield.store.ledger_files import ledger_checksum
-from wavefield.store.metadata import is_as_completed
+from wavefield.store.metadata import WATCHED, is_as_completed
 from wavefield.store.read import open_group, read_layout
 from wavefield.text import spell_ranges
 from wavefield.variables import FrameStatus

@@ -12,6 +12,7 @@ from zarr.storage import MemoryStore
 
 from wavefield.atomic_write import CHECKSUMS, OwnFile, atomic, file_names, zarr_store
 from wavefield.errors import StoreError
+from wavefield.text import one_line
 
 WAVES = OwnFile("a wave store", zarr_store("waves of ", "wavefield_version", "segment"), folder=True)
 
@@ -80,7 +81,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
         raise
     except Exception as error:  # whatever a library makes of damaged bytes
         raise StoreError(
-            f"{path} cannot be read as a wave store ({' '.join(str(error).split())[:200]}); write it again "
+            f"{path} cannot be read as a wave store ({one_line(error)[:200]}); write it again "
             "with `wavefield analyze CUBE`"
         ) from None
 

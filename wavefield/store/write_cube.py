@@ -15,7 +15,8 @@ import numpy as np
 from wavefield.atomic_write import make_durable, write_error
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
 from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import MISSING, PACKING, WATCHED
+from wavefield.store.layout import MISSING, PACKING
+from wavefield.store.metadata import DESCRIPTIONS, WATCHED
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
@@ -66,7 +67,7 @@ def write_chunk(
         _to_disk(path, chunk, WATCHED[:-1])
         ledger = bytes(frame_status.astype(np.uint8)) + bytes(layout.chunk_steps - frame_status.size)
         _keep_descriptions(path, group, chunk, ledger)
-        _to_disk(path, chunk, ("checksum", "stored_bytes"))
+        _to_disk(path, chunk, DESCRIPTIONS)
         group["frame_status"][start:stop] = frame_status
         _to_disk(path, chunk, ("frame_status",))
     except OSError as error:

@@ -26,6 +26,7 @@ from wavefield.rig.formats.uvmat_rig import load_uvmat, save_uvmat
 from wavefield.rig.formats.vic import load_vic, save_vic
 from wavefield.rig.formats.wass import load_wass, save_wass
 from wavefield.rig.rig import YAML_LOADER, Rig, read_rig_text
+from wavefield.text import one_line
 
 __all__ = [
     "LENGTHS",
@@ -110,9 +111,9 @@ def load_rig(
             sentence = f"{path} is not a usable rig file: {sentence}"
         raise RigError(sentence) from None
     except _BROKEN as error:
-        reason = " ".join(str(error).split())
         raise RigError(
-            f"{path} is not a rig file of a program that `wavefield rig convert --help` lists: {reason}"
+            f"{path} is not a rig file of a program that `wavefield rig convert --help` lists: "
+            f"{one_line(error)}"
         ) from None
 
 

@@ -10,6 +10,7 @@ from wavefield.series.formats.hdf5 import open_hdf5
 from wavefield.series.formats.photron import open_photron
 from wavefield.series.formats.recording import Recording
 from wavefield.series.formats.streampix import open_streampix
+from wavefield.text import one_line
 
 _OPENERS: dict[str, Callable[[Path], Recording]] = {
     ".cine": open_cine,
@@ -40,9 +41,8 @@ def open_recording(path: str | Path) -> Recording:
     except FrameError:
         raise
     except Exception as error:  # of many kinds, by the damage
-        words = " ".join(str(error).split())
         raise FrameError(
-            f"{path} cannot be read as a recording ({words}): copy it again from the camera"
+            f"{path} cannot be read as a recording ({one_line(error)}): copy it again from the camera"
         ) from None
 
 
