@@ -146,29 +146,23 @@ def _best_fit(
     fit = fit_platform(free, matches, horizons, distance)
     apart = _angle(fit.up, free.up)
     if apart > max(MAX_DISAGREEMENT * np.nan_to_num(std[0], nan=MIN_DISAGREEMENT), MIN_DISAGREEMENT):
-        return (
-            free,
-            std,
-            (
-                f"an edge like a horizon in {', '.join(horizons)} is {apart:.1f} degrees off the mean "
-                "surface and was not used: the mean surface is the level"
-            ),
+        sentence = (
+            f"an edge like a horizon in {', '.join(horizons)} is {apart:.1f} degrees off the mean surface "
+            "and was not used: the mean surface is the level"
         )
+        return free, std, sentence
     of_horizon = leave_out(fit, matches, horizons, distance)
     return fit, of_horizon, f"the horizon in {', '.join(horizons)} gives the vertical"
 
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
     """Median distance of the true matches from their epipolar lines, px."""
-    errors = np.abs(
-        np.concatenate(
-            [
-                epipolar_distance(rig[a], rig[b], *p.T, *q.T)
-                for by_pair in matches
-                for (a, b), (p, q) in by_pair.items()
-            ]
-        )
-    )
+    distances = [
+        epipolar_distance(rig[a], rig[b], *p.T, *q.T)
+        for by_pair in matches
+        for (a, b), (p, q) in by_pair.items()
+    ]
+    errors = np.abs(np.concatenate(distances))
     errors = errors[errors < MAX_EPIPOLAR_ERROR]
     return float(np.median(errors)) if errors.size else float("nan")
 

@@ -12,7 +12,7 @@ from wavefield.calibration.blobs import find_blobs
 from wavefield.calibration.dots import dot_lattice
 from wavefield.calibration.find import scaled
 from wavefield.calibration.points import Image, Nodes
-from wavefield.calibration.printed_points import as_bytes
+from wavefield.calibration.printed_points import as_bytes, halved
 from wavefield.calibration.strings import find_strings
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError, FrameError
@@ -45,9 +45,7 @@ def _shown(path: Path, stated: Target) -> str:
         image = scaled(read_image(path))
     except (CalibrationError, FrameError):
         return ""
-    small = as_bytes(image)
-    while max(small.shape) > MAX_SIDE:
-        small = np.asarray(cv2.resize(small, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
+    small, _ = halved(as_bytes(image), MAX_SIDE)
     # a chessboard's squares and the holes of a grid of strings are blobs too: dots come last
     if _has_strings(image):
         return "" if stated.kind == "strings" else _words("strings", "strings", stated)

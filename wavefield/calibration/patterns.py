@@ -8,6 +8,7 @@ from wavefield.calibration.points import Image, Nodes, TargetPoints
 from wavefield.calibration.printed_points import (
     as_bytes,
     corner_subpixel,
+    halved,
     make_points,
     marker_dictionary,
     right_handed,
@@ -45,11 +46,8 @@ def _refined(image: Image, node: Nodes, pixel: Array) -> Array:
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
     """Corners by every detector that OpenCV has, quick ones first: each misses boards that another finds."""
-    full = small = as_bytes(image)
-    factor = 1.0
-    while max(small.shape) > MAX_SEARCH_SIZE:
-        half = cv2.resize(small, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        small, factor = np.asarray(half, np.uint8), factor * 2
+    full = as_bytes(image)
+    small, factor = halved(full, MAX_SEARCH_SIZE)
     equalized = np.asarray(cv2.equalizeHist(small), np.uint8)
     normal, exhaustive = cv2.CALIB_CB_NORMALIZE_IMAGE, cv2.CALIB_CB_EXHAUSTIVE
     accurate = exhaustive | cv2.CALIB_CB_ACCURACY

@@ -34,6 +34,17 @@ def as_bytes(image: Image) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
+def halved(
+    image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], max_side: int
+) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.uint8]], float]:
+    """An image whose sides were halved until none exceeds a limit, px, and the factor of its size."""
+    factor = 1.0
+    while max(image.shape) > max_side:
+        half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        image, factor = np.asarray(half, np.uint8), 2.0 * factor
+    return image, factor
+
+
 def corner_subpixel(image: Image, pixel: Array, half: int) -> Array:
     """Corners (n, 2) refined within square windows of 2 half + 1 pixels."""
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)

@@ -17,6 +17,7 @@ from wavefield.calibration.target import Target
 from wavefield.calibration.target_lattice import Candidates, TargetLattice, cross, most_central
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
+from wavefield.robust import robust_std
 
 MIN_DOTS = 12  # of a level
 MIN_FULLNESS = 0.7  # a blob's area over that of an ellipse of its moments; 0.83 for a triangle
@@ -180,7 +181,7 @@ def _marks(image: Image, level: _Level) -> tuple[Nodes, Nodes] | None:
     patch = _patches(image, level)
     difference = np.abs(patch - np.median(patch, 0)).mean(1)
     middle = np.median(difference)
-    spread = 1.4826 * np.median(np.abs(difference - middle)) + 1e-6
+    spread = robust_std(difference - middle) + 1e-6
     unusual = np.flatnonzero(difference > middle + MARK_DEVIATIONS * spread)
     if len(unusual) < 2:
         return None

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from wavefield.figures.display import POSITIVE, limit
 from wavefield.figures.style import (
@@ -46,17 +47,11 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     Counterpart of the paper's maps of eta, u . grad eta and the error field. The residual has the scale of
     the nonlinear term, for comparison.
     """
-    from wavefield.waves.nonlinear.kinematics import kinematics_at  # imports compiled kernels
-
-    terms = kinematics_at(snapshot, cube)
     figure, axes = map_panels(snapshot.z, 2, 2)
-    half = 100 * limit(terms.nonlinear)
-    for ax, field, label, title, scale in (
-        (axes[0, 0], snapshot.z, "z (cm)", f"elevation, {moment_title(snapshot)}", None),
-        (axes[0, 1], snapshot.w, "w (cm s⁻¹)", "vertical velocity", None),
-        *((ax, terms[n], "cm s⁻¹", _TERMS[n], (-half, half)) for ax, n in zip(axes[1], _TERMS)),
-    ):
-        draw_map(ax, field, label, factor=100, scale=scale, title=title)
+    title = f"elevation, {moment_title(snapshot)}"
+    draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=title)
+    draw_map(axes[0, 1], snapshot.w, "w (cm s⁻¹)", factor=100, title="vertical velocity")
+    _draw_terms(axes[1], snapshot, cube)
     return figure
 
 
@@ -74,14 +69,19 @@ def nonlinear_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figu
     -------
     Figure
     """
+    figure, axes = map_panels(snapshot.z, 2)
+    _draw_terms(axes[0], snapshot, cube)
+    return figure
+
+
+def _draw_terms(axes: NDArray[np.object_], snapshot: xr.Dataset, cube: xr.Dataset | None) -> None:
+    """Draw the nonlinear term and the residual, both on the scale of the term."""
     from wavefield.waves.nonlinear.kinematics import kinematics_at  # imports compiled kernels
 
     terms = kinematics_at(snapshot, cube)
-    figure, axes = map_panels(snapshot.z, 2)
     half = 100 * limit(terms.nonlinear)
-    for ax, name, title in zip(axes[0], _TERMS, _TERMS.values(), strict=True):
+    for ax, (name, title) in zip(axes, _TERMS.items(), strict=True):
         draw_map(ax, terms[name], "cm s⁻¹", factor=100, scale=(-half, half), title=title)
-    return figure
 
 
 def vorticity_map(terms: xr.Dataset) -> Figure:

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+from numpy.typing import NDArray
 
 from wavefield.figures.style import LINES, panels
 from wavefield.grid import Grid
@@ -37,23 +38,19 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     figure, axes = panels(3, width=3.9, height=4.0)
     side, above, near = axes[0]
     x0, y0 = np.mean(grid.x), np.mean(grid.y)
-    corners_x = [grid.x[0], grid.x[1], grid.x[1], grid.x[0], grid.x[0]]
-    corners_y = [grid.y[0], grid.y[0], grid.y[1], grid.y[1], grid.y[0]]
-    views = np.concatenate([camera.corners(0.0) for camera in rig.cameras.values()])
-    corners = np.vstack([views, np.column_stack([corners_x, corners_y])])
-    outlines = np.array(
-        [np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)]
-    )  # a name inside would be crossed
+    outline = _rectangle(grid.x, grid.y)
+    corners = np.concatenate([outline, *(camera.corners(0.0) for camera in rig.cameras.values())])
+    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)  # a name inside would be crossed
     side.plot(grid.x, [0, 0], color="0.2", linewidth=3)
-    above.plot(corners_x, corners_y, color="0.2", linewidth=2, label="grid on the water at rest")
+    above.plot(*outline.T, color="0.2", linewidth=2, label="grid on the water at rest")
     for style, (name, camera) in zip(LINES[1:] * len(rig), rig.cameras.items(), strict=False):
         cx, cy, cz = camera.centre
         for end in grid.x:
             side.plot([cx, end], [cz, 0], **style | {"linewidth": 0.8})
         view = np.vstack([camera.corners(0.0), camera.corners(0.0)[:1]])
         above.plot(*view.T, label=f"view of {name}", **style)
-        over = outlines[0, 0] <= cx <= outlines[1, 0] and outlines[0, 1] <= cy <= outlines[1, 1]
-        for ax, height_or_y, free in ((side, cz, cz), (above, cy, outlines[1, 1] if over else cy)):
+        over = (low <= camera.centre[:2]).all() and (camera.centre[:2] <= high).all()
+        for ax, height_or_y, free in ((side, cz, cz), (above, cy, high[1] if over else cy)):
             ax.plot(cx, height_or_y, "o", color=style["color"])
             ax.annotate(name, (cx, free), textcoords="offset points", xytext=(0, 7), ha="center")
         dx, _ = camera.sight_line(x0, y0, height)
@@ -66,8 +63,8 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     side.margins(0.12)
     side.set_ylim(-0.3, 1.2 * max(camera.centre[2] for camera in rig.cameras.values()))
     above.set(xlabel="x (m)", ylabel="y (m)", title="from above", aspect="equal")
-    low, high = above.get_xlim()
-    above.set_ylim(y0 - (high - low) / 2.6, y0 + (high - low) / 2.6)
+    half = float(np.ptp(above.get_xlim())) / 2.6
+    above.set_ylim(y0 - half, y0 + half)
     above.margins(x=0.12)
     near.set(xlabel="x (cm)", ylabel="z (cm)", title="one point, apparent positions ▼", aspect="equal")
     for ax in axes[0]:
@@ -75,6 +72,11 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     figure.legend(loc="outside lower center", ncols=len(rig) + 2, frameon=False, fontsize=9)
     figure.set_layout_engine("constrained", h_pad=0.15)
     return figure
+
+
+def _rectangle(x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.float64]:
+    """Corners of a rectangle, (5, 2), the first one again at the end."""
+    return np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1]), (x[0], y[0])], float)
 
 
 def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Figure:
@@ -117,12 +119,8 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
         bottom.imshow(image, interpolation="nearest", **grey)
         bottom.set(xlim=(cx - half, cx + half), ylim=(cy + half, cy - half))
         bottom.set(title=f"{name}, middle 10 cm", xlabel="column (px)", ylabel="row (px)")
-        top.plot(
-            [cx - half, cx + half, cx + half, cx - half, cx - half],
-            [cy - half, cy - half, cy + half, cy + half, cy - half],
-            color="#56B4E9",
-            linewidth=1.2,
-        )
+        zoomed = _rectangle((cx - half, cx + half), (cy - half, cy + half))
+        top.plot(*zoomed.T, color="#56B4E9", linewidth=1.2)
     return figure
 
 
