@@ -57,6 +57,7 @@ class CameraCheck:
     other: tuple[int, ...] = ()  # Numbers of those of another size or type than the first
     beyond: tuple[int, int] = (0, 0)  # Frames before and after the record, which are not used
     offset: int = 0  # Of the camera: number of a frame less that of its file
+    first: int = 0  # Number of the first frame of the record
 
     def __str__(self) -> str:
         text = f"{self.name}: {self.frames} frames of {self.size[0]} x {self.size[1]} px, {self.dtype}"
@@ -115,8 +116,6 @@ class Check:
         ``motion`` of the water from frame to frame, ``heights`` that it rises to, ``advice`` where little is
         measured, ``clocks``: whether the cameras take their frames at the same moment, ``probes``: their
         times, and their correlation with z of the cube next to the experiment, if there is one.
-    first_frame : int
-        Number of the first frame.
     """
 
     experiment: str
@@ -131,7 +130,6 @@ class Check:
     problems: tuple[str, ...]
     verdict: Verdict | None
     sentences: Mapping[str, str]
-    first_frame: int = 0
 
     @property
     def exit_status(self) -> int:
@@ -154,8 +152,14 @@ class Check:
             self.sentences
         )
         verdict = self.verdict.to_dict() if self.verdict else None
-        more = {"path": str(self.path), "exit_status": self.exit_status, "verdict": verdict}
+        more = {"path": str(self.path), "first_frame": self.first_frame}
+        more |= {"exit_status": self.exit_status, "verdict": verdict}
         return out | shares | sentences | more
+
+    @property
+    def first_frame(self) -> int:
+        """Number of the first frame of the record."""
+        return self.cameras[0].first
 
     @property
     def ready(self) -> bool:
@@ -310,7 +314,6 @@ def check(
         problems=tuple(problems),
         verdict=verdict,
         sentences=sentences,
-        first_frame=next(iter(series.values())).first,
     )
 
 
@@ -378,4 +381,5 @@ def _summary(series: FrameSeries, found: FrameInspection, offset: int) -> Camera
         other=found.numbers(series.first, FrameFault.WRONG_SIZE),
         beyond=series.beyond,
         offset=offset,
+        first=series.first,
     )
