@@ -10,6 +10,7 @@ import os
 import shutil
 import warnings
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
@@ -17,11 +18,11 @@ from cube_cases import FOURS
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from wavefield.atomic_write import CHECKSUMS
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.pipeline import open_cube, open_run, run, status
-from wavefield.store.wave_store import open_waves
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "120"))
 PRODUCTS = ("cube.zarr", "cube_preview.zarr", "waves.zarr", "verdict.json")
@@ -75,8 +76,7 @@ def by_analyze(folder):
     target = folder / "out.zarr"
     try:
         command("analyze", folder / "cube.zarr", "-o", target, "--segment", 8)
-        tree = open_waves(target)
-        return digest(*(tree[group].to_dataset().load() for group in sorted(tree.children)))
+        return (target / CHECKSUMS).read_text()  # of all files of the store
     finally:
         shutil.rmtree(target, ignore_errors=True)
 
@@ -84,7 +84,7 @@ def by_analyze(folder):
 def by_report(folder):
     found = open_run(folder / "cube.zarr")
     groups = [found.wave_group(name) for name in sorted(found.waves.children)]
-    return digest(found.cube.load(), *groups) + str(status(found.store).bad_frames)
+    return digest(*dask.compute(found.cube, *groups)) + str(status(found.store).bad_frames)
 
 
 def by_look(folder):
