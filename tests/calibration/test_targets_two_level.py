@@ -53,13 +53,13 @@ def test_both_levels_are_found_from_any_side(tilt, turn, roll, at, read):
 
 
 def test_the_target_moved_along_z_gives_the_rig_of_a_stereo_pair():
-    """Seven known heights, the usual calibration of stereo PIV."""
+    """Known heights, the usual calibration of stereo PIV."""
     cameras = {
         name: camera_at((384, 304), 35.0, turn, 3.0, 0.8, 2000.0, k1=-0.2)
         for name, turn in (("left", 180.0), ("right", 0.0))
     }
     views = {name: {} for name in cameras}
-    for seed, height in enumerate((-0.009, -0.006, -0.003, 0.0, 0.003, 0.006, 0.009)):
+    for seed, height in enumerate((-0.009, -0.0045, 0.0, 0.0045, 0.009)):
         for name, camera in cameras.items():
             shift = camera.T + camera.R @ [0.0, 0.0, height]
             moved = type(camera)(**{**vars_of(camera), "translation": shift})

@@ -1,17 +1,11 @@
 """From the calibration block of an experiment to a rig: the images, the targets in them, the solution."""
 
 import os
-import sys
-import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import forkserver, get_context, parent_process
-from multiprocessing.connection import wait
-from multiprocessing.context import BaseContext
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from wavefield.calibration.find import find_target
@@ -21,6 +15,7 @@ from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.solve import calibrate
 from wavefield.calibration.target import Target
+from wavefield.calibration.workers import start_worker, worker_context
 from wavefield.config_files import place_of
 from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.images import read_image
@@ -83,38 +78,6 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
         return {name: (one.shape[1], one.shape[0]) for name, one in experiment.open_frames().items()}
     except (ExperimentError, FrameError):
         return {}
-
-
-def worker_context() -> BaseContext:
-    """How processes that find targets are started.
-
-    On Linux they are forked from one process that imports while the caller does, which halves the time for a
-    few images.
-    """
-    if sys.platform != "linux":
-        return get_context("spawn")
-    context = get_context("forkserver")
-    context.set_forkserver_preload([__name__])
-    forkserver.ensure_running()
-    return context
-
-
-def _start_worker() -> None:
-    cv2.setNumThreads(1)
-    leave_with_parent()
-
-
-def leave_with_parent() -> None:
-    """Let this worker end with the process that started it, however that ends (SIGTERM, SIGKILL)."""
-    parent = parent_process()
-    if parent is not None:
-        sentinel = parent.sentinel
-
-        def watch() -> None:
-            wait([sentinel])
-            os._exit(1)
-
-        threading.Thread(target=watch, daemon=True).start()
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
@@ -181,7 +144,7 @@ def calibrate_experiment(
     frame_sizes = _frame_sizes(experiment) if any(p.suffix.lower() in TABLES for _, _, p in jobs) else {}
     place = place_of(experiment.path, ("calibration", "target"))
     workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
-    with ProcessPoolExecutor(workers, mp_context=worker_context(), initializer=_start_worker) as pool:
+    with ProcessPoolExecutor(workers, mp_context=worker_context(__name__), initializer=start_worker) as pool:
         sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
         found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs), sizes)
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):

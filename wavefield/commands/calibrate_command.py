@@ -31,7 +31,8 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     from concurrent.futures import ProcessPoolExecutor
 
     from wavefield.atomic_write import PAGE, RIG, check_writable
-    from wavefield.calibration.images import calibrate_experiment, leave_with_parent, worker_context
+    from wavefield.calibration.images import calibrate_experiment
+    from wavefield.calibration.workers import leave_with_parent, worker_context
     from wavefield.reports.calibration import NUMBERS, write_calibration
     from wavefield.reports.rig_sentences import rig_sentences
     from wavefield.reports.target_pictures import draw_found
@@ -48,7 +49,8 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         solving = progress.stage_of("Solving for the cameras", "models")
         result = calibrate_experiment(loaded, progress, solving)
     calibration = result.calibration
-    with Progress("Drawing the report"), ProcessPoolExecutor(1, worker_context(), leave_with_parent) as pool:
+    starts = worker_context("wavefield.calibration.images")
+    with Progress("Drawing the report"), ProcessPoolExecutor(1, starts, leave_with_parent) as pool:
         drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
         page = write_calibration(calibration, folder, drawn.result)
     for note in (*result.notes, *calibration.notes):
