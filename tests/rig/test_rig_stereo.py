@@ -35,10 +35,6 @@ def test_mismatch_across_the_sight_line_leaves_z_alone():
     # shared by two cameras alike
     assert (x, y) == pytest.approx((0.006, 0.0025))
     assert eps == pytest.approx(np.array([(0.0, -0.0005), (0.0, 0.0005)]))
-    # taken up by the second, where the first is exact
-    x, y, z, eps = triangulate(apparent, sight, [1e-3, 1.0])
-    assert (x, y, z) == pytest.approx((0.006, 0.002, 0.02), abs=1e-8)
-    assert eps == pytest.approx(np.array([(0.0, 0.0), (0.0, 0.001)]), abs=1e-8)
 
 
 def test_parallel_sight_lines_give_nan():
@@ -47,13 +43,11 @@ def test_parallel_sight_lines_give_nan():
 
 def test_all_cameras_together_are_all_pairs_together():
     rng = np.random.default_rng(1)
-    p, D, std = rng.normal(size=(3, 2, 7)), rng.normal(size=(3, 2, 7)), rng.uniform(1, 2, (3, 7))
-    z = triangulate(p, D, std)[2]
+    p, D = rng.normal(size=(2, 3, 2, 7))
+    z = triangulate(p, D)[2]
     pairs = [(0, 1), (0, 2), (1, 2)]
     d, dD = (np.array([q[b] - q[a] for a, b in pairs]) for q in (p, D))
-    weight = np.array([1 / (std[a] * std[b]) ** 2 for a, b in pairs])
-    expected = -(weight * (d * dD).sum(1)).sum(0) / (weight * (dD * dD).sum(1)).sum(0)
-    assert z == pytest.approx(expected)
+    assert z == pytest.approx(-(d * dD).sum((0, 1)) / (dD * dD).sum((0, 1)))
 
 
 def test_a_camera_that_does_not_see_a_point_is_left_out():
@@ -74,12 +68,11 @@ def test_displacement_is_the_weighted_least_squares(seed, cameras):
     J = rng.normal(size=(5, 2 * cameras, 3)) * 500
     seen = rng.normal(size=(5, 2 * cameras))
     std = rng.uniform(0.5, 2.0, (5, 2 * cameras))
-    d, eps, d_std = solve_displacement(J, seen, std)
+    d, d_std = solve_displacement(J, seen, std)
     for k in range(5):
         ref = np.linalg.lstsq(J[k] / std[k][:, None], seen[k] / std[k], rcond=None)[0]
         cov = np.linalg.inv((J[k] / std[k][:, None]).T @ (J[k] / std[k][:, None]))
         assert d[k] == pytest.approx(ref, rel=1e-6, abs=1e-8)
-        assert eps[k] == pytest.approx(np.sqrt(np.mean((J[k] @ ref - seen[k]) ** 2)), rel=1e-6)
         assert d_std[k] == pytest.approx(np.sqrt(np.diag(cov)), rel=1e-6)
 
 
@@ -87,7 +80,7 @@ def test_uncertainty_answers_for_noise_other_than_the_weights():
     rng = np.random.default_rng(1)
     J, seen = rng.normal(size=(6, 3)) * 500, rng.normal(size=6)
     std, noise = rng.uniform(0.5, 2.0, (2, 6))
-    d, _, d_std = solve_displacement(J, seen, std, noise)
+    d, d_std = solve_displacement(J, seen, std, noise)
     W = np.diag(1 / std**2)
     K = np.linalg.solve(J.T @ W @ J, J.T @ W)
     assert d == pytest.approx(K @ seen)
@@ -107,18 +100,9 @@ def test_displacement_in_space_is_found_from_the_sensors():
         ],
         axis=-1,
     )
-    d, eps, _ = solve_displacement(J, seen)
+    d, _ = solve_displacement(J, seen)
     assert abs(d - move).max() < 1e-12
-    assert eps.max() < 1e-8
     seen[:, 2:4] = np.nan  # the second camera's frame is missing
     assert abs(solve_displacement(J, seen)[0] - move).max() < 1e-12
     seen[:, 4:] = np.nan
     assert np.isnan(solve_displacement(J, seen)[0]).all()
-
-
-def test_the_papers_misfit_for_two_cameras():
-    cameras = [random_camera(s) for s in (1, 2)]
-    J = jacobians(cameras, 0.0, 0.0, 0.0)
-    seen = np.array([1.0, 0.3, -0.4, 0.1])
-    d, eps, _ = solve_displacement(J, seen)
-    assert eps == pytest.approx(0.5 * np.linalg.norm(J @ d - seen))

@@ -119,10 +119,6 @@ class Target:
         path : path, optional
             The experiment file, to be named with the line at fault.
 
-        Returns
-        -------
-        Target
-
         Raises
         ------
         CalibrationError

@@ -46,10 +46,6 @@ class Workflow(ClusterSettings):
         path : path
             YAML.
 
-        Returns
-        -------
-        Workflow
-
         Raises
         ------
         ExperimentError

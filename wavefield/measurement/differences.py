@@ -89,7 +89,7 @@ def _waves_in_common(
     And that noise: variance of dx, dy and dz together.
     """
     rows = (np.sqrt(f[:, good].T) for f in (moved.variance, noise * moved.noise_of_each))
-    d, _, d_std = solve_displacement(J, moved.moved[:, good].T, *rows)
+    d, d_std = solve_displacement(J, moved.moved[:, good].T, *rows)
     each = image_variance(moved, parts)[:, good].mean(axis=1)
     fields = [model.displacement[name] for name in names]
     prior_variance = [

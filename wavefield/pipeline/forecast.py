@@ -139,12 +139,7 @@ class Check:
         return self.verdict.exit_status if self.verdict else 0
 
     def to_dict(self) -> dict[str, object]:
-        """Plain data, as for ``--json``.
-
-        Returns
-        -------
-        dict
-        """
+        """Plain data, as for ``--json``."""
         out: dict[str, object] = asdict(self)
         del out["shares"], out["sentences"]
         shares = {"coverage": None, "measured": None, **self.shares}

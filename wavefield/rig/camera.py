@@ -345,10 +345,6 @@ class Camera:
         ----------
         data : mapping
             As given by `to_dict`; unknown keys are refused.
-
-        Returns
-        -------
-        Camera
         """
         return cls(**data)
 
@@ -370,10 +366,6 @@ class Camera:
             World to camera, metres.
         size : (width, height)
             Image, px.
-
-        Returns
-        -------
-        Camera
 
         Raises
         ------
@@ -402,10 +394,6 @@ class Camera:
         ----------
         factor : float
             New size over old size.
-
-        Returns
-        -------
-        Camera
         """
         w, h = self.size
         return replace(

@@ -143,10 +143,6 @@ class Rig:
         path : path
             YAML.
 
-        Returns
-        -------
-        Rig
-
         Raises
         ------
         RigError
@@ -175,10 +171,6 @@ class Rig:
         ----------
         data : mapping
             ``cameras`` and, optionally, ``units`` and ``provenance``.
-
-        Returns
-        -------
-        Rig
 
         Raises
         ------

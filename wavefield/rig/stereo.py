@@ -16,15 +16,13 @@ from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
 
 
-def triangulate(
-    apparent: ArrayLike, sight: ArrayLike, std: ArrayLike | None = None
-) -> tuple[Array, Array, Array, Array]:
-    """Point nearest to the sight lines of all cameras.
+def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Point nearest to the sight lines of all cameras that see it.
 
-    Least squares for x_k = x - D_k z + error with weights w_k = 1 / std_k^2. For two cameras
-    z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and dD = D_2 - D_1; for more, the mean of the pairs' z with
-    weights w_a w_b |dD|^2. Apparent positions and sight are (N, 2, ...), std (N, ...); returns x, y, z, and
-    the misfit of each camera's apparent position, x_k - (x - D_k z), (N, 2, ...), all in metres.
+    Least squares for x_k = x - D_k z + error. For two cameras z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and
+    dD = D_2 - D_1; for more, the mean of the pairs' z with weights |dD|^2. Apparent positions and sight are
+    (N, 2, ...); returns x, y, z, and the misfit of each camera's apparent position, x_k - (x - D_k z),
+    (N, 2, ...), all in metres.
 
     Examples
     --------
@@ -34,9 +32,7 @@ def triangulate(
     """
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
-    weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
-    weight = weight.reshape(weight.shape + (1,) * (visible.ndim - weight.ndim))
-    weight = np.where(visible, weight, 0.0)[:, None]
+    weight = np.where(visible, 1.0, 0.0)[:, None]
     p0, D0 = np.where(visible[:, None], p, 0.0), np.where(visible[:, None], D, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         total = np.sum(weight, axis=0)
@@ -62,10 +58,8 @@ def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLik
 _inputs = [ArrayType(float64, axes, "A", readonly=True) for axes in (3, 2, 2, 2)]
 
 
-@compiled(void(*_inputs, float64[:, ::1], float64[::1], float64[:, ::1]))
-def _solve(
-    jacobian: Array, observed: Array, weight: Array, noise: Array, out: Array, eps: Array, std: Array
-) -> None:
+@compiled(void(*_inputs, float64[:, ::1], float64[:, ::1]))
+def _solve(jacobian: Array, observed: Array, weight: Array, noise: Array, out: Array, std: Array) -> None:
     for n in range(observed.shape[0]):
         a = b = c = d = e = f = 0.0  # normal matrix [[a, b, c], [b, d, e], [c, e, f]]
         p = q = r = 0.0
@@ -100,19 +94,16 @@ def _solve(
             for k in range(3):
                 out[n, k] = np.nan
                 std[n, k] = np.nan
-            eps[n] = np.nan
             continue
         q1 = q - lb * p
         z = (r - lc * p - le * q1) / f1
         y = q1 / d1 - le * z
         x = p / a - lb * y - lc * z
         out[n, 0], out[n, 1], out[n, 2] = x, y, z
-        total = vx = vy = vz = 0.0
+        vx = vy = vz = 0.0
         for i in range(observed.shape[1]):
             if np.isfinite(observed[n, i]) and weight[n, i] > 0.0 and np.isfinite(jacobian[n, i, 0]):
                 j0, j1, j2 = jacobian[n, i, 0], jacobian[n, i, 1], jacobian[n, i, 2]
-                misfit = observed[n, i] - (j0 * x + j1 * y + j2 * z)
-                total += misfit * misfit
                 w = weight[n, i]
                 w0, w1, w2 = w * j0, w * j1, w * j2
                 w1 -= lb * w0
@@ -122,7 +113,6 @@ def _solve(
                 vx += kx * kx * noise[n, i]
                 vy += ky * ky * noise[n, i]
                 vz += kz * kz * noise[n, i]
-        eps[n] = np.sqrt(total / rows)
         std[n, 0], std[n, 1], std[n, 2] = np.sqrt(vx), np.sqrt(vy), np.sqrt(vz)
 
 
@@ -131,11 +121,11 @@ def solve_displacement(
     displacement: ArrayLike,
     std: ArrayLike | None = None,
     noise: ArrayLike | None = None,
-) -> tuple[Array, Array, Array]:
-    """Displacement in space from the displacements on the sensors of N cameras.
+) -> tuple[Array, Array]:
+    """Displacement in space from those on the sensors of N cameras, and its standard uncertainty, (..., 3).
 
-    d = argmin sum w (J d - dX)^2 with w = 1 / std^2: normal equations, 3 x 3, in closed form.
-    For two cameras eps_piv is the paper's eps' = |J d - dX| / 2.
+    d = argmin sum w (J d - dX)^2 with w = 1 / std^2: normal equations, 3 x 3, in closed form. The uncertainty
+    is that by `noise`, where it is stated, in place of std.
     """
     J, observed = np.asarray(jacobian, float), np.asarray(displacement, float)
     with np.errstate(divide="ignore"):
@@ -147,6 +137,6 @@ def solve_displacement(
         np.broadcast_to(f, (*shape, rows)).reshape(count, rows) for f in (weight, variance, observed)
     )
     J = np.broadcast_to(J, (*shape, rows, 3)).reshape(count, rows, 3)
-    d, eps, d_std = np.empty((count, 3)), np.empty(count), np.empty((count, 3))
-    _solve(J, observed, weight, variance, d, eps, d_std)
-    return d.reshape(*shape, 3), eps.reshape(shape), d_std.reshape(*shape, 3)
+    d, d_std = np.empty((count, 3)), np.empty((count, 3))
+    _solve(J, observed, weight, variance, d, d_std)
+    return d.reshape(*shape, 3), d_std.reshape(*shape, 3)

@@ -142,10 +142,6 @@ class Experiment(RecordSection):
         folder : path, optional
             Folder of the images, in place of the one the file names.
 
-        Returns
-        -------
-        Experiment
-
         Raises
         ------
         ExperimentError
@@ -208,10 +204,6 @@ class Experiment(RecordSection):
         ----------
         name : path
             As in the file; ``{folder}`` is the folder of the images.
-
-        Returns
-        -------
-        Path
         """
         return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
@@ -365,10 +357,6 @@ class Experiment(RecordSection):
             Settings of the measurement, default those of the file: the nodes stay in view over their
             ``z_range``, or over half of their ``sheet_thickness`` up and down; without either, over 1 % of
             the cameras' distance.
-
-        Returns
-        -------
-        Grid
 
         Raises
         ------

@@ -78,33 +78,12 @@ class FrameSeries:
         return self.first + np.flatnonzero([entry is None for entry in self.entries])
 
     def place(self, index: int) -> str:
-        """Which frame this is, for a message.
-
-        Parameters
-        ----------
-        index : int
-            Index in the series.
-
-        Returns
-        -------
-        str
-        """
+        """Which frame this is, for a message."""
         entry = self.entries[index]
         return f"{self.camera} frame {self.first + index}" + (f" ({entry})" if entry else "")
 
     def read(self, index: int) -> Frame:
-        """Read one frame; never raises for a bad one.
-
-        Parameters
-        ----------
-        index : int
-            Index in the series, from 0.
-
-        Returns
-        -------
-        Frame
-            The image, (row, column), or the fault and a sentence about it.
-        """
+        """The image at an index of the series, (row, column), or its fault; never raises for a bad one."""
         entry = self.entries[index]
         place = self.place(index)
         if entry is None:
@@ -130,51 +109,19 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Pixels of a frame that do not count.
-
-        Parameters
-        ----------
-        index : int
-            Index in the series, from 0.
-
-        Returns
-        -------
-        ndarray of bool, (row, column), or None
-            True where covered; None if nothing is, or the mask cannot be read.
-        """
+        """Pixels that do not count, (row, column); None if none are covered, or the mask cannot be read."""
         try:
             return None if self.mask is None else self.mask.covered(index)
         except FrameError:
             return None  # `read` gives no frame then, and the reason
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
-        """Read a frame with an even grey where it is covered.
-
-        Parameters
-        ----------
-        index : int
-            Index in the series, from 0.
-
-        Returns
-        -------
-        ndarray, (row, column), or None
-            None where there is no good frame.
-        """
+        """The image, (row, column), with an even grey where it is covered; None for a bad frame."""
         image, covered = self.read(index).image, self.covered(index)
         return image if image is None or covered is None else made_even(image, covered)
 
     def window(self, start: int, stop: int) -> "FrameSeries":
-        """The frames of one chunk: small enough to send to a worker.
-
-        Parameters
-        ----------
-        start, stop : int
-            Indices, from 0; parts outside the series are left out.
-
-        Returns
-        -------
-        FrameSeries
-        """
+        """The frames of one chunk, as far as the series has them: small enough to send to a worker."""
         start = max(start, 0)
         mask = None if self.mask is None else self.mask.window(start, stop)
         # the measurement of a chunk does not need times

@@ -84,12 +84,7 @@ class Status:
         return self.verdict.exit_status if self.verdict else 3 if self.lacks_verdict else 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as for ``--json``.
-
-        Returns
-        -------
-        dict
-        """
+        """Plain data, as for ``--json``."""
         out = asdict(self) | {"store": str(self.store), "complete": self.complete, "left": self.left}
         out["bad_frames"] = [
             {"camera": b.camera, "fault": b.fault.name.lower(), "numbers": list(b.numbers)}

@@ -133,10 +133,6 @@ class Scene(SceneRecord):
         source : path or str
             A YAML file, or the name of a preset.
 
-        Returns
-        -------
-        Scene
-
         Raises
         ------
         ExperimentError
@@ -163,10 +159,6 @@ class Scene(SceneRecord):
         data : mapping
             As in the YAML file.
 
-        Returns
-        -------
-        Scene
-
         Raises
         ------
         ExperimentError
@@ -176,22 +168,12 @@ class Scene(SceneRecord):
 
     @staticmethod
     def presets() -> dict[str, Path]:
-        """Scenes that come with the program.
-
-        Returns
-        -------
-        dict of str to path
-        """
+        """Scenes that come with the program."""
         folder = Path(__file__).parent / "scenes"
         return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
     def to_yaml(self) -> str:
-        """The scene as YAML, every setting written out.
-
-        Returns
-        -------
-        str
-        """
+        """The scene as YAML, every setting written out."""
         data = self.model_dump(mode="json")
         return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
 
@@ -203,10 +185,6 @@ class Scene(SceneRecord):
         **parts
             Top-level settings; a mapping changes only the settings that it names (of another kind, it
             replaces the part).
-
-        Returns
-        -------
-        Scene
 
         Examples
         --------
@@ -223,19 +201,9 @@ class Scene(SceneRecord):
         return type(self).from_dict(data)
 
     def build_rig(self) -> Rig:
-        """Exact cameras.
-
-        Returns
-        -------
-        Rig
-        """
+        """Exact cameras."""
         return self.rig.build()
 
     def build_sea(self) -> Sea:
-        """The sea.
-
-        Returns
-        -------
-        Sea
-        """
+        """The sea."""
         return self.sea.build(self.seed)

@@ -131,22 +131,7 @@ class Sea:
         return out
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Exact fields at the nodes of a regular grid.
-
-        Parameters
-        ----------
-        x, y : ndarray, (nx,) and (ny,)
-            Axes of the grid, metres.
-        time : float
-            Seconds.
-        names : sequence of str
-            Any of z, z_x, z_y, z_t, u, v, w.
-
-        Returns
-        -------
-        dict of str to ndarray, (ny, nx)
-            Metres, pure numbers (slopes) and m/s.
-        """
+        """Exact fields (ny, nx), in m, pure numbers (slopes) and m/s, on axes x (nx,) and y (ny,), metres."""
         ex, ey = np.exp(1j * np.outer(self._layout.kx, x)), np.exp(1j * np.outer(y, self._layout.ky))
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
@@ -167,22 +152,7 @@ class Sea:
         return out
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Exact fields at scattered points.
-
-        Parameters
-        ----------
-        x, y : array_like, broadcastable to shape S
-            Positions, metres.
-        time : float
-            Seconds.
-        names : sequence of str
-            Any of z, z_x, z_y, z_t, u, v, w.
-
-        Returns
-        -------
-        dict of str to ndarray, S
-            Metres, pure numbers (slopes) and m/s.
-        """
+        """Exact fields, in m, pure numbers (slopes) and m/s, at scattered points of any shape, metres."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
         coefficients = self._coefficients(time)

@@ -76,17 +76,7 @@ class Tank:
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
 
     def truth(self, step: int) -> Truth:
-        """Exact answer for the step from a frame to the next.
-
-        Parameters
-        ----------
-        step : int
-            Number of the step's first frame.
-
-        Returns
-        -------
-        Truth
-        """
+        """Exact answer for the step from a frame to the next."""
         grid, time = self.scene.grid, self.time(step + 0.5)
         if isinstance(self.scene.surface, Sheet):
             assert isinstance(self.population, Particles)
@@ -95,17 +85,9 @@ class Tank:
         return truth(self.basin, grid, time, 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
-        """Standard deviation of a bead's image before the pixels integrate it.
+        """Standard deviation of a bead's image before the pixels integrate it, px.
 
-        Parameters
-        ----------
-        camera : Camera
-            The camera.
-
-        Returns
-        -------
-        float
-            px: the blur and the bead's own size (variance of a disc: a quarter of its radius squared).
+        The blur and the bead's own size: the variance of a disc is a quarter of its radius squared.
         """
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
@@ -113,18 +95,9 @@ class Tank:
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
     def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, GreyImage]:
-        """Images that the cameras take at one frame.
+        """Images, (row, column), of some cameras (by default of all) at one frame, from 0.
 
-        Parameters
-        ----------
-        frame : int
-            Frame number, from 0, in rising order (beads are followed from frame to frame).
-        cameras : iterable of str, optional
-            Which cameras; all by default.
-
-        Returns
-        -------
-        dict of str to ndarray, (row, column), uint8 or uint16
+        In rising order of frames: beads are followed from one to the next.
         """
         names = self.rig if cameras is None else cameras
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
@@ -279,19 +252,7 @@ class Tank:
         return rendered_targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
 
     def target_image(self, name: str, camera: str) -> GreyImage:
-        """Image of the calibration target.
-
-        Parameters
-        ----------
-        name : str
-            A name of `target_poses`.
-        camera : str
-            Which camera.
-
-        Returns
-        -------
-        ndarray, (row, column), uint8 or uint16
-        """
+        """Image of the calibration target in a pose of `target_poses`."""
         target, pose = self.scene.calibration.target, self.target_poses[name]
         light = rendered_targets.draw(
             self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets
