@@ -181,7 +181,7 @@ def test_early_steps_are_shown_as_such_and_never_saved(tmp_path):
     from explorer_cases import block_fields
 
     from wavefield.explorer.save import area_fields, node_series, step_fields
-    from wavefield.store.early import create_early, write_early
+    from wavefield.store.early_preview import create_early, write_early
     from wavefield.store.preview import open_preview
     from wavefield.store.read import open_group
 

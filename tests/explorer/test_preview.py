@@ -8,7 +8,7 @@ import pytest
 from explorer_cases import create_cube, make_cube, write_cube_block
 
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.store.early import early_thinning
+from wavefield.store.early_preview import early_thinning
 from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
 from wavefield.store.read import open_group
 

@@ -9,7 +9,7 @@ from cube_cases import FRAMES, HERE, different
 from wavefield.errors import RunStopped
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.pipeline import Workflow, early, open_cube, run
-from wavefield.store.early import early_every, early_steps, early_thinning, read_early
+from wavefield.store.early_preview import early_every, early_steps, early_thinning, read_early
 from wavefield.store.preview import open_preview, preview_path
 from wavefield.store.read import open_group
 

@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Source:
+class CommandSource:
     """What a command works on: an experiment, a cube, or a catalog with some of its runs."""
 
     path: Path
@@ -66,7 +66,7 @@ def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., 
             parameters: dict[str, str],
             **options: object,
         ) -> None:
-            command(*context, source=Source(source, entries, parameters), **options)
+            command(*context, source=CommandSource(source, entries, parameters), **options)
 
         for parameter in (
             click.option(

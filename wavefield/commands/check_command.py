@@ -47,7 +47,7 @@ Examples:
 @click.pass_context
 def check(
     context: click.Context,
-    source: campaign_commands.Source,
+    source: campaign_commands.CommandSource,
     rig: Path | None,
     workflow: Path | None,
     pairs: bool,

@@ -80,7 +80,7 @@ Examples:
 @click.pass_context
 def run(
     context: click.Context,
-    source: campaign_commands.Source,
+    source: campaign_commands.CommandSource,
     rig: Path | None,
     workflow: Path | None,
     output: Path | None,
@@ -183,7 +183,7 @@ Examples:
 @click.pass_context
 def verify(
     context: click.Context,
-    source: campaign_commands.Source,
+    source: campaign_commands.CommandSource,
     quick: bool,
 ) -> None:
     """Verify that the chunks of a cube are complete and unchanged.

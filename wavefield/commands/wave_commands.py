@@ -66,7 +66,7 @@ Examples:
 @click.pass_context
 def analyze(
     context: click.Context,
-    source: campaign_commands.Source,
+    source: campaign_commands.CommandSource,
     output: Path | None,
     workflow: Path | None,
     **options: Unpack[AnalyzeOptions],
@@ -133,7 +133,7 @@ Examples:
 @click.pass_context
 def report(
     context: click.Context,
-    source: campaign_commands.Source,
+    source: campaign_commands.CommandSource,
     output: Path | None,
     waves: Path | None,
 ) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.selections import MISSING, decode
 from wavefield.figures.display import BALANCE, DERIVED
-from wavefield.store import early as earlies
+from wavefield.store import early_preview as earlies
 from wavefield.store import preview as previews
 from wavefield.store.checked import chunk_path
 from wavefield.store.cube_group import CubeGroup

@@ -9,7 +9,7 @@ import numpy as np
 from wavefield.errors import StoreError
 from wavefield.file_access import accessing
 from wavefield.pipeline.chunk import Chunk, EarlyStep, measure_chunk
-from wavefield.store.early import write_early
+from wavefield.store.early_preview import write_early
 from wavefield.store.read import open_group
 from wavefield.store.write_cube import write_chunk
 from wavefield.variables import FrameStatus

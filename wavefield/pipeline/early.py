@@ -17,7 +17,7 @@ from wavefield.execution.cluster import count_workers
 from wavefield.execution.worker_settings import one_thread
 from wavefield.pipeline.chunk import EarlyStep, Source, measure_chunk
 from wavefield.pipeline.prepare import PreparedRun
-from wavefield.store.early import create_early, early_every, early_steps
+from wavefield.store.early_preview import create_early, early_every, early_steps
 from wavefield.store.preview import create_preview, open_preview
 from wavefield.store.read import open_group
 from wavefield.variables import AROUND

@@ -32,7 +32,7 @@ from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
-from wavefield.store.early import drop_early
+from wavefield.store.early_preview import drop_early
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
 from wavefield.store.ledger_files import ledger_checksum
