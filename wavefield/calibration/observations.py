@@ -115,9 +115,7 @@ class Geometry:
     def with_pose(self, R: Array, t: Array) -> "Geometry":
         """The same with one more pose of the target."""
         return replace(
-            self,
-            pose_R=np.concatenate([self.pose_R, R[None]]),
-            pose_t=np.concatenate([self.pose_t, t[None]]),
+            self, pose_R=np.concatenate([self.pose_R, R[None]]), pose_t=np.concatenate([self.pose_t, t[None]])
         )
 
     def world(self, observations: Observations) -> Array:

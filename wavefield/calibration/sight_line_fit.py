@@ -128,11 +128,7 @@ class SightLineFit:
             return np.concatenate([r.ravel(), prior @ x]), np.concatenate([J.reshape(-1, len(x)), prior])
 
         x, _ = minimise(
-            lambda x: with_jacobian(x)[0],
-            with_jacobian,
-            np.zeros(len(self.layout.names)),
-            HUBER_LIMIT,
-            1e-6,
+            lambda x: with_jacobian(x)[0], with_jacobian, np.zeros(len(self.layout.names)), HUBER_LIMIT, 1e-6
         )
         r = with_jacobian(x)[0]
         return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))

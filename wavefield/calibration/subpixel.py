@@ -97,14 +97,7 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 
 @compiled(error_model="numpy")
 def _rows(
-    pixels: Array,
-    p: Array,
-    blur: float,
-    variance: Pair,
-    spread: float,
-    free: int,
-    misses: Array,
-    rows: Array,
+    pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
     """Weighted equations of all pixels for the first `free` parameters, linear ones first; returns the count.
 

@@ -23,9 +23,8 @@ class Candidates:
     """Places that may be nodes: crossings of bright strings at one scale, or dots."""
 
     pixel: Array  # (n, 2): Positions (X, Y), px
-    strength: (
-        Array  # (n,): Curvature across the weaker of the two strings, grey per px^2; area of a dot, px^2
-    )
+    # (n,): Curvature across the weaker of the two strings, grey per px^2; area of a dot, px^2
+    strength: Array
     scale: float  # Standard deviation of the smoothing, px
 
     @property

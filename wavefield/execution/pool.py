@@ -183,9 +183,7 @@ class Pool:
         error = self._lost(worker, code)
         if not crash:
             log.warning(
-                "a worker (process %s) %s; another takes its place",
-                worker.process.pid,
-                _how(worker, code),
+                "a worker (process %s) %s; another takes its place", worker.process.pid, _how(worker, code)
             )
         if crash and not self._cache_cleared:
             from wavefield.compiled import clear_compiled

@@ -25,11 +25,7 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
         return
     reasons = {
         name: reason
-        for name, reason in (
-            ("SIGTERM", "SIGTERM"),
-            ("SIGUSR1", "SIGUSR1"),
-            ("SIGALRM", "its time limit"),
-        )
+        for name, reason in (("SIGTERM", "SIGTERM"), ("SIGUSR1", "SIGUSR1"), ("SIGALRM", "its time limit"))
         if hasattr(signal, name)
     }
 

@@ -36,13 +36,7 @@ from wavefield.figures.spectra_figures import (
     wavevector_map,
 )
 from wavefield.figures.surface_figures import elevation_map, surface_3d, velocity_map
-from wavefield.figures.turbulence import (
-    crest_curves,
-    energy_bars,
-    flatness_curves,
-    path_map,
-    vortex_spectra,
-)
+from wavefield.figures.turbulence import crest_curves, energy_bars, flatness_curves, path_map, vortex_spectra
 
 __all__ = [
     "balance_history",

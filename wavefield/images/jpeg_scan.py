@@ -150,10 +150,7 @@ def _next_code(
 
 @compiled()
 def _follow_block(
-    coded: NDArray[np.uint8],
-    state: NDArray[np.int64],
-    means: NDArray[np.uint16],
-    details: NDArray[np.uint16],
+    coded: NDArray[np.uint8], state: NDArray[np.int64], means: NDArray[np.uint16], details: NDArray[np.uint16]
 ) -> tuple[bool, int]:
     """Follow the codes of a block; whether they can be, and by how much its mean differs from the last."""
     symbol, change = _next_code(coded, state, means)

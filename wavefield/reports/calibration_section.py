@@ -27,13 +27,7 @@ def calibration_section(run: Run) -> ReportSection:
         return section
     numbers = yaml.safe_load((folder / "numbers.yaml").read_text(encoding="utf-8")) or {}
     rows = [
-        (
-            name,
-            str(len(c["views"])),
-            number(c["rms_px"]),
-            number(c["rms_mm"]),
-            number(c["max_px"]),
-        )
+        (name, str(len(c["views"])), number(c["rms_px"]), number(c["rms_mm"]), number(c["max_px"]))
         for name, c in (numbers.get("cameras") or {}).items()
     ]
     if sentence := accuracy_sentence(numbers):

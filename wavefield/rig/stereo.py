@@ -117,10 +117,7 @@ def _solve(jacobian: Array, observed: Array, weight: Array, noise: Array, out: A
 
 
 def solve_displacement(
-    jacobian: ArrayLike,
-    displacement: ArrayLike,
-    std: ArrayLike | None = None,
-    noise: ArrayLike | None = None,
+    jacobian: ArrayLike, displacement: ArrayLike, std: ArrayLike | None = None, noise: ArrayLike | None = None
 ) -> tuple[Array, Array]:
     """Displacement in space from those on the sensors of N cameras, and its standard uncertainty, (..., 3).
 

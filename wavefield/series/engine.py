@@ -164,10 +164,7 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     present[series.missing - series.first] = False
     late = TABLE["frames/departure"]
     return xr.Dataset(
-        {
-            "image": image,
-            "present": ("time", present, TABLE["frames/present"].of(series.camera, "1")),
-        },
+        {"image": image, "present": ("time", present, TABLE["frames/present"].of(series.camera, "1"))},
         {"camera": ((), series.camera, TABLE["frames/camera"].attrs)}
         | ({} if departures is None else {"departure": (late.dims, departures, late.attrs)}),
     )

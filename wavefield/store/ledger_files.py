@@ -6,14 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.store.checked import (
-    checksum,
-    chunk_path,
-    damaged_chunk,
-    description,
-    read_chunk,
-    stored_bytes,
-)
+from wavefield.store.checked import checksum, chunk_path, damaged_chunk, description, read_chunk, stored_bytes
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import StoreLayout
 from wavefield.store.metadata import DESCRIPTIONS, WATCHED, is_as_completed

@@ -19,9 +19,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 KERNEL_WIDTH = 8  # lattice points under the kernel along each axis
-KERNEL_BETA = (
-    2.30 * KERNEL_WIDTH
-)  # kernel exp(beta (sqrt(1 - s^2) - 1)), for a lattice twice as fine as Nyquist's
+# of the kernel exp(beta (sqrt(1 - s^2) - 1)), for a lattice twice as fine as Nyquist's
+KERNEL_BETA = 2.30 * KERNEL_WIDTH
 MAX_SNAPSHOTS = 24  # remembered
 MAX_STEP = 0.04  # m, of the lattice where the sea has no short waves,
 MIN_STEPS = 300  # or this part of a large basin

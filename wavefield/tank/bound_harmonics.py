@@ -59,13 +59,7 @@ class BoundWaves:
 
 
 def bound_waves(
-    kx: Array,
-    ky: Array,
-    amplitude: Complex,
-    sigma: Array,
-    depth: float,
-    surface_tension: float,
-    number: int,
+    kx: Array, ky: Array, amplitude: Complex, sigma: Array, depth: float, surface_tension: float, number: int
 ) -> BoundWaves:
     """Waves bound to the steepest of the free waves, (n,), given in rad/m, m and rad/s."""
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]

@@ -68,11 +68,7 @@ def node_offsets(target: Strings, seed: int) -> Array:
 
 
 def draw(
-    camera: Camera,
-    target: Strings | Chessboard | Dots,
-    pose: Pose,
-    blur: float,
-    offsets: Array | None = None,
+    camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float, offsets: Array | None = None
 ) -> NDArray[np.float32]:
     """Light of a target on a camera's pixels, grey levels of 255, before background, lighting and noise.
 

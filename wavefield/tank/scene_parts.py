@@ -190,8 +190,7 @@ class Timing(Part):
     """When the cameras take their frames."""
 
     jitter: NotNegative = Field(
-        default=0.0,
-        description="rms error of a frame's time, common to all cameras, s (beads only)",
+        default=0.0, description="rms error of a frame's time, common to all cameras, s (beads only)"
     )
 
 

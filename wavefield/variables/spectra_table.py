@@ -76,13 +76,7 @@ for _shape, _dims, _text in (
 ):
     rows(_shape, _dims, ("E", "", _text))
 rows("maps", ("omega_map", "ky", "kx"), ("E", "", "E(ky, kx)"))
-rows(
-    "",
-    ("omega", "k"),
-    ("dof", "1", "degrees of freedom"),
-    ("low", "1", LOW),
-    ("high", "1", HIGH),
-)
+rows("", ("omega", "k"), ("dof", "1", "degrees of freedom"), ("low", "1", LOW), ("high", "1", HIGH))
 rows("", ("omega",), ("dof_omega", "1", "degrees of freedom of E(omega)"))
 rows("", ("k",), ("dof_k", "1", "degrees of freedom of E(k)"))
 rows("", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
