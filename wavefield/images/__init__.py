@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from wavefield.images.davis_image import read_buffer
 from wavefield.images.dng import read_dng
 from wavefield.images.jpeg_scan import is_damaged
 from wavefield.images.plain_tiff import read_plain_tiff
-from wavefield.images.tiff_page import as_bright, page_of
+from wavefield.images.tiff_page import page_of, read_page
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported here
 JPEG_ENDINGS = (".jpg", ".jpeg")
@@ -100,7 +99,7 @@ def decode_image(data: bytes, name: str) -> np.ndarray:
                 found = page_of(tiff, None, name)
                 if isinstance(found, int):
                     image = _decoded(data, name) if not found else None
-                    image = np.asarray(tiff.pages[found].asarray()) if image is None else image
+                    image = read_page(tiff, found) if image is None else image
                 else:
                     image = found
         except FrameError:
@@ -182,10 +181,7 @@ def _read_otherwise(path: Path, page: int | None) -> np.ndarray:
         try:
             with tifffile.TiffFile(path) as tiff:
                 found = page_of(tiff, page, str(path))
-                if not isinstance(found, int):
-                    return found
-                one: Any = tiff.pages[found]
-                return as_bright(one, one.asarray())
+                return read_page(tiff, found) if isinstance(found, int) else found
         except FrameError:
             raise
         except Exception as error:

@@ -73,7 +73,7 @@ def read_by_tags(tiff: tifffile.TiffFile, number: int, name: str) -> NDArray[Any
     """Read a page whose tags turn or invert its pixels, (row, column) or (row, column, blue-green-red)."""
     page: Any = tiff.pages[number]
     try:
-        return as_bright(page, page.asarray())
+        return read_page(tiff, number)
     except ValueError as error:  # of a compression that needs a package of its own
         if "imagecodecs" not in str(error):
             raise
@@ -96,6 +96,12 @@ def read_by_tags(tiff: tifffile.TiffFile, number: int, name: str) -> NDArray[Any
     if not inverted:
         return pixels
     return _inverted(pixels, 2 ** (8 * pixels.itemsize) - 1 if pixels.dtype.kind == "u" else None, name)
+
+
+def read_page(tiff: tifffile.TiffFile, number: int) -> NDArray[Any]:
+    """Read a page with tifffile, (row, column) or (row, column, blue-green-red)."""
+    page: Any = tiff.pages[number]
+    return as_bright(page, page.asarray())
 
 
 def as_bright(page: Any, image: NDArray[Any]) -> NDArray[Any]:
