@@ -1,8 +1,7 @@
 """Settings that people write by hand: checked section by section; errors name file, line and remedy.
 
 A section is a pydantic model (`ConfigSection`) or a frozen dataclass. `load` reads one from a YAML file,
-`make`
-from plain data that was read already.
+`make` from plain data that was read already.
 """
 
 import codecs
@@ -107,7 +106,11 @@ def make(
         ]
         if not problems:
             return made
-    messages = list(dict.fromkeys(problems))
+    raise error(_joined(list(dict.fromkeys(problems))))
+
+
+def _joined(messages: Sequence[tuple[str, str]]) -> str:
+    """Places and words of problems as one message: each place and each list of known keys once."""
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
     for where, words in messages[:_MAX_MESSAGES]:
@@ -117,7 +120,7 @@ def make(
     sentences = [(f"{where}: " if where else "") + "; ".join(words) for where, words in by_place.items()]
     if len(messages) > _MAX_MESSAGES:
         sentences.append(f"and {len(messages) - _MAX_MESSAGES} more: is it a file of this kind at all?")
-    raise error("; ".join(sentences))
+    return "; ".join(sentences)
 
 
 def _not_a_number(path: Path | None, location: Sequence[Key], name: str) -> tuple[str, str]:
