@@ -217,10 +217,10 @@ def test_workers_from_how_many_to_how_many():
 
 def test_a_scheduler_without_workers_is_named(caplog):
     client = type("Client", (), {"nthreads": lambda self: {}})()
-    look = dask_cluster._Patience(client, "tcp://here:1")
+    watch = dask_cluster._WithoutWorkers(client, "tcp://here:1")
     with caplog.at_level(logging.WARNING, "wavefield.run"):
-        look()
-        look()
+        watch()
+        watch()
     assert caplog.messages == [
         "the scheduler at tcp://here:1 has no workers; the run begins when the first is started: "
         "`dask worker tcp://here:1 --nthreads 1`"
@@ -229,7 +229,7 @@ def test_a_scheduler_without_workers_is_named(caplog):
 
 def test_a_worker_without_wavefield_is_named():
     error = ModuleNotFoundError("No module named 'wavefield'", name="wavefield")
-    assert "cannot load wavefield" in str(dask_cluster._understood(error))
+    assert "cannot load wavefield" in str(dask_cluster._as_sentence(error))
 
 
 @pytest.mark.parametrize(
@@ -294,10 +294,10 @@ def reported_at(monkeypatch, caplog, leap=0.0):
     """Seconds after which a worker is reported; the run itself is suspended once for so long."""
     clock = [100.0]
     monkeypatch.setattr(dask_cluster, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    silence = dask_cluster._Silence(FakeClient())
+    silent = dask_cluster._SilentWorkers(FakeClient())
     reports = []
     for poll in range(60):
-        silence.check()
+        silent.check()
         if caplog.records:
             reports.append((clock[0], caplog.records[0].message))
             caplog.clear()
@@ -308,7 +308,7 @@ def reported_at(monkeypatch, caplog, leap=0.0):
 def test_a_worker_without_a_sign_of_life_is_reported_once_within_half_a_minute(monkeypatch, caplog):
     ((when, message),) = reported_at(monkeypatch, caplog)
     assert "tcp://b" in message
-    assert 0 < when - (100 + 2 * dask_cluster._SIGNS_SECONDS) <= 30
+    assert 0 < when - (100 + 2 * dask_cluster._HEARTBEAT_CHECK_SECONDS) <= 30
 
 
 def test_after_the_run_itself_was_suspended_workers_have_time_for_a_sign(monkeypatch, caplog):
