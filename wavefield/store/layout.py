@@ -189,6 +189,13 @@ def add_array(
         array[...] = values
 
 
+def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
+    """Values over a scale in 16 bits; `MISSING` where they are no numbers or do not fit."""
+    with np.errstate(invalid="ignore"):
+        scaled = np.rint(values / scale)
+        return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)
+
+
 def gather_metadata(path: Path) -> None:
     """Put the metadata of all arrays into the store's own, for quick opening without a warning."""
     with warnings.catch_warnings():

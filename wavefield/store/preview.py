@@ -20,7 +20,7 @@ from zarr.codecs import BloscCodec
 from wavefield.atomic_write import OwnFile, atomic, write_error, zarr_store
 from wavefield.errors import StoreError
 from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import COMPRESSION, MISSING, PACKING, StoreLayout
+from wavefield.store.layout import COMPRESSION, MISSING, PACKING, StoreLayout, in_16_bits
 from wavefield.store.read import measured_rate, read_layout
 from wavefield.variables import CUBE_FIELDS, TABLE
 
@@ -134,12 +134,10 @@ def thin_chunk(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np
 
     With fields (n, ny, nx); returns (variable, y, x, n): Round(value / scale).
     """
-    out = []
-    for name, scale in zip(thin.names, thin.scales):
-        values = np.asarray(fields[name])[:, :: thin.every, :: thin.every].astype(np.float32)
-        with np.errstate(invalid="ignore"):
-            scaled = np.rint(values / np.float32(scale))
-            out.append(np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16))
+    out = [
+        in_16_bits(np.asarray(fields[name])[:, :: thin.every, :: thin.every].astype(np.float32), scale)
+        for name, scale in zip(thin.names, thin.scales)
+    ]
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from wavefield.atomic_write import make_durable, write_error
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
 from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import MISSING, PACKING
+from wavefield.store.layout import PACKING, in_16_bits
 from wavefield.store.metadata import DESCRIPTIONS, WATCHED
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
@@ -52,7 +52,7 @@ def write_chunk(
                 raise ValueError(
                     f"{name} has shape {values.shape}, expected {(stop - start, *array.shape[1:])}"
                 )
-            array[start:stop] = pack(values, name) if array.dtype == np.int16 else values
+            array[start:stop] = in_16_bits(values, PACKING[name]) if array.dtype == np.int16 else values
         last = layout.steps + 1 if stop == layout.steps else stop  # the last chunk owns the last frame
         codes = np.zeros((len(layout.cameras), last - start), np.uint8)
         for k, camera in enumerate(layout.cameras):
@@ -124,10 +124,3 @@ def discard_chunks(path: Path, starts: Sequence[int]) -> None:
                 chunk_path(path, name, chunk).unlink(missing_ok=True)
     except OSError as error:
         raise write_error(path, error) from None
-
-
-def pack(values: np.ndarray, name: str) -> np.ndarray:
-    """Pack a variable into 16 bits."""
-    with np.errstate(invalid="ignore"):
-        scaled = np.rint(values / PACKING[name])
-        return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)
