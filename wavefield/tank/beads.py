@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.tank.basin import Basin
+from wavefield.tank.frame_history import FrameHistory
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Beads
 
@@ -17,7 +18,6 @@ MAX_SUBSTEP_S = 0.025  # or, of a sea of long waves,
 MAX_SUBSTEP_PERIODS = 0.06  # of the shortest wave
 GROUP_SIZE = 6  # beads of a cluster
 GROUP_SPREAD = 0.002  # m, standard deviation of their positions
-REMEMBERED_FRAMES = 8  # before the latest one
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
@@ -112,19 +112,13 @@ class Population:
             rng = np.random.default_rng([scene.seed, 12])
             below = rng.random(count) < settings.submerged
             self._below = np.where(below, rng.uniform(*settings.submerged_depth, count), 0.0)
-        self._frames = {0: self._field(px[~empty], py[~empty], 0)}
+        self._frames = FrameHistory(self._field(px[~empty], py[~empty], 0), self._advance)
 
     def __len__(self) -> int:
         return len(self._frames[0].x)
 
     def frame(self, frame: int) -> BeadField:
         """Beads in one frame, from 0; the first and the latest frames are remembered."""
-        if frame not in self._frames:
-            last = max(number for number in self._frames if number <= frame)
-            for number in range(last, frame):
-                self._frames[number + 1] = self._advance(self._frames[number], number)
-            remembered = {0, *range(frame - REMEMBERED_FRAMES, frame + 1)}
-            self._frames = {number: beads for number, beads in self._frames.items() if number in remembered}
         return self._frames[frame]
 
     def _field(self, x: Array, y: Array, frame: int) -> BeadField:

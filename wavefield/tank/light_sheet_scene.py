@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.tank.beads import REMEMBERED_FRAMES, BeadField, centred_path, runge_kutta
+from wavefield.tank.beads import BeadField, centred_path, runge_kutta
+from wavefield.tank.frame_history import FrameHistory
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Sheet
 from wavefield.tank.truth import Truth
@@ -103,23 +104,19 @@ class Particles:
         # density counts those whose light is above 1/e^2: in the middle half of the layer
         count = round(SLAB_THICKNESS * settings.density * (x[1] - x[0]) * (y[1] - y[0]))
         self._brightness = settings.draw_brightness(cameras, count, rng)
-        self._places = {0: np.stack([rng.uniform(*x, count), rng.uniform(*y, count), rng.random(count)])}
+        first = np.stack([rng.uniform(*x, count), rng.uniform(*y, count), rng.random(count)])
+        self._places = FrameHistory(first, self._advance)
 
     def frame(self, frame: int) -> BeadField:
         """Particles in one frame, from 0; the first and the latest frames are remembered."""
-        if frame not in self._places:
-            last = max(number for number in self._places if number <= frame)
-            for number in range(last, frame):
-                self._places[number + 1] = self._advance(self._places[number])
-            remembered = {0, *range(frame - REMEMBERED_FRAMES, frame + 1)}
-            self._places = {number: p for number, p in self._places.items() if number in remembered}
         x, y, height = self._places[frame]
         n = (height - 0.5) * SLAB_THICKNESS * self._settings.thickness
         light = np.exp(-8.0 * (n / self._settings.thickness) ** 2)
         px, py, pz = self._axes @ np.stack([x, y, n]) + self._origin[:, None]
         return BeadField(px, py, pz, self._brightness * light)
 
-    def _advance(self, places: Array) -> Array:
+    def _advance(self, places: Array, frame: int) -> Array:
+        """Places in the frame after one; the flow is steady."""
         x, y, rise = self.flow.carry(places[0], places[1], self._step)
         (x0, x1), (y0, y1) = self._x, self._y
         height = places[2] + rise / (SLAB_THICKNESS * self._settings.thickness)

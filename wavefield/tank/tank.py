@@ -16,6 +16,7 @@ from wavefield.rig.field import view_on_water
 from wavefield.tank import rendered_targets, rigs, sea_surface, sensor, texture
 from wavefield.tank.basin import Basin
 from wavefield.tank.beads import BeadField, Population, carry
+from wavefield.tank.frame_history import FrameHistory
 from wavefield.tank.light_sheet_scene import Particles
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Fault, SeaSurface, Sheet, Strings, Texture
@@ -30,7 +31,6 @@ MARGIN = 0.05  # m, around what the cameras see
 SHEET_MARGIN = 0.01
 DRIFT_STEP = 0.01  # m: lattice on which painted water is followed back, at least
 MAX_DRIFT_STEPS = 300  # along x
-REMEMBERED_DRIFTS = 8  # frames before the latest one
 
 _NO_FAULT = Fault()
 
@@ -65,7 +65,6 @@ class Tank:
         air = 0.15 + 2.0 * np.hypot(*self.sea.current) / scene.frame_rate
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
         self._drift_step = max(DRIFT_STEP, (self.x[1] - self.x[0]) / MAX_DRIFT_STEPS)
-        self._drifts: dict[int, list[RectBivariateSpline]] = {}
         self._drift_lock = Lock()
 
     @cached_property
@@ -214,26 +213,23 @@ class Tank:
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
         """Position at the first frame minus that at a frame, along x and y, followed from frame to frame."""
-        axes = [np.arange(low, high, self._drift_step) for low, high in (self.x, self.y)]
-        lattice_x, lattice_y = np.meshgrid(*axes)
         with self._drift_lock:  # other threads may be drawing other frames
-            last = max((number for number in self._drifts if number <= frame), default=0)
-            if not self._drifts:
-                zero = np.zeros_like(lattice_x)
-                self._drifts[0] = [RectBivariateSpline(axes[1], axes[0], zero) for _ in range(2)]
-            for number in range(last + 1, frame + 1):
-                before = carry(self.basin, lattice_x, lattice_y, self.time(number), self.time(number - 1))
-                moved = np.stack([before[0] - lattice_x, before[1] - lattice_y])
-                moved[:, np.isnan(moved).any(axis=0)] = 0.0
-                at = lattice_y + moved[1], lattice_x + moved[0]
-                earlier = self._drifts[number - 1]
-                self._drifts[number] = [
-                    RectBivariateSpline(axes[1], axes[0], d + e.ev(*at))
-                    for d, e in zip(moved, earlier, strict=True)
-                ]
-                kept = {0, *range(number - REMEMBERED_DRIFTS, number + 1)}
-                self._drifts = {n: d for n, d in self._drifts.items() if n in kept}
             return self._drifts[frame]
+
+    @cached_property
+    def _drifts(self) -> FrameHistory[list[RectBivariateSpline]]:
+        x, y = (np.arange(low, high, self._drift_step) for low, high in (self.x, self.y))
+        lattice_x, lattice_y = np.meshgrid(x, y)
+
+        def advance(earlier: list[RectBivariateSpline], frame: int) -> list[RectBivariateSpline]:
+            before = carry(self.basin, lattice_x, lattice_y, self.time(frame + 1), self.time(frame))
+            moved = np.stack([before[0] - lattice_x, before[1] - lattice_y])
+            moved[:, np.isnan(moved).any(axis=0)] = 0.0
+            at = lattice_y + moved[1], lattice_x + moved[0]
+            return [RectBivariateSpline(y, x, d + e.ev(*at)) for d, e in zip(moved, earlier, strict=True)]
+
+        still = [RectBivariateSpline(y, x, np.zeros_like(lattice_x)) for _ in range(2)]
+        return FrameHistory(still, advance)
 
     @cached_property
     def target_poses(self) -> dict[str, rendered_targets.Pose]:
