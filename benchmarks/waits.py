@@ -22,7 +22,7 @@ import psutil
 
 from benchmarks.command_runs import finish, print_row, same, small_scene, start, workers_of, write_tank
 from benchmarks.options import parser_of
-from wavefield.execution.stop_signals import log_path
+from wavefield.execution.run_log import log_path
 from wavefield.images import read_image
 from wavefield.tank import Scene, simulate
 

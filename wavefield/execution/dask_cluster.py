@@ -27,8 +27,8 @@ from wavefield.execution.dask_settings import (
     of_jobqueue,
     temporary_credentials,
 )
-from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.pool import portable
+from wavefield.execution.signals import deferred_signals
 from wavefield.execution.slurm_queue import QueueWatch
 from wavefield.execution.worker_settings import settle_worker
 

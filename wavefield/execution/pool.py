@@ -27,8 +27,8 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Self
 
 from wavefield.errors import StoreError
-from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.memory import kills_for_memory, lost_for_memory, memory_error, spell_need
+from wavefield.execution.signals import deferred_signals
 from wavefield.execution.worker_settings import settle_worker
 
 MAX_DEATHS = 3  # of workers over one item: it is the item

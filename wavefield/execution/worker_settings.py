@@ -8,6 +8,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from wavefield.execution.signals import signal_numbers
+
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # of malloc.h
@@ -55,9 +57,8 @@ def settle_worker() -> None:
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     keep_memory(one_arena=True)
     if threading.current_thread() is threading.main_thread():
-        for name in ("SIGINT", "SIGUSR1"):
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), signal.SIG_IGN)
+        for number in signal_numbers("SIGINT", "SIGUSR1"):
+            signal.signal(number, signal.SIG_IGN)
     import cv2
 
     cv2.setNumThreads(1)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from wavefield.atomic_write import write_error
 from wavefield.errors import ExperimentError, RunStopped
 from wavefield.execution.cluster import MapUnordered, open_cluster
-from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, stop_signals
+from wavefield.execution.run_log import jobs_folder, log_file
+from wavefield.execution.signals import Stopped, stop_signals
 from wavefield.execution.workflow import Workflow
 
 if TYPE_CHECKING:

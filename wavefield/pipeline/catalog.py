@@ -26,7 +26,7 @@ from wavefield.config_files import read_yaml, safe_name
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.execution.cluster import open_cluster
 from wavefield.execution.lock import Lock
-from wavefield.execution.stop_signals import jobs_folder
+from wavefield.execution.run_log import jobs_folder
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.prepare import PreparedRun, prepare
 from wavefield.pipeline.running import ProgressFunction, process

@@ -17,9 +17,9 @@ import numpy as np
 from wavefield.atomic_write import check_replaceable, check_writable, remove_leftovers
 from wavefield.errors import RunStopped, StoreError, WavefieldError
 from wavefield.execution.cluster import open_cluster, threads_here
-from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.lock import Lock
-from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, log_path, stop_signals
+from wavefield.execution.run_log import jobs_folder, log_file, log_path
+from wavefield.execution.signals import Stopped, deferred_signals, stop_signals
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.chunk import Chunk, EarlyStep, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work

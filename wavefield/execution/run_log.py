@@ -1,9 +1,7 @@
-"""Signals that end a run in order, and the log next to its store."""
+"""The log next to a store, and the folder for the output of its jobs."""
 
 import logging
 import re
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -11,37 +9,6 @@ from pathlib import Path
 from wavefield.atomic_write import OwnFile, check_replaceable, write_error
 
 log = logging.getLogger("wavefield.run")
-
-
-class Stopped(KeyboardInterrupt):
-    """A signal other than Ctrl-C, or the time limit."""
-
-
-@contextmanager
-def stop_signals(time_limit: float | None = None) -> Iterator[None]:
-    """Let SIGTERM, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    reasons = {
-        name: reason
-        for name, reason in (("SIGTERM", "SIGTERM"), ("SIGUSR1", "SIGUSR1"), ("SIGALRM", "its time limit"))
-        if hasattr(signal, name)
-    }
-
-    def stop(number: int, frame: object) -> None:
-        raise Stopped(reasons[signal.Signals(number).name])
-
-    before = {name: signal.signal(getattr(signal, name), stop) for name in reasons}
-    if time_limit and hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_REAL, time_limit)
-    try:
-        yield
-    finally:
-        if time_limit and hasattr(signal, "setitimer"):
-            signal.setitimer(signal.ITIMER_REAL, 0)
-        for name, handler in before.items():
-            signal.signal(getattr(signal, name), handler)
 
 
 def _is_log(path: Path) -> bool:
