@@ -78,3 +78,19 @@ def test_noise_passes_a_path_as_its_weights_say(places):
         weights[[2 - n, 2 + n]] = weight
     here, *beside = noise_weights(places)
     assert here + 2 * sum(beside) == pytest.approx(np.var(weights @ d), rel=0.01)
+
+
+@pytest.mark.parametrize("places", [2, 4, 6])
+def test_displacements_that_are_not_finite_or_absurd_lead_out_of_no_array(places):
+    random = np.random.default_rng(places)
+    X, Y = random.uniform(-400.0, 700.0, (2, 2000)).astype(np.float32)
+    X[::17] = np.nan
+    for _ in range(20):
+        fields = random.normal(0, 10.0 ** random.uniform(-2, 4), (places - 1, *LATTICE.shape, 2)).astype("f4")
+        faulty = random.random(fields.shape) < random.choice([0.0, 0.1, 0.9])
+        fields[faulty] = random.choice([np.nan, np.inf, -np.inf, 3e38])
+        d, block = read_path(
+            list(fields), list(random.random((places - 1, *LATTICE.shape)) < 0.7), LATTICE, X, Y
+        )
+        assert np.isnan(d[:, ::17]).all()
+        assert -1 <= block.min() <= block.max() < np.prod(LATTICE.shape)

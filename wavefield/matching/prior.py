@@ -36,6 +36,7 @@ NOISE_RINGS = 5  # over which the level of noise is averaged
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
 MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
 CERTAIN_NOISE_FRACTION = 0.9  # the noise is uncertain by a tenth
+MIN_INFORMATION_SHARE = 1e-3  # of what a prior assumes, in the fields that it gave; else they show nothing
 FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
 FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
 SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
@@ -253,7 +254,7 @@ def better_prior(
     counts it is a power law, no higher than that limit, with constant sectors. Directions are averaged over
     neighbouring rings, and sectors of few modes shrink to their ring.
     """
-    if information == 0.0:  # nothing was visible
+    if not information > MIN_INFORMATION_SHARE * prior.information:  # nothing was visible
         return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
     binning = _Rings(kx, ky)

@@ -60,8 +60,10 @@ def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) ->
     x, y, up = (float(np.std(d[good])) for d in motion.d)
     parts = shares(geometry.settings, model.record)
     stabilized = solve_motion(moved, parts, model.record)
-    median_misfit = float(np.median(stabilized.misfit[good]))
-    noise = median_misfit / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
+    misfit = stabilized.misfit[good & np.isfinite(stabilized.misfit)]  # paths of contradicting cameras leave
+    if not misfit.size:
+        return Differences(camera_jitter)
+    noise = float(np.median(misfit)) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
     good &= np.isfinite(moved.moved).all(axis=0)
     for where in motion.regions.values():
         good &= ~where

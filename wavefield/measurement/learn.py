@@ -34,6 +34,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
 
 SAMPLES = 4  # steps of a record
+_MIN_INFORMATION = 0.1  # of a block, per square px: its own estimate is uncertain by 3 px
 _SLOW_FLOW = 0.25  # nodes per step: slower water leaves the phases of waves nearly as they are
 _NOISE_FACTORS = 0.1, 10.0  # accepted range
 _FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
@@ -88,7 +89,9 @@ def learn(
     LearnedRecord or None
         For a `Model`; None if none of the frames can be measured.
 
-    Notes ----- The first spectrum is that of windowed fields over the windows' gain; then fields and spectra
+    Notes
+    -----
+    The first spectrum is that of windowed fields over the windows' gain; then fields and spectra
     follow from each other (`better_prior`). The noise of the displacements is such that the median of the
     cameras' misfit is that of chi^2.
     """
@@ -206,7 +209,8 @@ def _learn_elevation(
         bare = bare_of_pairs(step.first.covered, geometry)
         return ElevationSample(*step.pairs, step.first.flat, geometry.pixel, bare)
 
-    samples = [sample for sample in pool.map(sample_of, steps) if sample is not None]
+    least = _MIN_INFORMATION / geometry.pixel**2
+    samples = [one for one in pool.map(sample_of, steps) if one is not None and one.information > least]
     if not samples:
         return None
     prior = FieldSamples.of(samples, geometry.settings.stereo, pool).prior
@@ -229,7 +233,8 @@ def _learn_displacement(
         return DisplacementSample(step.displacements[name], *images, bare)
 
     samples = list(pool.map(sample_of, [step for step in steps if name in step.displacements]))
-    if not any(sample.information > 0 for sample in samples):
+    samples = [sample for sample in samples if sample.information > _MIN_INFORMATION]
+    if not samples:
         return None
     return FieldSamples.of(samples, geometry.settings.piv, pool)
 

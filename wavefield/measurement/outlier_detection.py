@@ -113,9 +113,9 @@ def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], leng
     for ((s, h), a), ((t, g), b) in pairwise(zip(means, lengths, strict=True)):
         least = np.float32(_MIN_RELATIVE_HESSIAN)
         usable = (h > least * h.mean()) & (g > least * g.mean())
-        tiny = np.float32(1e-30)
-        difference = (s / np.maximum(h, tiny) - t / np.maximum(g, tiny)) * np.minimum(a, b)
-        out |= usable & (np.abs(difference) > np.float32(_MAX_SCORE_DIFFERENCE_PX))
+        heights = [np.divide(p, q, out=np.zeros_like(p), where=usable) for p, q in ((s, h), (t, g))]
+        difference = (heights[0] - heights[1]) * np.minimum(a, b)
+        out |= np.abs(difference) > np.float32(_MAX_SCORE_DIFFERENCE_PX)
     return widened(out)
 
 

@@ -34,9 +34,9 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Both fields at the block nearest to a place, in blocks, and that block."""
-    i = np.int64(min(max(x + F(0.5), F(1)), F(nx) - F(2)))
-    j = np.int64(min(max(y + F(0.5), F(1)), F(ny) - F(2)))
+    """Both fields at the block nearest to a place, in blocks, and that block; the first one of a NaN."""
+    i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # of two, `max` returns the first beside a NaN
+    j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i
     return c[2 * n], c[2 * n + 1], n
 

@@ -148,9 +148,10 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Block to the left and distance from it; kept one block inside the lattice."""
-    q = min(max(np.float32(p), np.float32(1.0)), np.float32(n) - np.float32(2.001))
-    i: Any = np.int32(q)
+    """Block to the left and distance from it; kept one block inside the lattice, even of a NaN."""
+    lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
+    q = min(max(np.float32(p), lowest), highest)
+    i: Any = np.int32(max(lowest, q))  # of two, `max` returns the first beside a NaN
     return i, q - np.float32(i)
 
 

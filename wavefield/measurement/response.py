@@ -55,7 +55,9 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     dict of str to ndarray
         z, u, v and w, each of the wavenumbers' shape; without the gain of paths in time (`time_weights`).
 
-    Notes ----- The MAP field has the gain S / (S + N), with the spectrum S and the noise N of the blocks that
+    Notes
+    -----
+    The MAP field has the gain S / (S + N), with the spectrum S and the noise N of the blocks that
     were learned from sample frames; for velocities that of each camera's displacement in its own pixels at
     the middle of the grid, then the least squares of all.
     """
