@@ -11,6 +11,7 @@ import xarray as xr
 
 import wavefield as wf
 from wavefield import figures
+from wavefield.waves import ResonanceSettings
 
 rng = np.random.default_rng(2)
 steps, nodes, step = 3072, 36, 0.06
@@ -40,3 +41,8 @@ w = xr.DataArray(w.astype("f4"), axes, ("time", "y", "x"), name="w", attrs={"uni
 # In a wave store this is the group ``resonances``.
 found = wf.resonances(w)
 figures.resonance_map(found)
+
+# %%
+# With k1 and k2 fixed, the third wave of resonant quartets lies on a curve.
+pair = ((kx, ky), (-kx, -ky))
+figures.quartet_map(wf.resonances(w, settings=ResonanceSettings(pair=pair)))

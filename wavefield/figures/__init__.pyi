@@ -14,7 +14,7 @@ from wavefield.figures.kinematics_figures import (
     plane_coherence_maps,
     vorticity_map,
 )
-from wavefield.figures.nonlinear import bicoherence_map, bound_spectra, resonance_map
+from wavefield.figures.nonlinear import bicoherence_map, bound_spectra, quartet_map, resonance_map
 from wavefield.figures.oceans import breaking_map, current_profile
 from wavefield.figures.quality import (
     coverage_map,
@@ -70,6 +70,7 @@ __all__ = [
     "plane_coherence_maps",
     "probe_series",
     "quality_shares",
+    "quartet_map",
     "resonance_map",
     "rest_distributions",
     "rig_views",

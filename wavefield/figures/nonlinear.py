@@ -85,6 +85,47 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
     return figure
 
 
+def quartet_map(resonances: xr.Dataset) -> Figure:
+    """Squared coherence of the quartets of two fixed waves over the wave vector of the third.
+
+    Parameters
+    ----------
+    resonances : Dataset
+        Group ``/resonances`` of a wave store, or the result of `wavefield.resonances`.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Points: k1 and k2. Line: k3 of resonant quartets, the fourth wave being k4 = k1 + k2 - k3 (Phillips'
+    figure of eight where k1 = k2). Grey: no more than chance exceeds in 5 % of the map, or no quartet.
+    """
+    figure, axes = panels(1, width=5.6, height=4.6)
+    ax = axes[0, 0]
+    kx, ky = (resonances[f"map_k{axis}"].values / (2 * np.pi) for axis in "xy")
+    values, level = resonances.map_coherence.values, float(resonances.map_level)
+    ax.set_facecolor("0.92")
+    above = np.where(values > level, values, np.nan)
+    draw_cells(
+        ax, kx, ky, above, "squared coherence (1)", norm=Normalize(0, 1), cmap=POSITIVE, extend="neither"
+    )
+    mismatch = resonances.map_mismatch.values
+    if np.nanmin(mismatch, initial=0) < 0 < np.nanmax(mismatch, initial=0):
+        ax.contour(kx, ky, mismatch, [0.0], colors="0.3", linewidths=1.0)
+    pair = (resonances[f"map_pair_k{axis}"].values / (2 * np.pi) for axis in "xy")
+    ax.plot(*pair, "o", color=LINES[0]["color"], markeredgecolor="white")
+    share = float(np.mean(values[np.isfinite(values)] > level)) if np.isfinite(values).any() else 0.0
+    ax.set(
+        xlabel="k₃x / 2π (m⁻¹)",
+        ylabel="k₃y / 2π (m⁻¹)",
+        title=f"{100 * share:.0f} % above the level of 5 %",
+        aspect="equal",
+    )
+    return figure
+
+
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
     """Bicoherence above the level of chance.
 

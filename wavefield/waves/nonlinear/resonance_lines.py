@@ -1,0 +1,162 @@
+"""Fourier lines of segments at wave vectors, their surrogates, and coherences of three and four of them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft
+
+from wavefield.errors import CubeError
+from wavefield.waves.estimation.segments import Reader, spatial_window
+from wavefield.waves.estimation.wave_record import Record
+from wavefield.waves.estimation.windows import hann
+from wavefield.waves.nonlinear.resonance_groups import FINE
+
+Array = NDArray[Any]
+
+MIN_SEGMENTS = 8  # overlapping by half
+# from one segment to the next: products of four windowed waves are hardly correlated at a quarter
+HOPS = 4
+MAX_LAG = 24  # segments over which lines may be autocorrelated
+TESTS_AT_A_TIME, STEPS_AT_A_TIME = 2048, 256
+
+
+def lines_of(field: xr.DataArray, record: Record, places: tuple[Array, Array], segment: int) -> Array:
+    """Fourier lines (places, segments) of Hann-windowed segments at cells (places, 2) and fine lines.
+
+    Of amplitudes of exp(i (k . x - omega t)). The record is read once, in pieces.
+    """
+    ny, nx = record.shape
+    window = spatial_window(ny, nx).astype(np.float32)
+    cells, index = np.unique(places[0], axis=0, return_inverse=True)
+    row, column = cells.T
+    mirrored = column < 0  # F(-k) = F(k)* of a real field
+    row, column = np.where(mirrored, -row, row) % ny, np.abs(column)
+    in_time, hop = hann(segment).astype(np.float32), segment // HOPS
+    read = Reader([field], record)
+    lines = []
+    for run in record.runs:
+        amplitudes = np.zeros((len(cells), 0), np.complex64)
+        for (block,) in read.blocks(run, STEPS_AT_A_TIME):
+            along_x = fft.rfft(block * window, axis=2)[:, :, : column.max() + 1]
+            transform = fft.fft(along_x, axis=1)[:, row, column]
+            new = np.where(mirrored, transform.conj(), transform).T.astype(np.complex64)
+            amplitudes = np.concatenate([amplitudes, new], axis=1)
+            while amplitudes.shape[1] >= segment:
+                part = amplitudes[:, :segment]
+                part = (part - part.mean(axis=1, keepdims=True)) * in_time
+                # the origin of time is that of the segment: in groups whose lines add up it cancels
+                lines.append(fft.ifft(part, n=FINE * segment, axis=1)[index.ravel(), places[1]])
+                amplitudes = amplitudes[:, hop:]
+    halves = 2 * len(lines) // HOPS + 1
+    if halves < MIN_SEGMENTS:
+        raise CubeError(
+            f"the record holds {halves} segments of {segment} steps: coherences of wave vectors need"
+            f" {MIN_SEGMENTS}"
+        )
+    return np.stack(lines, axis=1)
+
+
+def scaled(lines: Array) -> Array:
+    """Lines over their rms: coherences do not depend on it; products of four in single precision do."""
+    rms = np.sqrt((np.abs(lines) ** 2).mean(axis=1, dtype=np.float64, keepdims=True))
+    return np.asarray(np.divide(lines, rms, out=np.zeros_like(lines), where=rms > 0), np.complex64)
+
+
+def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Copies of lines with random phases of each line's spectrum over the record.
+
+    They have the power and autocorrelation of each line and no relation between lines.
+    """
+    spectra = fft.fft(lines, axis=1)
+    turn = np.empty_like(spectra)
+    for _ in range(count):
+        angle = rng.random(spectra.shape, dtype=np.float32) * np.float32(2 * np.pi)
+        np.cos(angle, out=turn.real)
+        np.sin(angle, out=turn.imag)
+        turn *= spectra
+        yield np.asarray(fft.ifft(turn, axis=1))
+
+
+def autocorrelation(lines: Array) -> Array:
+    """Autocorrelation of lines (places, segments) at lags from 1 on, (places, lags)."""
+    count = lines.shape[1]
+    lags = min(MAX_LAG, count // 4)
+    power = np.abs(fft.fft(lines, n=2 * count, axis=1)) ** 2
+    correlation = fft.ifft(power, axis=1)[:, : lags + 1]
+    return np.asarray(correlation[:, 1:] / np.maximum(correlation[:, :1].real, 1e-300))
+
+
+def correlations(x: Array, memory: Array, places: Array) -> tuple[Array, Array]:
+    """Squared correlations of lines at places in twos, (places, places), and their means by chance."""
+    own, own_memory = scaled(x[places]), memory[places]
+    squared = np.abs(own @ own.conj().T / own.shape[1]) ** 2
+    correlated = 1 + 2 * (own_memory @ own_memory.conj().T).real
+    return squared, np.maximum(correlated, 1.0) / own.shape[1]
+
+
+@dataclass(frozen=True)
+class Coherences:
+    """Coherences of triads or quartets, each (groups,)."""
+
+    squared: Array
+    score: Array  # minus the logarithm of the chance of a wave to go as much with the product of the others
+    samples: Array  # independent ones
+
+    def __getitem__(self, chosen: Array) -> "Coherences":
+        return Coherences(self.squared[chosen], self.score[chosen], self.samples[chosen])
+
+
+def coherences(waves: list[Array], memory: list[Array]) -> Coherences:
+    """Coherences of groups from the lines (groups, segments) of each wave and their autocorrelations.
+
+    A wave without relation to a product of Gaussian ones, of N independent samples, has a larger part 1 - q
+    of its power in common with it in q^(N - 1) of cases: the wave with the largest part gives the score.
+    """
+    one, other = waves[0] * waves[1], waves[2]
+    memory_of_other = memory[2]
+    if len(waves) == 4:
+        other, memory_of_other = waves[2] * waves[3], memory[2] * memory[3]
+    # products with a long autocorrelation have fewer independent samples
+    correlated = 1 + 2 * (memory[0] * memory[1] * memory_of_other.conj()).sum(axis=1).real
+    samples = one.shape[1] / np.maximum(correlated, 1.0)
+    cross = np.abs((one * other.conj()).sum(axis=1)) ** 2
+    powers = [np.abs(wave) ** 2 for wave in waves]
+    norm = (np.abs(one) ** 2).sum(axis=1) * (np.abs(other) ** 2).sum(axis=1)
+    part = np.zeros(len(cross))
+    for i, power in enumerate(powers):
+        product = np.prod([p for j, p in enumerate(powers) if j != i], axis=0)
+        both = product.sum(axis=1) * power.sum(axis=1)
+        if len(waves) == 4 or i < 2:
+            # the other wave of its pair varies with it where both hold the same waves
+            partner = i ^ 1
+            shared = np.abs((waves[i] * waves[partner].conj()).sum(axis=1)) ** 2
+            both = both * (1 + shared / np.maximum(power.sum(axis=1) * powers[partner].sum(axis=1), 1e-300))
+        part = np.maximum(part, np.minimum(cross / np.maximum(both, 1e-300), 1 - 1e-9))
+    score = -np.maximum(samples - 1, 1.0) * np.log1p(-part)
+    return Coherences(cross / np.maximum(norm, 1e-300), score, samples)
+
+
+def coherences_of(x: Array, memory: Array, places: Array) -> Coherences:
+    """Coherences of groups whose waves are lines x (places, segments) at places (groups, waves)."""
+    parts = []
+    for a in range(0, len(places), TESTS_AT_A_TIME):
+        some = places[a : a + TESTS_AT_A_TIME].T
+        parts.append(coherences([x[at] for at in some], [memory[at] for at in some]))
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return (
+        Coherences(*(np.concatenate(column) for column in columns))
+        if parts
+        else Coherences(*np.zeros((3, 0)))
+    )
+
+
+def driven(x: Array, places: Array, share: float) -> list[Array]:
+    """Lines of quartets with a share of the fourth's power driven by the product of the other three."""
+    waves = [x[at] for at in places.T]
+    product = scaled(waves[0] * waves[1] * waves[2].conj())
+    waves[3] = np.sqrt(share) * product + np.sqrt(1 - share) * scaled(waves[3])
+    return waves
