@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.water import dispersion
+from wavefield.waves.estimation.windows import hann_power
 
 Array = NDArray[Any]
 
@@ -19,6 +20,7 @@ MIN_DISTANCE = 4  # cells: waves of two pairs that are nearer pair trivially
 MIN_CELLS_FROM_ZERO = 2.5  # of the k plane
 SHORTEST_WAVES = 0.8  # of the Nyquist wavenumber
 MAX_CELLS = 2800  # of the k plane
+MAX_LEAKAGE = 0.1  # part of a cell's energy that windows spread from beyond the neighbouring cells
 MIN_PEAK_TO_NOISE = 3.0  # energy on the dispersion relation over that off it
 RIDGE = 1.5  # lines of a segment: as far from the relation a free wave of the cell may be
 CORRELATED_LINES = 1.9  # of a spectrum by Welch's method under a Hann window
@@ -99,6 +101,8 @@ def free_waves(
     near = np.where(off < RIDGE * width, np.maximum(energy - noise, 0.0), 0.0)
     peak = np.where(off < width, energy, 0.0).sum(axis=0) / np.maximum((off < width).sum(axis=0), 1)
     free = resolved & (k > MIN_CELLS_FROM_ZERO * max(steps)) & (peak > MIN_PEAK_TO_NOISE * noise)
+    at = np.flatnonzero(free)
+    free[at] = _leakage(density, relation[at] / width, width, rows[at], columns[at]) < MAX_LEAKAGE
     modes: list[int] = []
     taken = np.zeros(len(n), bool)
     for cell in np.argsort(-peak, kind="stable"):
@@ -114,6 +118,30 @@ def free_waves(
         n, steps, relation, np.array(modes, int), middle, np.sqrt(variance), width, FINE * (segment // 2) - 1
     )
     return found, peak[modes]
+
+
+def _leakage(density: xr.DataArray, line: Array, width: float, rows: Array, columns: Array) -> Array:
+    """Part of the energy at lines of a segment and cells of the k plane that windows spread from afar."""
+    energy, omega = density.values, density["omega"].values / width
+    out = np.empty(line.size)
+    nearest = np.rint(line)
+    far = [_spread(n) for n in energy.shape[1:]]
+    for value in np.unique(nearest):
+        plane = np.tensordot(hann_power(omega - value), energy, 1)
+        for i in np.flatnonzero(nearest == value):
+            row, column = (
+                spread[n - at : 2 * n - at] for spread, n, at in zip(far, plane.shape, (rows[i], columns[i]))
+            )
+            near = slice(max(rows[i] - 2, 0), rows[i] + 3), slice(max(columns[i] - 2, 0), columns[i] + 3)
+            spread = row @ plane @ column - row[near[0]] @ plane[near] @ column[near[1]]
+            out[i] = spread / max(plane[rows[i], columns[i]], 1e-300)
+    return out
+
+
+def _spread(cells: int) -> Array:
+    """Energy of a Hann window at distances -cells to cells, over waves anywhere in a cell, (2 cells + 1,)."""
+    inside = (np.arange(16) + 0.5) / 16 - 0.5
+    return np.asarray(hann_power(np.arange(-cells, cells + 1)[:, None] + inside).mean(axis=1))
 
 
 def _pairs(waves: Waves) -> dict[tuple[int, int], Array]:
