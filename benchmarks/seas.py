@@ -37,7 +37,7 @@ Array = NDArray[Any]
 STRONG = 1e-3  # of the largest energy: weaker cells are not counted
 HALF_INTERVAL = 1.96  # standard uncertainties
 # whose standard deviation is no uncertainty, or that list other waves in every record
-SPREADS = {"pdf", "static", "triad_coherence", "quartet_coherence"}
+SPREADS = {"pdf", "static", "triad_coherence", "quartet_coherence", "triad_mismatch", "quartet_mismatch"}
 FEW = 5  # draws: a family with fewer is not named
 Count = tuple[str, str, float]  # kind, product, fraction
 

@@ -3,6 +3,7 @@
 import dask.array
 import numpy as np
 import pytest
+from independent_seas import LatticeSea
 from scipy import stats
 from waves_cases import GaussianSea, relation
 
@@ -134,6 +135,14 @@ def test_a_sea_that_comes_in_groups_has_no_quartets(sea):
     swell = 1 + 0.9 * np.sin(2 * np.pi * field.time / 20)
     settings = wv.ResonanceSettings(modes=60)
     assert not wv.resonances(field * swell, 0.7, settings=settings).quartet_significant.any()
+
+
+def test_cells_that_hold_what_windows_spread_are_no_waves():
+    field = LatticeSea(highest=2.0, side=120, shape=(400, 24, 24)).cube(3, names=("w",)).w
+    found = wv.resonances(field, 0.7, settings=wv.ResonanceSettings(surrogates=2))
+    assert int(found.modes) > 20
+    assert float(found.quartet_omega.max()) < 2 * np.pi * 2.3
+    assert not found.quartet_significant.any()
 
 
 def test_a_forced_wave_shows_as_a_triad_off_resonance(sea):

@@ -127,7 +127,7 @@ def _leakage(density: xr.DataArray, line: Array, width: float, rows: Array, colu
     nearest = np.rint(line)
     far = [_spread(n) for n in energy.shape[1:]]
     for value in np.unique(nearest):
-        plane = np.tensordot(hann_power(omega - value), energy, 1)
+        plane = np.tensordot(hann_power(omega - value).astype(energy.dtype), energy, 1)
         for i in np.flatnonzero(nearest == value):
             row, column = (
                 spread[n - at : 2 * n - at] for spread, n, at in zip(far, plane.shape, (rows[i], columns[i]))
