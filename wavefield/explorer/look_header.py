@@ -61,7 +61,7 @@ class LookHeader:
         if not preview.complete:
             percent = 100 * int(preview.loaded.sum()) // max(int(preview.measured.sum()), 1)
             words += f"; reading the preview for series: {percent} %"
-        elif (height := self._significant_height()) is not None:
+        elif height := self._significant_height():  # none of a light sheet, which is flat
             words += f"; <b>Hs {number(100 * height)} cm</b>"
         for trouble in filter(None, (preview.trouble, self.trouble)):
             words += f"; {escape(trouble, quote=False)}"

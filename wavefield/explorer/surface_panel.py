@@ -12,6 +12,7 @@ from wavefield.figures.display import display, limit
 
 INITIAL_VIEW = {"turn": [-0.7], "tilt": [0.62]}  # radians
 _LIFT = 0.1  # height of the highest water, in diagonals of the grid
+_MOST_LIFT = 1e4  # of what is not flat
 
 
 class SurfacePanel:
@@ -67,7 +68,8 @@ class SurfacePanel:
         self.layout.title.text = (
             f"elevation z, coloured by {shown.label}, t = {record.time[place.step]:.3f} s"
         )
-        self.note.text = f"height × {number(lift, 2)}; drag to turn" if lift else "nothing measured here"
+        raised = f"height × {number(lift, 2)}; " if lift < _MOST_LIFT else ""  # else it is flat
+        self.note.text = f"{raised}drag to turn" if lift else "nothing measured here"
         self.sources["field"].data = {
             "x": [np.asarray(x - x.mean(), np.float32)],
             "y": [np.asarray(y - y.mean(), np.float32)],
