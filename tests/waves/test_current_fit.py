@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from independent_seas import Sea, family
+from independent_seas import Sea, family, random_lattice_sea
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
@@ -26,6 +26,15 @@ def test_the_current_of_a_sea_with_few_short_waves_lies_within_its_uncertainty(n
         error = abs(float(fit[f"current_{axis}"]) - truth)
         assert error < 4 * float(fit[f"current_{axis}_std"])
         assert error < 0.004
+
+
+def test_strong_directions_of_a_small_window_do_not_bend_the_current_of_a_narrow_sea():
+    # the mean of several draws shows the error that all of them share
+    sea, _ = random_lattice_sea(41005)
+    spectra = [wv.spectrum(sea.cube(draw, ("w",))["w"]).E for draw in range(6)]
+    fit = wv.fit_dispersion(sum(spectra[1:], spectra[0]) / len(spectra), sea.depth)
+    for axis, truth in zip("xy", sea.current):
+        assert abs(float(fit[f"current_{axis}"]) - truth) < 0.001
 
 
 def test_lines_of_noise_have_no_weight():

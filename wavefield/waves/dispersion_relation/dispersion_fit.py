@@ -15,6 +15,7 @@ from wavefield.waves.dispersion_relation.current_scan import scan_current
 from wavefield.waves.dispersion_relation.fit_settings import FitSettings, fit_settings
 from wavefield.waves.dispersion_relation.plane_spectrum import MIN_CELLS_FROM_ZERO, PlaneSpectrum
 from wavefield.waves.dispersion_relation.relation_points import (
+    LEAKAGE_ERROR,
     RelationPoints,
     WindowDisplacement,
     centroids,
@@ -96,12 +97,13 @@ def fit_dispersion(
     relation) is that of simulated free waves of the measured energy on the fitted relation
     (`windowed_dispersion.windowed_waves`); it is subtracted in rounds until the current converges.
 
-    The uncertainty is the larger of two: a sandwich estimate from the misfit of the points, those of half a
-    hertz and an octant of directions taken together, increased where the contrast of the relation is low; and
-    a jackknife over five blocks of lines of equal information. Added in quadrature are half of the change of
-    the fit when a fifth more noise is subtracted, its change without the waves that the current slows most,
-    its change in the last round, and 2 % of the surface tension, which is taken to be within 30 % of
-    `gamma` where the waves determine it less well. Where the fit to all lines is refused and no ``highest``
+    The uncertainty is the larger of two: that of points whose variance is their misfit's and whose
+    correlation is that of Hann windows at their distance, increased where the contrast of the relation is
+    low; and a jackknife over five blocks of lines of equal information. Added in quadrature are half of the
+    change of the fit when a fifth more noise is subtracted, its changes with three tenths of the displacement
+    by the windows left and without the waves that the current slows most, its change in the last round, and
+    2 % of the surface tension, which is taken to be within 30 % of `gamma` where the waves determine it less
+    well. Where the fit to all lines is refused and no ``highest``
     is given, the lines whose waves far exceed the noise are tried.
 
     Examples
@@ -178,7 +180,8 @@ def _fit_band(
     for correction in range(MAX_ROUNDS):
         before = fit
         windows = WindowDisplacement.measure(spectrum, cells, in_band, sectors, fit, settings)
-        points = _refuse_few(windows.removed_from(centroids(band, sectors, fit, settings)), limits)
+        measured = centroids(band, sectors, fit, settings)
+        points = _refuse_few(windows.removed_from(measured), limits)
         fit = relation_solution.solve(points, depth, fit)
         if correction >= DAMPED_FROM:  # rounds that overshoot in turn converge half-way
             fit = (fit + before) / 2
@@ -192,9 +195,12 @@ def _fit_band(
     by_noise = 0.5 * np.abs(relation_solution.solve(quieter, depth, fit) - fit)
     fast = relation_solution.fast_waves(points, depth, fit)
     by_slow_waves = relation_solution.solve(fast, depth, fit) - fit
-    systematic = np.hypot(by_noise, np.hypot(by_slow_waves, fit - before))
+    displaced = windows.removed_from(measured, 1 - LEAKAGE_ERROR)
+    by_leakage = relation_solution.solve(displaced, depth, fit) - fit
+    systematic = np.sqrt(by_noise**2 + by_slow_waves**2 + by_leakage**2 + (fit - before) ** 2)
     # 1 / contrast of the energy in the points is noise
-    covariance = relation_solution.covariance_of(points, depth, fit) / (1 - 1 / contrast_of_fit) ** 2
+    covariance = relation_solution.covariance_of(points, depth, fit, np.array(cells.steps))
+    covariance /= (1 - 1 / contrast_of_fit) ** 2
     fit, covariance = relation_solution.with_surface_tension(fit, covariance, gamma)
     std = np.sqrt(np.diag(covariance))
     std[:2] = np.maximum(std[:2], relation_solution.jackknife(points, depth, fit))

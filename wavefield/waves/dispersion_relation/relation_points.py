@@ -27,7 +27,7 @@ MIN_SIGNAL_TO_NOISE = 1.0
 CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with its neighbours' share
 NOISE_LEVEL_ERROR = 0.03  # relative: what remains of the noise moves a centroid to the middle of its window
 CENTROID_ERROR = 0.03  # of a cell of the k plane, for the strongest sector; more in weaker ones, from leakage
-LEAKAGE_ERROR = 0.3  # of the displacement of a centroid by the windows, after its correction
+LEAKAGE_ERROR = 0.3  # of the displacement of centroids by the windows: of each, and of all alike
 MAX_DISPLACEMENT = 0.3  # cells of the k plane: points that the windows displace further are all leakage
 SHORTEST_WAVES = 0.8  # of the grid's largest k: sectors are incomplete beyond
 
@@ -183,10 +183,10 @@ class WindowDisplacement:
         near = np.abs(displacement) < MAX_DISPLACEMENT * spectrum.plane.cell
         return cls(points.key[near], displacement[near])
 
-    def removed_from(self, points: RelationPoints) -> RelationPoints:
-        """Points without their displacement; without those that it does not hold."""
+    def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
+        """Points without that part of their displacement; without those that it does not hold."""
         _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
         points, displacement = points[measured], self.k[simulated]
         k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)
-        points = replace(points, k=points.k - displacement, k_std=k_std)
+        points = replace(points, k=points.k - part * displacement, k_std=k_std)
         return points[points.k > 0]

@@ -22,8 +22,8 @@ Array = NDArray[Any]
 
 REACH = 4  # cells and lines to either side over which a wave is spread
 WAVES_PER_AXIS = 2  # in a cell of the k plane
-ROUNDS = 4  # in which the energy of the waves is adjusted
-EXPONENT = 1.8  # of a round's factor: narrow seas would need some ten rounds with 1
+ROUNDS = 8  # in which the energy of the waves is adjusted: four leave narrow seas too wide
+EXPONENT = 1.8  # of a round's factor: with 1 narrow seas would need twice as many
 FLOOR = 1e-9  # of the strongest cell: weaker ones are left out
 MAX_FACTOR = 4.0  # of the energy in one round
 
@@ -65,9 +65,9 @@ def _energy_on_relation(excess: Array, cells: SpectralCells, depth: float, fit: 
 def windowed_waves(energy: Array, noise: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
     """Spectrum of free waves on a fitted relation with the energy of a measured one, through Hann windows.
 
-    Four waves a cell, whose energy is adjusted in four rounds of `richardson_lucy`, each to the power 1.8, so
-    that each cell of the k plane shows on the relation what was measured there: a sea that is left too wide
-    would hide how far the windows reach from its strong directions into the weak ones.
+    Four waves a cell, whose energy is adjusted in rounds of `richardson_lucy`, each to the power 1.8, so that
+    each cell of the k plane shows on the relation what was measured there: a sea that is left too wide would
+    hide how far the windows reach from its strong directions into the weak ones.
 
     Energy, noise and result are (lines, ny * nx), ``fit`` is current x, y (m/s) and gamma.
     """
