@@ -31,7 +31,6 @@ SUM_SIZE = 11  # lines, or rings, where the other axis is summed
 MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
 PRODUCTS_APART = 2, 3  # independent values among those averaged, of products of waves: of cells, of sums
 PRODUCT_RINGS = 5  # over which the variance of a cross spectrum of k with such a product is averaged
-LINES_OF_CELLS = 3  # over which the cells of a cross spectrum are averaged for its sum
 # times stronger neighbours, after and before a line, leak more into it than it has of its own
 LEAKED = {1: 1.25, -1: 3.0}
 MAX_LAG = 2  # segments that may be correlated
@@ -133,12 +132,15 @@ def of_leakage(power: Array, dof: Array) -> Array:
     return np.asarray(out)
 
 
-def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> dict[str, Array]:
+def samples(
+    sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
+) -> dict[str, Array]:
     """Independent samples of the cross spectra of two fields, of (k, omega) and of k.
 
     Without relation between the fields the cross spectrum has a squared modulus of the product of both powers
     over this number: few where both have their energy in the same cells, more where in others. Of the mean
-    product of the powers of a cell, 1 / (1 + gamma^2) is the product of their means.
+    product of the powers of a cell, 1 / (1 + gamma^2) is the product of their means. Over k half the degrees
+    of freedom of both E(k), ``dof_k``, count: what correlates powers correlates products alike.
 
     With a product of waves, which shares no ridge with them, the variance of the cross spectrum between
     segments over what follows from the cells is undone, as an average over 5 rings and 11 lines of 28
@@ -159,10 +161,11 @@ def samples(sums: Mapping[str, Any], first: str, second: str, welch: Welch) -> d
         product_of_k, power.sum(axis=1) ** 2, out=np.ones_like(product_of_k), where=product_of_k > 0
     )
     if "nl" not in (first, second):
-        # chance leaves single lines with too many cells, which counts in sums
-        even = 1 / ndimage.uniform_filter1d(1 / cells, LINES_OF_CELLS, axis=-1, mode="nearest")
-        of_k = apart * freedom_of_sums(power, 2 * welch.count * even / of_sums, welch)["k"] / 2
-        return {"both": (welch.count * cells / correlation).clip(1, None), "k": of_k.clip(1, None)}
+        both = welch.count * cells / correlation
+        of_k = apart * np.sqrt(dof_k[0] * dof_k[1]) / 2
+        if welch.count < LEAST_COUNT:
+            of_k = apart * freedom_of_sums(power, 2 * welch.count * cells / of_sums, welch)["k"] / 2
+        return {"both": both.clip(1, None), "k": of_k.clip(1, None)}
     correlation = np.minimum(correlation, 1 + (1 - 1 / welch.count) / 3)
     # of segments that are independent, and of those of a sum in proportion to their share of its variance
     both, of_k = welch.count * cells, apart * freedom_of_sums(power, 2 * welch.count * cells, welch)["k"] / 2

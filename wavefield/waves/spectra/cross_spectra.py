@@ -41,16 +41,21 @@ def label(
     factor = welch.ring_density
     dims = ("omega", "k")
     out: dict[str, Any] = {}
+    dof_k = {}
     for name in names:
         out[f"E_{name}"] = (dims, sums[name][0].T * factor)
         dof = segment_variance.freedom(sums, name, welch, name != "nl") if freedom is None else freedom[name]
         out[f"dof_{name}"] = (dims, dof["both"].T)
         for axis in ("omega", "k"):
             out[f"dof_{axis}_{name}"] = (axis, dof[axis])
+        dof_k[name] = dof["k"]
     for a, b in pairs:
         real, imaginary = sums[f"{a}*{b}"]
         out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
-        number = segment_variance.samples(sums, a, b, welch) if samples is None else samples[a, b]
+        if samples is None:
+            number = segment_variance.samples(sums, a, b, (dof_k[a], dof_k[b]), welch)
+        else:
+            number = samples[a, b]
         out[f"samples_{a}_{b}"] = (dims, number["both"].T)
         out[f"samples_k_{a}_{b}"] = ("k", number["k"])
     out["valid"] = (dims, welch.valid)
@@ -152,17 +157,20 @@ def lazy_cross_spectra(
 ) -> xr.Dataset:
     """Lazy cross spectra of a cube that came through `door`."""
     sums = lazy_sums(cube, Requested(names, pairs), welch)
+    # how long waves stay in the window depends on the current, where the cube has one
+    moving = moving_welch(cube, welch) if {"u", "v"} <= {*cube} else welch
     shape = (welch.table.k.size, welch.omega.size)
     fields = (*names, *(f"{a}*{b}" for a, b in pairs))
     arrays = {name: da.from_delayed(sums[name], (2, *shape), float) for name in fields}
     shapes = {"both": shape, "omega": shape[1:], "k": shape[:1]}
-    freedom = {}
+    freedom, dof_k = {}, {}
     for name in names:
-        dof = dask.delayed(segment_variance.freedom, pure=False)(sums, name, welch, name != "nl")
+        dof = dask.delayed(segment_variance.freedom, pure=False)(sums, name, moving, name != "nl")
         freedom[name] = {axes: da.from_delayed(dof[axes], size, float) for axes, size in shapes.items()}
+        dof_k[name] = dof["k"]
     samples = {}
     for a, b in pairs:
-        number = dask.delayed(segment_variance.samples, pure=False)(sums, a, b, welch)
+        number = dask.delayed(segment_variance.samples, pure=False)(sums, a, b, (dof_k[a], dof_k[b]), moving)
         samples[a, b] = {axes: da.from_delayed(number[axes], shapes[axes], float) for axes in ("both", "k")}
     return label(arrays, names, pairs, welch, freedom, samples)
 
