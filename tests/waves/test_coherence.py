@@ -5,7 +5,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from independent_seas import random_lattice_sea
+from independent_seas import LatticeSea, random_lattice_sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
@@ -165,3 +165,12 @@ def test_of_linear_seas_the_nonlinear_term_exceeds_its_level_in_about_five_perce
         over[""].append(float((found.gamma2_nl > found.level_nl).where(strong)[2:].mean()))
     assert 0.01 < np.mean(over["_komega"]) < 0.1, over
     assert np.mean(over[""]) < 0.15, over
+
+
+def test_spectra_of_a_cube_have_fewer_degrees_of_freedom_where_its_current_keeps_waves_in_the_window():
+    cube = LatticeSea(side=180, shape=(240, 24, 30), current=(0.2, 0.15)).cube(0, ("u", "v", "w"))
+    still = cube.assign(u=cube.u - cube.u.mean(), v=cube.v - cube.v.mean())
+    on, off = (wv.cross_spectra(one, ("u", "v", "w"), segment=64) for one in (cube, still))
+    waves = on.valid & (on.E_w > 1e-3 * on.E_w.max())
+    relative_variance = [float((1 / found.dof_w).where(waves).mean()) for found in (on, off)]
+    assert relative_variance[0] > 1.1 * relative_variance[1]
