@@ -52,10 +52,8 @@ def label(
     for a, b in pairs:
         real, imaginary = sums[f"{a}*{b}"]
         out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
-        if samples is None:
-            number = segment_variance.samples(sums, a, b, (dof_k[a], dof_k[b]), welch)
-        else:
-            number = samples[a, b]
+        of_pair = {} if samples is None else samples[a, b]
+        number = of_pair or segment_variance.samples(sums, a, b, (dof_k[a], dof_k[b]), welch)
         out[f"samples_{a}_{b}"] = (dims, number["both"].T)
         out[f"samples_k_{a}_{b}"] = ("k", number["k"])
     out["valid"] = (dims, welch.valid)
