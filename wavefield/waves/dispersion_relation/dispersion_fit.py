@@ -97,14 +97,13 @@ def fit_dispersion(
     relation) is that of simulated free waves of the measured energy on the fitted relation
     (`windowed_dispersion.windowed_waves`); it is subtracted in rounds until the current converges.
 
-    The uncertainty is the larger of two: that of points whose variance is their misfit's and whose
-    correlation is that of Hann windows at their distance, increased where the contrast of the relation is
-    low; and a jackknife over five blocks of lines of equal information. Added in quadrature are half of the
-    change of the fit when a fifth more noise is subtracted, its changes with three tenths of the displacement
-    by the windows left and without the waves that the current slows most, its change in the last round, and
-    2 % of the surface tension, which is taken to be within 30 % of `gamma` where the waves determine it less
-    well. Where the fit to all lines is refused and no ``highest``
-    is given, the lines whose waves far exceed the noise are tried.
+    The uncertainty is the larger of two: that of least squares, from the misfit of all points, increased
+    where the contrast of the relation is low; and a jackknife over five blocks of lines of equal
+    information. Added in quadrature are half of the change of the fit when a fifth more noise is subtracted,
+    its changes with three tenths of the displacement by the windows left and without the waves that the
+    current slows most, its change in the last round, and 2 % of the surface tension, which is taken to be
+    within 30 % of `gamma` where the waves determine it less well. Where the fit to all lines is refused and
+    no ``highest`` is given, the lines whose waves far exceed the noise are tried.
 
     Examples
     --------
@@ -199,8 +198,7 @@ def _fit_band(
     by_leakage = relation_solution.solve(displaced, depth, fit) - fit
     systematic = np.sqrt(by_noise**2 + by_slow_waves**2 + by_leakage**2 + (fit - before) ** 2)
     # 1 / contrast of the energy in the points is noise
-    covariance = relation_solution.covariance_of(points, depth, fit, np.array(cells.steps))
-    covariance /= (1 - 1 / contrast_of_fit) ** 2
+    covariance = relation_solution.covariance_of(points, depth, fit) / (1 - 1 / contrast_of_fit) ** 2
     fit, covariance = relation_solution.with_surface_tension(fit, covariance, gamma)
     std = np.sqrt(np.diag(covariance))
     std[:2] = np.maximum(std[:2], relation_solution.jackknife(points, depth, fit))

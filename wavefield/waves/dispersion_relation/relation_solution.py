@@ -23,8 +23,6 @@ FAST_WAVES = 0.7  # of the free group velocity: the change of the fit without sl
 FREQUENCY_BLOCKS = 5  # that are left out in turn
 MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
 MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
-NEXT_CORRELATION = 4 / 9  # squared, of points one line or cell apart under Hann windows: like a Gaussian
-MIN_FREEDOM = 3.0  # degrees of freedom of the misfit: fewer do not determine the variance of points
 TENSION_RANGE = 0.3  # of the surface tension: how far that of the water may differ from what is given
 _UNITS = np.array([1, 1, 1e5])  # the solver's unit of surface tension is 1e-5 m3/s2
 
@@ -105,37 +103,23 @@ def jackknife(points: RelationPoints, depth: float, fit: Array) -> Array:
     return np.asarray(np.sqrt((change**2).mean(axis=0) * (len(change) - 1)))
 
 
-def covariance_of(points: RelationPoints, depth: float, fit: Array, steps: Array) -> Array:
-    """Covariance of the fit, (3, 3), from the misfit of the points, which Hann windows correlate.
+def covariance_of(points: RelationPoints, depth: float, fit: Array) -> Array:
+    """Covariance of the fit, (3, 3), of least squares, from the misfit of all points.
 
-    With the distance of lines and of cells along y and x, `steps` (3,). The variance of the points is their
-    squared misfit over what the fit to correlated points leaves of it, times Student's variance. NaN where
-    there are too few points.
+    Points of one direction or frequency are too few for an estimate of their own where a sea is narrow. Times
+    Student's variance; NaN where there are too few points.
     """
     misfit, scaled = _misfit(points, depth, fit), fit * _UNITS
-    steps_of_fit = np.diag([1e-4, 1e-4, 1e-2])
-    slopes = np.stack(
-        [(misfit(scaled + d) - misfit(scaled - d)) / (2 * d.sum()) for d in steps_of_fit], axis=1
-    )
+    steps = np.diag([1e-4, 1e-4, 1e-2])
+    slopes = np.stack([(misfit(scaled + d) - misfit(scaled - d)) / (2 * d.sum()) for d in steps], axis=1)
     residual = misfit(scaled)
-    robust = (1 + (residual / _outlier_limit(residual)) ** 2) ** -0.25
-    slopes, residual = slopes * robust[:, None], residual * robust
-    normal = slopes.T @ slopes
-    if np.linalg.cond(normal) > 1e12:
+    robust = 1 / np.sqrt(1 + (residual / _outlier_limit(residual)) ** 2)
+    normal = (slopes * robust[:, None]).T @ slopes
+    freedom = len(points) - 3
+    if freedom <= 2 or np.linalg.cond(normal) > 1e12:
         return np.full((3, 3), np.nan)
-    ky, kx = points.k * np.sin(points.angle), points.k * np.cos(points.angle)
-    place = np.array([points.omega, ky, kx]) / steps[:, None]
-    correlation = NEXT_CORRELATION ** sum((axis[:, None] - axis) ** 2 for axis in place)
-    inverse, correlated = np.linalg.inv(normal), correlation @ slopes
-    of_fit = inverse @ slopes.T @ correlated
-    # trace of the covariance of the misfit, and of its square
-    left = len(points) - np.trace(of_fit)
-    squares = (correlation**2).sum() - 2 * np.trace(inverse @ correlated.T @ correlated)
-    freedom = left**2 / (squares + np.trace(of_fit @ of_fit))
-    if not freedom > MIN_FREEDOM:
-        return np.full((3, 3), np.nan)
-    variance = residual @ residual / left * freedom / (freedom - 2)
-    return np.asarray(variance * of_fit @ inverse * np.outer([1, 1, 1e-5], [1, 1, 1e-5]))
+    variance = (robust * residual**2).sum() / (freedom - 2)
+    return np.asarray(variance * np.linalg.inv(normal) * np.outer([1, 1, 1e-5], [1, 1, 1e-5]))
 
 
 def with_surface_tension(fit: Array, covariance: Array, gamma: float) -> tuple[Array, Array]:
