@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray as xr
+from independent_seas import LatticeSea
 from scipy.ndimage import gaussian_filter
 from waves_cases import GAMMA, GaussianSea, PeriodicSea, relation
 
@@ -218,3 +219,12 @@ def test_the_relation_of_the_true_current_holds_the_energy_that_another_does_not
     assert near[1] < 0.75
     start = scan_current(spectrum, GAMMA)
     assert np.hypot(*(start - current)) < 0.05
+
+
+def test_the_direction_of_an_isotropic_sea_is_as_uncertain_as_it_differs_between_records():
+    sea = LatticeSea(side=180, shape=(320, 24, 30))
+    lines = np.arange(1.4, 2.9, 0.25)
+    found = [wv.directions(sea.cube(draw, ("w",)).w, lines, sea.depth) for draw in range(8)]
+    angle, std = (np.array([one[name] for one in found]) for name in ("direction", "direction_std"))
+    apart = np.angle(np.exp(1j * (angle[1:] - angle[:-1])))
+    assert np.mean(np.abs(apart) < 1.96 * np.hypot(std[1:], std[:-1])) > 0.9

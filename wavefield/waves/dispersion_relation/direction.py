@@ -255,6 +255,8 @@ def _label(
     blur = 5 / 12 * across**2 + width**2 / 12
     spread = np.sqrt(np.maximum(2 * (1 - np.abs(first)) - blur, 0))
     along, across = stds
+    # chance alone gives an isotropic sea a first harmonic, and a direction
+    beyond_chance = np.sqrt(np.maximum(np.abs(first) ** 2 - along**2 - across**2, 1e-18))
     # what r1 is too large by, on average, by chance; and an uncertain resolution
     along = np.sqrt(along**2 + (across**2 / (2 * np.abs(first))) ** 2 + (BLUR_UNCERTAINTY * blur / 2) ** 2)
     low, high = interval(degrees)
@@ -268,10 +270,7 @@ def _label(
             "energy": ("frequency", 2 * np.pi * total[:, 0]),
             "direction": ("frequency", mean % (2 * np.pi)),
             "spread": ("frequency", spread),
-            "direction_std": (
-                "frequency",
-                np.minimum(across / np.maximum(np.abs(first), 1e-9), UNIFORM_STD),
-            ),
+            "direction_std": ("frequency", np.minimum(across / beyond_chance, UNIFORM_STD)),
             "spread_std": ("frequency", along / np.sqrt(spread**2 + along)),
             "r1": ("frequency", np.abs(first)),
             "r2": ("frequency", np.abs(second)),
