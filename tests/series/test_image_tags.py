@@ -190,3 +190,18 @@ def test_progressive_jpeg_files_are_not_followed(picture):
     data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
     assert not is_damaged(data)
     assert decode_image(data, "a.jpg").shape == picture.shape
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "uint32", "float32", "float64"])
+@pytest.mark.parametrize("planar", ["contig", "separate"])
+def test_colours_have_their_luminance_whatever_their_type_and_order(tmp_path, dtype, planar):
+    colours = (np.random.default_rng(2).random((24, 30, 3)) * 200).astype(dtype)
+    stored = colours if planar == "contig" else np.moveaxis(colours, -1, 0)
+    expected = colours @ [0.299, 0.587, 0.114]
+    for compression in (None, "zlib"):
+        tifffile.imwrite(
+            tmp_path / "a.tif", stored, photometric="rgb", planarconfig=planar, compression=compression
+        )
+        for read in readings(tmp_path / "a.tif"):
+            assert read.dtype == dtype
+            np.testing.assert_allclose(read, expected, atol=1.0 if read.dtype.kind in "iu" else 1e-3)

@@ -24,6 +24,8 @@ JPEG_ENDINGS = (".jpg", ".jpeg")
 TIFF_ENDINGS = (".tif", ".tiff")
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 FILE_ENDS = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+CONVERTED = (np.uint8, np.uint16, np.float32)  # colour images of these types are made grey by OpenCV
+LUMINANCE = np.array([0.114, 0.587, 0.299])  # of blue, green, red, as OpenCV has it
 TAIL_BYTES = 4096  # at the end of a complete file, which contain these
 
 
@@ -130,7 +132,10 @@ def grey(image: np.ndarray) -> np.ndarray:
         return image
     if image.shape[2] < 3:
         return np.ascontiguousarray(image[..., 0])
-    return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
+    if image.dtype in CONVERTED:
+        return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
+    luminance = image[..., :3] @ LUMINANCE
+    return np.asarray(np.rint(luminance) if image.dtype.kind in "iu" else luminance, image.dtype)
 
 
 @contextmanager

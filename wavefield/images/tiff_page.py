@@ -64,9 +64,16 @@ def refuse_page(page: Any, name: str) -> None:
 
 
 def is_as_stored(page: Any) -> bool:
-    """Whether every reader gives the same pixels: neither turned nor inverted."""
+    """Whether every reader gives the same pixels: neither turned nor inverted, nor in planes."""
     tag = page.tags.get("Orientation")
-    return page.photometric != tifffile.PHOTOMETRIC.MINISWHITE and (tag is None or tag.value == 1)
+    plain = page.photometric != tifffile.PHOTOMETRIC.MINISWHITE and (tag is None or tag.value == 1)
+    return plain and not _has_planes(page)
+
+
+def _has_planes(page: Any) -> bool:
+    """Whether channels are stored one after another, of which OpenCV reads right those of 8 bits only."""
+    separate = page.planarconfig == tifffile.PLANARCONFIG.SEPARATE
+    return bool(separate and page.samplesperpixel > 1 and page.bitspersample != 8)
 
 
 def read_by_tags(tiff: tifffile.TiffFile, number: int, name: str) -> NDArray[Any]:
@@ -78,8 +85,8 @@ def read_by_tags(tiff: tifffile.TiffFile, number: int, name: str) -> NDArray[Any
         if "imagecodecs" not in str(error):
             raise
     file = tiff.filehandle
-    if file.size > MAX_COPIED_BYTES:
-        raise FrameError(f"{name} is compressed, and turned or inverted by its tags; save it uncompressed")
+    if file.size > MAX_COPIED_BYTES or _has_planes(page):
+        raise FrameError(f"{name} is compressed, and turned, inverted or in planes; save it uncompressed")
     file.seek(0)
     data = bytearray(file.read())
     place = ("Q", 8) if tiff.is_bigtiff else ("I", 4)
