@@ -24,10 +24,12 @@ MAX_LAG = 24  # segments over which lines may be autocorrelated
 TESTS_AT_A_TIME, STEPS_AT_A_TIME = 2048, 256
 
 
-def lines_of(field: xr.DataArray, record: Record, places: tuple[Array, Array], segment: int) -> Array:
+def lines_of(
+    field: xr.DataArray, record: Record, places: tuple[Array, Array], segment: int
+) -> tuple[Array, list[int]]:
     """Fourier lines (places, segments) of Hann-windowed segments at cells (places, 2) and fine lines.
 
-    Of amplitudes of exp(i (k . x - omega t)). The record is read once, in pieces.
+    Of amplitudes of exp(i (k . x - omega t)); and where runs end. The record is read once, in pieces.
     """
     ny, nx = record.shape
     window = spatial_window(ny, nx).astype(np.float32)
@@ -37,7 +39,8 @@ def lines_of(field: xr.DataArray, record: Record, places: tuple[Array, Array], s
     row, column = np.where(mirrored, -row, row) % ny, np.abs(column)
     in_time, hop = hann(segment).astype(np.float32), segment // HOPS
     read = Reader([field], record)
-    lines = []
+    lines: list[Array] = []
+    ends = []
     for run in record.runs:
         amplitudes = np.zeros((len(cells), 0), np.complex64)
         for (block,) in read.blocks(run, STEPS_AT_A_TIME):
@@ -51,13 +54,14 @@ def lines_of(field: xr.DataArray, record: Record, places: tuple[Array, Array], s
                 # the origin of time is that of the segment: in groups whose lines add up it cancels
                 lines.append(fft.ifft(part, n=FINE * segment, axis=1)[index.ravel(), places[1]])
                 amplitudes = amplitudes[:, hop:]
+        ends.append(len(lines))
     halves = 2 * len(lines) // HOPS + 1
     if halves < MIN_SEGMENTS:
         raise CubeError(
             f"the record holds {halves} segments of {segment} steps: coherences of wave vectors need"
             f" {MIN_SEGMENTS}"
         )
-    return np.stack(lines, axis=1)
+    return np.stack(lines, axis=1), ends
 
 
 def scaled(lines: Array) -> Array:
@@ -81,12 +85,13 @@ def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[A
         yield np.asarray(fft.ifft(turn, axis=1))
 
 
-def autocorrelation(lines: Array) -> Array:
-    """Autocorrelation of lines (places, segments) at lags from 1 on, (places, lags)."""
-    count = lines.shape[1]
-    lags = min(MAX_LAG, count // 4)
-    power = np.abs(fft.fft(lines, n=2 * count, axis=1)) ** 2
-    correlation = fft.ifft(power, axis=1)[:, : lags + 1]
+def autocorrelation(lines: Array, ends: list[int]) -> Array:
+    """Autocorrelation within runs of lines (places, segments) at lags from 1 on, (places, lags)."""
+    lags = min(MAX_LAG, lines.shape[1] // 4)
+    correlation = np.zeros((len(lines), lags + 1), np.complex128)
+    for run in np.split(lines, ends[:-1], axis=1):
+        power = np.abs(fft.fft(run, n=run.shape[1] + lags + 1, axis=1)) ** 2
+        correlation += fft.ifft(power, axis=1)[:, : lags + 1]
     return np.asarray(correlation[:, 1:] / np.maximum(correlation[:, :1].real, 1e-300))
 
 

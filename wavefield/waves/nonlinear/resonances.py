@@ -170,8 +170,8 @@ def resonances(
         "triad": triads(waves),
         "map": quartets_of_pair(waves, pair),
     }
-    x, places = _lines(field, record, waves, kinds, settings.segment)
-    memory = rl.autocorrelation(x)
+    x, places, ends = _lines(field, record, waves, kinds, settings.segment)
+    memory = rl.autocorrelation(x, ends)
     correlation, by_chance = rl.correlations(x, memory, places.pop("own"))
     for kind in ("quartet", "triad"):
         apart = _share_no_waves(correlation, by_chance, waves, kinds[kind])
@@ -253,21 +253,22 @@ def _waves(
 
 def _lines(
     field: xr.DataArray, record: Record, waves: Waves, kinds: dict[str, Groups], segment: int
-) -> tuple[Array, dict[str, Array]]:
-    """Lines (places, segments) over the rms of the sea in each segment; places of free waves and groups."""
+) -> tuple[Array, dict[str, Array], list[int]]:
+    """Lines (places, segments) over the rms of the sea in each segment, places of groups, ends of runs."""
     size = waves.last + 1
     keys = {kind: groups.cells * size + groups.line for kind, groups in kinds.items()}
     own = waves.modes * size + waves.line(waves.omega)
     unique, index = np.unique(
         np.concatenate([own, *(key.ravel() for key in keys.values())]), return_inverse=True
     )
-    x = rl.scaled(rl.lines_of(field, record, (waves.n[unique // size], unique % size), segment))
+    lines, ends_of_runs = rl.lines_of(field, record, (waves.n[unique // size], unique % size), segment)
+    x = rl.scaled(lines)
     # seas that grow or come in groups: what all waves have in common is no coupling
     x /= np.sqrt((np.abs(x[index[: own.size]]) ** 2).mean(axis=0))
     ends = np.cumsum([own.size, *(key.size for key in keys.values())])
     own_places, *parts = np.split(index, ends[:-1])
     places = {kind: part.reshape(keys[kind].shape) for kind, part in zip(keys, parts)}
-    return rl.scaled(x), {"own": own_places, **places}
+    return rl.scaled(x), {"own": own_places, **places}, ends_of_runs
 
 
 def _share_no_waves(correlation: Array, by_chance: Array, waves: Waves, groups: Groups) -> NDArray[np.bool_]:
