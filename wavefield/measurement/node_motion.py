@@ -133,20 +133,21 @@ def _add_removed(
     missing: tuple[Float, Float],
     w: Float,
     parts: Float,
-    sums: tuple[Float, Float],
+    sums: tuple[Float, Float, Float],
 ) -> None:
-    """Add the variance that the prior removed from one camera, as that of the water, and one camera."""
+    """Add what the prior removed from one camera, and the water's motion in it, weighed; and count it."""
     x0, y0, z0 = first
     x1, y1, z1 = second
     m0, m1 = missing
-    removed, count = sums
+    removed, total, count = sums
     for k in range(len(w)):
         size = parts[0] * np.float64(x0[k] * x0[k] + x1[k] * x1[k])
         size += parts[1] * np.float64(y0[k] * y0[k] + y1[k] * y1[k])
         size += parts[2] * np.float64(z0[k] * z0[k] + z1[k] * z1[k])
-        seen = 1.0 if w[k] > 0.0 else 0.0
-        removed[k] += np.float64(m0[k] + m1[k]) / size if w[k] > 0.0 else 0.0
-        count[k] += seen
+        seen = w[k] > 0.0
+        removed[k] += w[k] * np.sqrt(np.float64(m0[k] + m1[k]) * size) if seen else 0.0
+        total[k] += w[k] * size
+        count[k] += 1.0 if seen else 0.0
 
 
 @njit
@@ -181,7 +182,7 @@ def solve_nodes(
         matrix = s[0], s[1], s[2], s[3], s[4], s[5]
         d, ch, be = (s[6], s[7], s[8]), (s[9], s[10], s[11]), (s[12], s[13], s[14])
         sums = s[15], s[16], s[17], s[18], s[19]
-        removed, count = s[20], s[21]
+        removed, total, count = s[20], s[21], s[22]
         for c in range(rows // 2):
             i, j = 2 * c, 2 * c + 1
             w = weight[c, :size]
@@ -196,7 +197,7 @@ def solve_nodes(
             _add_right(two, w, both[1], d)
             _add_right(one, w, chord[i, first:last], ch)
             _add_right(two, w, chord[j, first:last], ch)
-            _add_removed(one, two, lost, w, parts, (removed, count))
+            _add_removed(one, two, lost, w, parts, (removed, total, count))
         _factor(matrix)
         _solve(matrix, d, d)
         _solve(matrix, ch, ch)
@@ -213,8 +214,9 @@ def solve_nodes(
             for m in range(9):
                 out[m, at_node] = s[6 + m, k]
             cameras = count[k]
+            common = (removed[k] / max(total[k], 1e-30)) ** 2
             for m in range(3):
-                out[9 + m, at_node] = s[17 + m, k] + parts[m] * removed[k] / max(cameras, 1.0)
+                out[9 + m, at_node] = s[17 + m, k] + parts[m] * common
             ok = s[6, k] == s[6, k]
             out[12, at_node] = np.sqrt(sums[0][k] / (2.0 * cameras)) if ok else np.nan
             out[13, at_node] = sums[1][k] / (2.0 * cameras - 3.0) if ok and cameras > 1.0 else np.nan
