@@ -5,8 +5,9 @@
 The scene `sea` (12 m up, 2.5 m apart, the horizon in view, Hs .5 m), simulated anew for each seed unless
 DIR/SEED holds it. Rows of a seed: how far the vertical of the cameras and their height are off, from lenses
 and a baseline alone, and what is stated; z of exact cameras, and of those found, against the truth at the
-nodes; E(omega) against that of the true elevation at the same nodes, over two decades below its peak; and
-the same images by SGBM (the block size with the smallest error) with a plane fitted to all of its points.
+nodes; E(omega) of `analyze` (Ez_fusion) where it is marked as valid, from half of the peak's frequency on,
+against that of the true elevation at the same nodes; and the same images by SGBM (the block size with the
+smallest error) with a plane fitted to all of its points.
 Errors are in px (the mean side of a pixel in the middle of the grid).
 """
 
@@ -25,18 +26,19 @@ from scipy.stats import binned_statistic_2d
 from benchmarks.options import parser_of
 from wavefield.calibration.level_on_water import level_experiment
 from wavefield.grid import Grid
-from wavefield.pipeline.chunk import make_chunk, measure_chunk
-from wavefield.pipeline.prepare import prepare
+from wavefield.pipeline.running import run
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.rig.water_level import fit_plane
 from wavefield.series import Experiment
+from wavefield.store import open_cube
 from wavefield.tank import Scene, simulate
 from wavefield.variables import Quality
+from wavefield.waves import E_omega, fused_spectra
+from wavefield.waves.estimation.window_gain import gain_of
 
 Array = NDArray[Any]
-BASELINE, RATE = 2.5, 4.0  # m, Hz: of the scene
-DECADES = 2.0  # below the peak of E(omega)
+BASELINE = 2.5  # m, of the scene
 BLOCKS = (5, 9, 13)  # of SGBM, px
 DISPARITIES = 128  # px
 
@@ -49,23 +51,6 @@ def turned_to(found: Rig, true: Rig) -> Rig:
     axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     middle, there = (np.mean([rig[n].centre for n in rig], axis=0) * [1, 1, 0] for rig in (found, true))
     return found.moved(axes, middle - axes @ there)
-
-
-def elevation(experiment: Experiment, rig: Rig, steps: int) -> dict[str, Array]:
-    """z, its standard uncertainty and quality of all steps."""
-    prepared = prepare(experiment, rig)
-    fields = [
-        measure_chunk(make_chunk(prepared.series, k, min(k + 10, steps)), prepared.geometry, RATE).fields
-        for k in range(0, steps, 10)
-    ]
-    return {name: np.concatenate([one[name] for one in fields]) for name in ("z", "z_std", "quality")}
-
-
-def spectrum(z: Array, rate: float) -> tuple[Array, Array]:
-    """E(f) of elevations (time, ny, nx), mean over the nodes, Hann window."""
-    window = np.hanning(len(z))[:, None, None]
-    power = np.abs(np.fft.rfft((z - z.mean(axis=0)) * window, axis=0)) ** 2
-    return np.fft.rfftfreq(len(z), 1 / rate), power.mean(axis=(1, 2))
 
 
 def sgbm(images: Sequence[tuple[Array, Array]], rig: Rig, grid: Grid, block: int) -> Array:
@@ -130,19 +115,25 @@ def of_elevation(folder: Path, seed: int, name: str, rig: Rig) -> None:
     truth = xr.open_zarr(folder / "truth" / "truth.zarr").z.load()
     grid = Scene.load(folder / "scene.yaml").grid
     pixel = pixel_size(rig, grid)
-    cube = elevation(Experiment.load(_with_grid(folder, grid)), rig, truth.sizes["time"])
-    error, measured = cube["z"] - truth.values, (cube["quality"] & Quality.MEASURED) != 0
-    within = np.mean(np.abs(error[measured]) < cube["z_std"][measured])
-    filled = np.where(np.isfinite(cube["z"]), cube["z"], 0.0)
-    (f, E), (_, E0) = spectrum(filled, RATE), spectrum(truth.values, RATE)
-    band = (f > 0) & (E0 > E0[f > 0].max() / 10**DECADES)
-    hs = [4 * np.std(z) for z in (filled, truth.values)]
+    with TemporaryDirectory() as temporary:
+        store = Path(temporary) / "cube.zarr"
+        run(_with_grid(folder, grid), store, rig=rig)
+        cube = open_cube(store).load()
+    error, measured = cube.z.values - truth.values, (cube.quality.values & Quality.MEASURED) != 0
+    within = np.mean(np.abs(error[measured]) < cube.z_std.values[measured])
+    found = fused_spectra(cube, gain=gain_of(cube))
+    true = E_omega(truth.assign_coords(cube.z.coords)).E.values
+    peak = int(true.argmax())
+    valid = found.valid_fusion.values & (found.frequency.values > 0.5 * found.frequency.values[peak])
+    end = np.flatnonzero(valid)[-1]
+    hs = [4 * np.nanstd(z) for z in (cube.z.values, truth.values)]
     print(
         f"| {seed} | z, {name} | rms {rms(error[measured]) / pixel:.3f} px of {100 * pixel:.1f} cm, stated "
-        f"{rms(cube['z_std'][measured]) / pixel:.3f}, within 1 std {100 * within:.0f} %, measured "
-        f"{100 * measured.mean():.1f} %; E(omega) within {100 * np.abs(E / E0 - 1)[band].max():.1f} % "
-        f"over {np.log10(E0[band].max() / E0[band].min()):.1f} decades (to {f[band].max():.2f} Hz); Hs "
-        f"{hs[0]:.3f} m of {hs[1]:.3f} |",
+        f"{rms(cube.z_std.values[measured]) / pixel:.3f}, within 1 std {100 * within:.0f} %, measured "
+        f"{100 * measured.mean():.1f} %; E(omega) within "
+        f"{100 * np.abs(found.Ez_fusion.values / true - 1)[valid].max():.0f} % to "
+        f"{found.frequency.values[end]:.2f} Hz, "
+        f"{np.log10(true[peak] / true[end]):.1f} decades below the peak; Hs {hs[0]:.3f} m of {hs[1]:.3f} |",
         flush=True,
     )
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import dask
 import numpy as np
 import pytest
@@ -150,6 +152,26 @@ def test_what_the_measurement_takes_comes_back_where_half_is_left():
         short = valid & (undone.frequency.values > 0.75 * last)
         ratio = undone[f"Ez_{method}"].values[short].sum() / truth.values[short].sum()
         assert ratio == pytest.approx(1, abs=0.05), method  # and what leaks from longer waves is raised too
+
+
+def test_what_the_measurement_takes_comes_back_in_a_field_of_few_wavelengths():
+    """The window spreads waves over rings where less is lost, and more, than of the waves themselves."""
+
+    def kept(k):
+        return 1 / (1 + (k / 1.9) ** 4)
+
+    waves = random_waves(7, 120, 0.25, 0.65, 0.1, np.inf)
+    size = 128, 30, 20, 0.25, 0.5  # 15 by 10 m, waves of 4 to 25 m
+    true = wv.fused_spectra(linear_cube(waves, *size, noise_z=1e-5, noise_dz=1e-5))
+    lost = replace(waves, a=waves.a * kept(waves.k))
+    k = np.linspace(0, 9, 181)
+    gain = xr.Dataset({f"gain_{n}": (("direction", "k"), np.tile(kept(k), (8, 1))) for n in "zw"}, {"k": k})
+    undone = wv.fused_spectra(linear_cube(lost, *size, noise_z=2e-3, noise_dz=1e-3), gain=gain)
+    hertz = undone.frequency.values
+    assert undone.valid_stereo.values[(hertz > 0.27) & (hertz < 0.49)].all()
+    for method in ("stereo", "fusion"):
+        ratio = (undone[f"Ez_{method}"] / true[f"Ez_{method}"]).values[(hertz > 0.22) & (hertz < 0.49)]
+        np.testing.assert_allclose(ratio, 1, atol=0.06)
 
 
 def test_noise_is_told_from_what_windows_take(through_windows):

@@ -49,6 +49,7 @@ MIN_FREE_K = 0.5  # of the k of free waves: longer waves of that frequency are n
 MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: further off there are none
 MIN_TRUSTED_FRACTION = 0.7  # of the cells of free waves
 MIN_OWN_FRACTION = 0.5  # of a line of w: the rest is leakage
+MAIN_LOBE = 2.0  # rings over which a Hann window spreads a wave
 MIN_NOISE_FREQUENCY = 1.2  # Hz: below it the integrated w is mostly drift
 
 
@@ -87,7 +88,7 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Power gains (k,) of z and of w and the gain of their cross spectrum; 0 where they are not trusted."""
+    """Power gains of z and w and the gain of their cross spectrum, (k,) or (omega, k); 0: not trusted."""
 
     z: Array
     w: Array
@@ -108,6 +109,17 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
     return _Gains(np.where(z > MIN_POWER_GAIN, z, 0.0), np.where(w > MIN_POWER_GAIN, w, 0.0), both)
+
+
+def _source(spectra: "_Elevations", water: Water) -> Array:
+    """Wavenumbers (omega, k) of the waves whose energy a ring holds, rad/m.
+
+    In a field of few wavelengths the window spreads a wave over rings of other gains than its own: next to
+    the free waves of a frequency, energy is theirs.
+    """
+    waves = [reach(spectra.omega, water, spectra.speed)[:, None] for reach in (longest_waves, shortest_waves)]
+    of_waves = np.clip(spectra.k, *waves)
+    return np.where(np.abs(spectra.k - of_waves) < MAIN_LOBE * spectra.step, of_waves, spectra.k)
 
 
 @dataclass(frozen=True)
@@ -251,7 +263,9 @@ def from_spectra(
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
     noise = _noise(spectra, water, gains)
-    energies_k, trusted_k = _by_method(spectra, noise, gains, gain is not None)
+    energies_k, trusted_k = _by_method(
+        spectra, noise, _gains(gain, _source(spectra, water)), gain is not None
+    )
     energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
     fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
     # of the fields as measured, the same for all k: for time series
