@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from sea_pictures import photograph, sea_rig, texture, waves
 
+from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.measurement.measurement_settings import Settings
@@ -16,6 +17,7 @@ from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
+from wavefield.tank import Scene, Tank, simulate
 from wavefield.variables import Quality
 
 PHASE = 0.02  # from frame to frame
@@ -76,3 +78,25 @@ def test_small_images_are_reported_as_too_small_for_a_search_of_elevations():
     from wavefield.measurement.first_heights import FirstHeights
 
     assert "too small to find its range" in FirstHeights((0.0, 0.0), 0, 0, (-0.05, 0.05)).sentence
+
+
+def test_an_open_sea_is_measured_from_lenses_and_a_baseline_alone(tmp_path, capsys):
+    scene = Scene.load("sea").with_(
+        frames=2, rig={"focal": 300.0, "size": (320, 240)}, sea={"shortest": 2.0}, seed=3
+    )
+    experiment = simulate(scene, tmp_path / "sea")
+    true, found = Tank(scene), tmp_path / "rig.yaml"
+    assert main(["-q", "rig", "level", str(experiment), "--distance", "2.5", "-o", str(found)]) == 0
+    assert "the horizon in left, right gives the vertical" in capsys.readouterr().out
+    prepared = prepare(experiment, Rig.load(found))
+    fields = measure_chunk(make_chunk(prepared.series, 0, 1), prepared.geometry, scene.frame_rate).fields
+    places = [prepared.rig["left"], true.rig["left"]]  # both frames have z up: they differ by a turn
+    turn, back = (np.arctan2(*place.R[0, 1::-1]) for place in places)
+    c, s = np.cos(back - turn), np.sin(back - turn)
+    x, y = np.meshgrid(prepared.grid.x_nodes, prepared.grid.y_nodes)
+    x, y = x - places[0].centre[0], y - places[0].centre[1]
+    at = c * x - s * y + places[1].centre[0], s * x + c * y + places[1].centre[1]
+    error = fields["z"][0] - true.sea.at(*at, scene.start + 0.5 / scene.frame_rate, ("z",))["z"]
+    measured = (fields["quality"][0] & Quality.MEASURED) != 0
+    assert measured.mean() > 0.7
+    assert np.std(error[measured]) < 0.5 * pixel_size(prepared.rig, prepared.grid)
