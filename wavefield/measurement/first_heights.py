@@ -37,6 +37,9 @@ class FirstHeights:
     found: int  # patches of images that were found in the other camera's, and all that were searched for
     tried: int
     searched: tuple[float, float]  # range that the run searches, metres
+    resolution: float = (
+        0.0  # of these elevations, a pixel of parallax: coarse where cameras are close together
+    )
 
     @property
     def sentence(self) -> str:
@@ -52,9 +55,11 @@ class FirstHeights:
                 f"elevation: none of {self.tried} patches of images is found in another camera's; "
                 f"searched {low:+.1f} to {high:+.1f} cm"
             )
+        coarse = self.resolution > 0.1 * (self.searched[1] - self.searched[0])
+        within = f" to within {100 * self.resolution:.0f} cm" if coarse else ""
         return (
-            f"elevation: {100 * self.z[0]:+.1f} to {100 * self.z[1]:+.1f} cm ({self.found} of {self.tried} "
-            f"patches found in another camera's image), searched {low:+.1f} to {high:+.1f} cm"
+            f"elevation: {100 * self.z[0]:+.1f} to {100 * self.z[1]:+.1f} cm{within} ({self.found} of "
+            f"{self.tried} patches found in another camera's image), searched {low:+.1f} to {high:+.1f} cm"
         )
 
 
@@ -80,8 +85,16 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
                 confirmed = np.abs(z[:, None] - z) < _agreement(geometry)
                 kept.append(z[confirmed.sum(axis=0) > 1])
     found = np.concatenate(kept) if kept else np.zeros(0)
-    ends = (float(found.min()), float(found.max())) if len(found) else (0.0, 0.0)
-    return FirstHeights(ends, len(found), tried, geometry.z_range)
+    ends = (float(found.min()) + 0.0, float(found.max()) + 0.0) if len(found) else (0.0, 0.0)  # no -0
+    return FirstHeights(ends, len(found), tried, geometry.z_range, _resolution(geometry))
+
+
+def _resolution(geometry: GridGeometry) -> float:
+    """Elevation by which the parallax changes by a coarse pixel in the middle of the field, metres."""
+    x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
+    step = COARSE_PX * geometry.pixel
+    lines = {name: np.array(geometry.rig[name].sight_line(x, y)) for name in geometry.surface_cameras}
+    return max((step / float(np.hypot(*(lines[b] - lines[a]))) for a, b in geometry.pairs), default=0.0)
 
 
 def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
@@ -130,6 +143,6 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
         return settings, found
-    margin = max(MARGIN * (found.z[1] - found.z[0]), 0.5 * half)
+    margin = max(MARGIN * (found.z[1] - found.z[0]), 0.5 * half, found.resolution)
     wide = (round(found.z[0] - margin, 4), round(found.z[1] + margin, 4))
     return replace(settings, z_range=wide), replace(found, searched=wide)
