@@ -31,7 +31,7 @@ from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.rig.water_level import fit_plane
 from wavefield.series import Experiment
-from wavefield.store import open_cube
+from wavefield.store.read import open_cube
 from wavefield.tank import Scene, simulate
 from wavefield.variables import Quality
 from wavefield.waves import E_omega, fused_spectra
