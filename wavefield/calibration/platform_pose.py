@@ -100,10 +100,11 @@ def leave_out(
 ) -> tuple[float, float]:
     """Standard uncertainties of the tilt, degrees, and of the height, m, from groups of instants (jackknife).
 
-    Instants next to each other are left out together: they show the same waves. Where neighbouring groups
-    still do, by a correlation r of their elevations, the variance is (1 + r)/(1 - r) times that of
-    independent groups. Where so few are left that all instants show the same waves, the height has no
-    uncertainty (NaN), and the tilt that of the horizon, which is added to the others, or none.
+    Instants next to each other are left out together: they show the same waves. Where groups still do, the
+    variance of the mean of n is F/n of one's, F = 1 + 2 sum (1 - k/n) r_k with the correlation r_k of their
+    elevations k groups apart, and the spread within the record too small by (n - F)/(n - 1). Where n/F is
+    hardly more than one, the height has no uncertainty (NaN), and the tilt that of the horizon, which is
+    added to the others, or none.
     """
     groups = [
         part for part in np.array_split(np.arange(len(matches)), min(GROUPS, len(matches))) if len(part)
@@ -111,8 +112,8 @@ def leave_out(
     first = next(iter(fit.cameras))
     name, points = next((item for item in horizons.items()), (first, None))
     of_horizon = HORIZON_ERROR / fit.cameras[name].fy if points is not None else 0.0
-    same = _correlation(fit, matches, groups)
-    if 1.0 + (len(groups) - 1) * (1.0 - same) / (1.0 + same) < MIN_INDEPENDENT:
+    count, alike = len(groups), _alike(fit, matches, groups)
+    if count < MIN_INDEPENDENT * alike:
         return float(np.degrees(of_horizon)) or float("nan"), float("nan")
     ups, heights = [], []
     for part in groups:
@@ -125,7 +126,7 @@ def leave_out(
     tilt = np.sqrt(factor * np.sum((up - up.mean(axis=0)) ** 2))
     spread = np.sqrt(factor * np.sum((height - height.mean()) ** 2))
     of_few = float(student_t.ppf(0.8413, len(groups) - 1))  # the spread of few groups is uncertain itself
-    of_few *= float(np.sqrt((1.0 + same) / (1.0 - same)))
+    of_few *= float(np.sqrt(alike * (count - 1) / (count - alike)))
     lever = fit.distance(matches) * of_horizon
     return (
         float(np.degrees(np.hypot(of_few * tilt, of_horizon))),
@@ -133,9 +134,10 @@ def leave_out(
     )
 
 
-def _correlation(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]) -> float:
-    """Correlation of the elevations of the water in neighbouring groups of instants, 0 if it is negative."""
-    products, squares = 0.0, 0.0
+def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]) -> float:
+    """How many groups of instants show the same waves, F of `leave_out`, by elevations in cells."""
+    count = len(groups)
+    products, squares = np.zeros(count), np.zeros(count)
     number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])
     for one in _joined(matches):
         one = _on_water(fit, one)
@@ -144,15 +146,17 @@ def _correlation(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[
         elevation = np.clip(along / per_metre, -limit, limit)
         cell = np.clip(one.a / fit.cameras[one.pair[0]].size * CELLS, 0, CELLS - 1).astype(int)
         place = (number[one.instant] * CELLS + cell[:, 1]) * CELLS + cell[:, 0]
-        count, total = (
-            np.bincount(place, weight, len(groups) * CELLS**2).reshape(len(groups), -1)
+        features, total = (
+            np.bincount(place, weight, count * CELLS**2).reshape(count, -1)
             for weight in (np.ones(len(elevation)), elevation)
         )
-        mean = total / np.where(count > 0, count, np.nan)
-        first, second = mean[:-1], mean[1:]
-        products += float(np.nansum(first * second))
-        squares += float(np.nansum(0.5 * (first**2 + second**2)))
-    return max(products / squares, 0.0) if squares > 0 else 0.0
+        mean = total / np.where(features > 0, features, np.nan)
+        for lag in range(1, count):
+            first, second = mean[:-lag], mean[lag:]
+            products[lag] += float(np.nansum(first * second))
+            squares[lag] += float(np.nansum(0.5 * (first**2 + second**2)))
+    r = products[1:] / np.maximum(squares[1:], 1e-12)
+    return max(1.0 + 2.0 * float(r @ (1.0 - np.arange(1, count) / count)), 1.0)
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
