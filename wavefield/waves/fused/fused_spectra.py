@@ -299,7 +299,8 @@ def from_spectra(
     out["weight_z"], out["wiener"] = ("omega", weight), ("omega", positive / (positive + remaining))
     if trusted_k is not None:
         out = out.assign_coords(k_coords(spectra.k))
-        out["Ez_komega"] = (("omega", "k"), np.where(trusted_k[-1], energies_k[-1], np.nan))
+        known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))  # of the ring itself, not of what leaks in
+        out["Ez_komega"] = (("omega", "k"), np.where(known, energies_k[-1], np.nan))
     band = np.pi / spectra.dt
     out["sigma_z"] = ((), np.sqrt(float(noise.white_z.sum()) * spectra.step * band))
     out["sigma_dz"] = ((), np.sqrt(float(noise.white_dz.sum()) * spectra.step * band))
