@@ -14,6 +14,7 @@ MAX_EVALUATIONS = 6  # where windows have left much of short steep waves and sol
 MAX_CHANGE_PX = 0.15  # rms change of the displacement from one solution to the next
 MAX_RELATIVE_CHANGE = 0.05  # of the displacement's own rms: the same where there are short waves alone
 NEGLIGIBLE_CHANGE_PX = 0.05  # rms: always converged
+MAX_FIELD_PX = 1e4  # wider than images: no displacement, the images show too little of one
 OSCILLATION_RATIO = 0.7  # of the change before: solutions that change by more oscillate
 
 
@@ -22,16 +23,22 @@ class Convergence:
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._evaluations, self._change = scale, 0, np.inf
-        self._allowed = MAX_CHANGE_PX
+        self._allowed, self._diverged = MAX_CHANGE_PX, False
 
     @property
     def converged(self) -> bool:
         """Whether no further evaluation is needed."""
-        return self._evaluations >= MIN_EVALUATIONS and self._change <= self._allowed
+        return self._diverged or (self._evaluations >= MIN_EVALUATIONS and self._change <= self._allowed)
 
     def next(self, modes: Modes, waves: Float, solved: Float, seen: Float | None) -> tuple[Float, Float]:
-        """Coefficients to continue with and the field that blocks see: half way where solutions oscillate."""
+        """Coefficients to continue with and the field that blocks see: half way where solutions oscillate.
+
+        Those before, if the solution is no displacement of an image.
+        """
         after = modes.seen(solved)
+        self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # NaN is none either
+        if self._diverged:
+            return waves, modes.seen(waves)
         self._evaluations += 1
         if seen is None:
             return solved, after
