@@ -7,6 +7,7 @@ import pytest
 from measurement_cases import around
 
 from wavefield.grid import Grid
+from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
 from wavefield.measurement.learn import _mean_flow
 from wavefield.tank import Scene, Tank
@@ -50,3 +51,19 @@ def test_the_mean_flow_of_a_sample_step_is_that_of_the_cameras_together(seed):
     assert (dx, dy) == pytest.approx(flow[:2], abs=1e-4)
     nothing = SimpleNamespace(displacements=dict(list(found.items())[:1]))
     assert _mean_flow(nothing, geometry) == (0.0, 0.0), "one camera determines no flow"
+
+
+def test_short_waves_of_two_cameras_are_not_taken_for_noise():
+    """Waves that a field loses are noise to its scores, and more noise takes more waves, to the last one."""
+    grid = {"x": (-0.28, 0.28), "y": (-0.21, 0.21), "step": 0.01}
+    sea = {"kind": "random", "rms": 0.00124, "spectrum": {"kind": "jonswap", "peak": 4.6, "enhancement": 1.6}}
+    sea |= {"direction": 112.0, "spread": 0.0, "shortest": 0.04, "period": 2.0}
+    tank = Tank(
+        Scene.load("two_cameras").with_(rig={"scale": 0.72, "crop": 0.31}, grid=grid, sea=sea, frames=4)
+    )
+    images = [tank.render(number) for number in range(4)]
+    geometry = GridGeometry(tank.rig, Grid(**grid))
+    record = learn([(images[0], images[1]), (images[2], images[3])], geometry)
+    assert record is not None
+    k = 2 * np.pi / 0.073 * BLOCK * geometry.pixel  # of the peak, rad per block
+    assert record.elevation.signal_to_noise(np.array([k]), np.zeros(1)).mean() > 5.0

@@ -106,7 +106,7 @@ class Prior:
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Spectrum at wavenumbers kx, ky, rad per block, that broadcast to S: (1 or c,) + S."""
-        table = np.log(np.array(self.power))
+        table = np.log(np.maximum(self.power, 1e-30))  # a field without any motion has none
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
         direction = np.arctan2(np.abs(ky), np.abs(kx)) * (directions / (0.5 * np.pi)) - 0.5

@@ -34,7 +34,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
 
 SAMPLES = 4  # steps of a record
-_MIN_INFORMATION = 1e-4  # of a block, per square px: its own estimate is uncertain by 100 px
+_MIN_INFORMATION = 1e-3  # of a block, per square px: its own estimate is uncertain by 30 px
 _SLOW_FLOW = 0.25  # nodes per step: slower water leaves the phases of waves nearly as they are
 _NOISE_FACTORS = 0.1, 10.0  # accepted range
 _FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves

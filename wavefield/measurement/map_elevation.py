@@ -20,6 +20,7 @@ PreparedImages = Mapping[str, matching.PreparedImage]
 
 _SMOOTH_MODES = 6  # half waves along the lattice: epipolar errors as smooth as that are the calibration's
 NOISE_MARGIN = 1.5  # on the noise across the sight lines, in the weights: spectra contain some noise
+MAX_NOISE_GROWTH = 2.0  # from evaluation to evaluation, of the least, while a spectrum is learned
 _NOISE_AT_HOLES = 3.0  # times more noise is assumed around a hole
 
 
@@ -98,7 +99,7 @@ def map_elevation(
     pairs = [_PairScores(m, pixel) for m in matches]
     smooth = _smooth_across(matches, modes)
     seen, scores = None, [z[0]]
-    information = z[:1]
+    information, least = z[:1], np.inf
     convergence = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in pairs]))))
     for number in range(MAX_EVALUATIONS):
         if number:
@@ -109,6 +110,10 @@ def map_elevation(
         score = np.sum(scores, axis=0)
         hessian = np.sum([one.hessian for one in pairs], axis=0)
         nu = _noise_across(pairs, smooth) if noise_across else _noise(score, hessian, modes.freedom)
+        if not noise_across:  # waves that a field loses add to its scores, and more noise takes more of them
+            level = float(nu.mean())
+            least = min(least, level)
+            nu = nu * np.float32(min(1.0, MAX_NOISE_GROWTH * least / max(level, 1e-30)))
         information = (hessian / nu)[None]
         right = information * (z - beyond) + (score / nu)[None]
         if not number:
