@@ -126,7 +126,7 @@ def _joined(messages: Sequence[tuple[str, str]]) -> str:
 def _not_a_number(path: Path | None, location: Sequence[Key], name: str) -> tuple[str, str]:
     what = ".".join(str(step) for step in location)
     where = place_of(path, location) if path else name
-    return where, f"{what} should be a valid number, which yes, no, on, off, true, false are not"
+    return where, f"{what} should be a number, which yes, no, on, off, true, false are not"
 
 
 def _booleans_as_numbers(

@@ -174,8 +174,6 @@ def test_command_finds_the_sheet_of_an_experiment(tmp_path):
 
     from wavefield.pipeline.still_water import remark_on_rest
 
-    text = (folder / "experiment.yaml").read_text() + "settings: {preset: sheet, sheet_thickness: 0.001}\n"
-    (folder / "experiment.yaml").write_text(text)
     experiment = Experiment.load(folder / "experiment.yaml")
     assert "the middle of the light sheet" in str(remark_on_rest(experiment, rig))
     assert "wavefield rig sheet" in str(remark_on_rest(experiment, Rig(rig.cameras)))

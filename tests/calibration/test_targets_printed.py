@@ -190,8 +190,8 @@ def test_every_sharp_real_chessboard_is_found(shared):
     [
         ({"kind": "ropes", "mesh": 0.1}, "target.kind should be 'strings', 'chessboard'"),
         ({"kind": "strings"}, "mesh is missing"),
-        ({"kind": "strings", "mesh": -1}, "target.mesh should be greater than 0.00005, not -1"),
-        ({"kind": "strings", "mesh": "ten"}, "target.mesh should be a valid number"),
+        ({"kind": "strings", "mesh": -1}, "target.mesh: give metres, above 0.00005 and below 2"),
+        ({"kind": "strings", "mesh": "ten"}, "target.mesh: give metres, above 0.00005 and below 2"),
         (
             {"kind": "strings", "mesh": 0.1, "colour": "white"},
             "target.colour is not a known key",

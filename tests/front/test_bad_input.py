@@ -153,7 +153,7 @@ TABLE = [
     ("frame rate below 0", note("20.0", "-20"), ["run", EXP], 1, "greater than 0"),
     ("endless frame rate", note("20.0", ".inf"), ["run", EXP], 1, "finite"),
     ("frame rate that is none", note("20.0", ".nan"), ["run", EXP], 1, "line 2"),
-    ("frame rate in words", note("20.0", "twenty"), ["run", EXP], 1, "line 2: frame_rate should be a valid number"),
+    ("frame rate in words", note("20.0", "twenty"), ["run", EXP], 1, "line 2: frame_rate should be a number"),
     ("a name with a slash", note("name: lab", "name: a/b"), ["run", EXP], 1, "line 1: name"),
     ("depth below 0", note("0.7", "-0.7"), ["run", EXP], 1, "water.depth should be greater than 0"),
     ("no cameras", note(NOTE[NOTE.index("  cam1") : NOTE.index("calib")], ""), ["run", EXP], 1, "cameras"),
@@ -198,7 +198,7 @@ TABLE = [
     # -- the target
     ("no target images", nothing, ["calibrate", EXP], 1, "calib"),
     ("a target of no kind", note("strings", "ropes"), ["calibrate", EXP], 1, "tilt_|line 8: calibration.target.kind"),
-    ("no calibration block", note(NOTE[NOTE.index("calib") : NOTE.index("rig:")], ""), ["calibrate", EXP], 1, "calibration"),
+    ("no calibration block", note(NOTE[NOTE.index("calib") : NOTE.index("rig:")], ""), ["calibrate", EXP], 1, "nothing to calibrate"),
     # -- the workflow
     ("no workflow", nothing, ["run", EXP, "--workflow", "none.yaml"], 2, "none.yaml"),
     ("an unknown cluster", write("w.yaml", "cluster: cloud"), ["run", EXP, "--workflow", "w.yaml"], 1, "line 1: cluster"),

@@ -164,10 +164,10 @@ def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_
     """The writer dies in the middle of a chunk: the ledger does not know the chunk."""
     out = tmp_path / "cube.zarr"
 
-    def dying(values, name):
+    def dying(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(write_cube, "pack", dying)
+    monkeypatch.setattr(write_cube, "in_16_bits", dying)
     with pytest.raises(RunStopped):
         run(tank, out=out, workflow=chunks_of(8, packing="int16"))
     assert status(out).left == STEPS

@@ -34,7 +34,7 @@ def complaint(folder, old="", new="", text=NOTE):
 
 @pytest.mark.parametrize("value", ["yes", "on", "true", "1:30", "1:30:00", "2020-01-01", "20,0", "20 Hz"])
 def test_words_clocks_and_dates_are_no_numbers(tmp_path, value):
-    assert "line 2: frame_rate should be a valid number" in complaint(tmp_path, "20.0", value)
+    assert "line 2: frame_rate should be a number" in complaint(tmp_path, "20.0", value)
 
 
 @pytest.mark.parametrize(
@@ -47,8 +47,8 @@ def test_numbers_are_read_as_people_write_them(tmp_path, value, rate):
 
 def test_numbers_in_blocks_are_no_words_either(tmp_path):
     words = complaint(tmp_path, "rig:", "grid: {x: [-1, yes], y: [-1, 1], step: 0.01}\nrig:")
-    assert "line 6: grid.x.1 should be a valid number" in words
-    assert "offset should be a valid" in complaint(tmp_path, "cam1: {", "cam1: {offset: 1:30, ")
+    assert "line 6: grid.x.1 should be a number" in words
+    assert "offset should be a number" in complaint(tmp_path, "cam1: {", "cam1: {offset: 1:30, ")
 
 
 @pytest.mark.parametrize("name", ["2020-01-01", "7", "run 3", "Küste"])
