@@ -45,7 +45,7 @@ def sea(seed, steps=16, shape=(40, 50), noise=0.004):
 
 
 def continuities(w, measured, noise=0.001):
-    std = np.full(w.shape, noise)
+    std = np.broadcast_to(np.reshape(noise, (-1, 1, 1)), w.shape)
     near = (slice(k - 2, k + 3) for k in range(2, len(w) - 2))
     inner = [continuity(w[five], measured[five], std[five]) for five in near]
     return np.array([np.nan, np.nan, *inner, np.nan, np.nan])
@@ -76,6 +76,9 @@ def test_a_step_without_motion_or_of_two_intervals_is_named(seed):
     assert 8 in discontinuous(continuities(duplicated, everywhere))
     lost = np.concatenate([w[:7], w[7:8] + w[8:9], w[9:]])
     assert 7 in discontinuous(continuities(lost, np.ones(lost.shape, bool)))
+    contradicting = np.full(len(lost), 0.001)
+    contradicting[6:9] = 0.5 * np.std(w)  # paths through the step contradict each other
+    assert 7 in discontinuous(continuities(lost, np.ones(lost.shape, bool), contradicting))
 
 
 @pytest.mark.parametrize("seed", range(4))

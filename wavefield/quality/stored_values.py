@@ -66,7 +66,8 @@ def continuity(rise: Sequence[Array], measured: Sequence[Mask], std: Sequence[Ar
 
     With the rises, masks and standard uncertainties (ny, nx) of the steps k - 2 to k + 2. NaN where rises are
     noise in good part, which lowers the regression. It is near 1 where waves turn slowly from
-    step to step, and the same for all steps of a sound record.
+    step to step, and the same for all steps of a sound record. The least noise of the neighbours counts: that
+    of steps beside a lost frame contains the contradiction.
     """
     everywhere = np.logical_and.reduce(measured)
     if everywhere.sum() < MIN_NODES:
@@ -74,7 +75,8 @@ def continuity(rise: Sequence[Array], measured: Sequence[Mask], std: Sequence[Ar
     before2, before, here, after, after2 = (np.asarray(one[everywhere], np.float64) for one in rise)
     expected = NEIGHBOURS @ np.stack([before2, before, after, after2])
     square = float(expected @ expected)
-    noise = sum(w**2 * np.sum(np.square(std[k][everywhere])) for w, k in zip(NEIGHBOURS, (0, 1, 3, 4)))
+    least = min(float(np.sum(np.square(std[k][everywhere]))) for k in (0, 1, 3, 4))
+    noise = float(NEIGHBOURS @ NEIGHBOURS) * least
     return float(here @ expected) / square if noise < MAX_NOISE * square else np.nan
 
 
