@@ -10,7 +10,7 @@ from typing import Any
 import threadpoolctl
 
 _lock = threading.Lock()
-_state: dict[str, Any] = {"depth": 0, "limits": None, "pools": None}
+_state: dict[str, Any] = {"depth": 0, "limits": None}
 
 
 @contextmanager
@@ -29,8 +29,9 @@ def one_thread() -> Generator[None]:
     """
     with _lock:
         if not _state["depth"]:
-            _state["pools"] = _state["pools"] or threadpoolctl.ThreadpoolController()
-            _state["limits"] = _state["pools"].limit(limits=1, user_api="blas")
+            _take_control()
+            # anew each time: what was loaded since the last may have a library of its own
+            _state["limits"] = threadpoolctl.threadpool_limits(limits=1, user_api="blas")
         _state["depth"] += 1
     try:
         yield
@@ -38,4 +39,12 @@ def one_thread() -> Generator[None]:
         with _lock:
             _state["depth"] -= 1
             if not _state["depth"]:
+                _take_control()
                 _state["limits"].restore_original_limits()
+
+
+def _take_control() -> None:
+    """Let this thread set limits: from version 3.8 on threadpoolctl ignores all threads but the first."""
+    openblas: Any = getattr(threadpoolctl, "OpenBLASController", None)
+    if clear := getattr(openblas, "clear_controlling_thread", None):
+        clear(force=True)

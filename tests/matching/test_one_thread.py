@@ -1,0 +1,57 @@
+"""Linear algebra has one thread inside, whichever threads ask for it."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import threadpoolctl
+
+from wavefield.matching.one_thread import one_thread
+
+
+def blas_threads():
+    return {pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"}
+
+
+def test_threads_of_a_pool_limit_what_the_main_thread_has_set():
+    with threadpoolctl.threadpool_limits(limits=2, user_api="blas"):
+        before = blas_threads()
+
+        def inside(_):
+            with one_thread():
+                return blas_threads()
+
+        with ThreadPoolExecutor(2) as pool:
+            assert all(found <= {1} for found in pool.map(inside, range(8)))
+        assert blas_threads() == before
+
+
+def test_the_last_that_leaves_takes_the_limit_back_though_another_has_set_it():
+    with threadpoolctl.threadpool_limits(limits=2, user_api="blas"):
+        before, entered, left = blas_threads(), threading.Event(), threading.Event()
+
+        def first():
+            with one_thread():
+                entered.set()
+                left.wait(10)
+
+        thread = threading.Thread(target=first)
+        thread.start()
+        entered.wait(10)
+        with one_thread():
+            left.set()
+            thread.join()
+            assert blas_threads() <= {1}
+        assert blas_threads() == before
+
+
+def test_products_have_the_same_bits_in_a_pool_and_alone():
+    random = np.random.default_rng(1)
+    a, b = random.random((2, 400, 400), np.float32)
+
+    def product(_):
+        with one_thread():
+            return (a @ b).tobytes()
+
+    with ThreadPoolExecutor(2) as pool:
+        assert {product(0)} == set(pool.map(product, range(4)))
