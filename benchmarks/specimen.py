@@ -78,7 +78,8 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[GridG
     rig, _ = level(rig, *triangulate(rig, left, right).T)
     seen = [rig[name].unproject(*pixels) for name, pixels in zip(names, (left, right), strict=True)]
     sight = [rig[name].sight_line(*at) for name, at in zip(names, seen, strict=True)]
-    x, y, z, _ = nearest_point(seen, sight, [1e-2, 1.0])  # DICe's points are exact in the left image
+    _, _, z, _ = nearest_point(seen, sight)
+    x, y = np.asarray(seen[0]) + np.asarray(sight[0]) * z  # DICe's points are exact in the left image
     good = (rest["MATCH"] >= 0) & np.isfinite(z)
     grid = Grid((x[good].min(), x[good].max() + 5e-4), (y[good].min(), y[good].max() + 5e-4), 5e-4)
     geometry = GridGeometry(rig, grid)
