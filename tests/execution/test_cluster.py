@@ -347,7 +347,7 @@ def test_work_of_a_worker_that_dies_is_done_again_but_not_for_ever(tmp_path):
 
 def take_memory(item):
     """Takes much more than a worker may."""
-    kept = np.ones(100_000_000)
+    kept = np.ones(60_000_000)
     time.sleep(20)
     return kept.size
 
