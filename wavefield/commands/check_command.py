@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -62,7 +61,6 @@ def check(
     nothing. The exit status is 1 where something prevents a run, 3 where the verdict has
     remarks that matter.
     """
-    gc.set_threshold(50_000)  # walking what is imported, again and again, takes a twentieth of the time
     from wavefield import pipeline
     from wavefield.execution.worker_settings import keep_memory
 

@@ -44,7 +44,7 @@ To complete commands with the Tab key, add this line to ~/.bashrc (zsh: zsh_sour
 """
 
 
-class _InOrder(click.Group):
+class _GroupInOrder(click.Group):
     """A group that lists its commands in the order in which they are used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -52,7 +52,7 @@ class _InOrder(click.Group):
 
 
 @click.group(
-    cls=_InOrder,
+    cls=_GroupInOrder,
     epilog=_EPILOG,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )

@@ -60,7 +60,7 @@ def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) ->
     x, y, up = (float(np.std(d[good])) for d in motion.d)
     parts = shares(geometry.settings, model.record)
     stabilized = solve_motion(moved, parts, model.record)
-    misfit = stabilized.misfit[good & np.isfinite(stabilized.misfit)]  # paths of contradicting cameras leave
+    misfit = stabilized.misfit[good & np.isfinite(stabilized.misfit)]  # NaN where cameras lost a path
     if not misfit.size:
         return Differences(camera_jitter)
     noise = float(np.median(misfit)) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
