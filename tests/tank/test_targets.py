@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates, spline_filter
 
-from wavefield.tank import Scene, Tank, paper_rig, rendered_targets
+from wavefield.tank import Scene, Tank, paper_rig, rendered_targets, target_poses
 from wavefield.tank.scene_parts import Chessboard, Dots, Strings
 
 BLUR = 0.6
 RIG = paper_rig(crop=0.35)
-POSES = {"flat": rendered_targets.Pose(np.eye(3), np.zeros(3)), **{
+POSES = {"flat": target_poses.Pose(np.eye(3), np.zeros(3)), **{
     f"tilt_{i}": pose
-    for i, pose in enumerate(rendered_targets.poses(3, 20.0, (-0.35, 0.35), (-0.25, 0.25), 0))
+    for i, pose in enumerate(target_poses.poses(3, 20.0, (-0.35, 0.35), (-0.25, 0.25), 0))
 }}  # fmt: skip
 
 
@@ -128,14 +128,14 @@ def test_the_corners_of_a_chessboard_are_found_where_they_were_drawn(shape):
 
 
 def test_poses_are_tilted_towards_all_sides_and_reproducible():
-    six = rendered_targets.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
+    six = target_poses.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
     normals = np.array([pose.rotation[:, 2] for pose in six])
     tilts = np.degrees(np.arccos(normals[:, 2]))
     assert 8 < tilts.min() < tilts.max() <= 20.0
     assert normals[:, 0].min() < -0.1 < 0.1 < normals[:, 0].max()
     assert normals[:, 1].min() < -0.1 < 0.1 < normals[:, 1].max()
     assert len({round(float(pose.origin[2]), 4) for pose in six}) == 6
-    again = rendered_targets.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
+    again = target_poses.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
     assert all(np.array_equal(a.rotation, b.rotation) for a, b in zip(six, again, strict=True))
 
 
@@ -147,3 +147,20 @@ def test_level_of_the_flat_target_is_respected():
     image = tank.target_image("flat", "cam3")
     assert image.dtype == np.uint8
     assert image.max() > 100
+
+
+@pytest.mark.parametrize("scene", ["two_cameras", "sheet"])
+def test_boards_that_must_be_seen_whole_are_held_in_view_of_every_camera(scene):
+    for seed in range(40):
+        tank = Tank(Scene.load(scene).with_(seed=seed))
+        board = tank.scene.calibration.target
+        beyond = 1.5 if board.kind == "chessboard" else 0.5
+        half = ((np.array(board.shape) - 1) / 2 + beyond) * board.mesh
+        node = np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)]) * (*half, 0.0)
+        for pose in tank.target_poses.values():
+            for name in tank.rig:
+                X, Y = pixels_of(tank.rig[name], pose, node)
+                width, height = tank.rig[name].size
+                assert (X >= 0).all() and (X <= width - 1).all(), (seed, name)
+                assert (Y >= 0).all() and (Y <= height - 1).all(), (seed, name)
+        assert len({round(float(pose.origin[2]), 5) for pose in tank.target_poses.values()}) >= 4, seed

@@ -1,7 +1,7 @@
-"""Images of calibration targets: strings, chessboard, dots, held in any pose."""
+"""Images of calibration targets: strings, chessboard, dots."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from scipy.ndimage import map_coordinates
 from wavefield.compiled import compiled
 from wavefield.rig import Camera
 from wavefield.tank.scene_parts import Chessboard, Dots, Strings
+from wavefield.tank.target_poses import Pose
 
 Array = NDArray[np.float64]
 
@@ -23,40 +24,6 @@ _WEIGHTS = np.array([5 / 18, 8 / 18, 5 / 18])
 _QUADRATURE = np.stack(
     [np.repeat(_POINTS, 3), np.tile(_POINTS, 3), np.multiply.outer(_WEIGHTS, _WEIGHTS).ravel()], axis=1
 )
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Position of a target: a point p of the target is at ``rotation @ p + origin``."""
-
-    rotation: Array  # (3, 3): Target to physical frame
-    origin: Array  # (3,): Position of the target's origin, metres
-
-
-def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Poses of a target held by hand in the field of view, tilted by degrees."""
-    rng = np.random.default_rng([seed, 8])
-    size = min(x[1] - x[0], y[1] - y[0])
-    out = []
-    for i in range(number):
-        towards = 2 * np.pi * (i + rng.uniform(-0.2, 0.2)) / number + 0.4
-        angle = np.radians(tilt) * rng.uniform(0.8, 1.0)
-        about_x, about_y = angle * np.sin(towards), 0.75 * angle * np.cos(towards)
-        turn = np.radians(rng.uniform(-8, 8))
-        centre = np.array([rng.uniform(-0.08, 0.08) * size, rng.uniform(-0.08, 0.08) * size, 0.0])
-        centre += [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), (0.02 + 0.22 * i / max(number - 1, 1)) * size]
-        out.append(Pose(_rotation(0, about_x) @ _rotation(1, about_y) @ _rotation(2, turn), centre))
-    return out
-
-
-def _rotation(axis: int, angle: float) -> Array:
-    """Rotation about a coordinate axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = [(1, 2), (2, 0), (0, 1)][axis]
-    out = np.eye(3)
-    out[i, i] = out[j, j] = c
-    out[i, j], out[j, i] = -s, s
-    return out
 
 
 def node_offsets(target: Strings, seed: int) -> Array:

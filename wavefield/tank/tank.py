@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import view_on_water
-from wavefield.tank import rendered_targets, rigs, sea_surface, sensor, texture
+from wavefield.tank import rendered_targets, rigs, sea_surface, sensor, target_poses, texture
 from wavefield.tank.basin import Basin
 from wavefield.tank.beads import BeadField, Population, carry
 from wavefield.tank.frame_history import FrameHistory
@@ -232,13 +232,19 @@ class Tank:
         return FrameHistory(still, advance)
 
     @cached_property
-    def target_poses(self) -> dict[str, rendered_targets.Pose]:
+    def target_poses(self) -> dict[str, target_poses.Pose]:
         """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is none at sea
-        tilted = rendered_targets.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
-        flat = rendered_targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
+        tilted = target_poses.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
+        if not isinstance(settings.target, Strings):
+            cameras = [self.rig[name] for name in self.rig]
+            middle = np.array([np.mean(grid.x), np.mean(grid.y), 0.0])
+            tilted = [
+                target_poses.brought_into_view(pose, settings.target, middle, cameras) for pose in tilted
+            ]
+        flat = target_poses.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
         return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}
 
     @cached_property
