@@ -57,6 +57,7 @@ def test_a_cube_with_a_preview_is_the_cube_without_one_and_no_early_step_is_left
         (k + 1, -(-STEPS // 3), "preview") for k in range(-(-STEPS // 3))
     ]
     assert stored(path) == {}
+    assert calls[-(-STEPS // 3)][:2] == (0, STEPS)  # the run reports at once that it begins
     assert early_every(open_preview(path, open_group(path))) == 0
     assert not (preview_path(path) / "early").exists()
 

@@ -365,6 +365,7 @@ class _Tracker:
             self._progress(self._early_done, self._early, "preview")
         if self._early_done == self._early:
             log.info("preview: %d steps done, `wavefield look` shows them", self._early)
+            self._report_progress("")  # the run begins here, not with its first chunk
 
     def add(self, steps: int) -> None:
         self.done += steps
