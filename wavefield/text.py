@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from pathlib import Path
 
 
 def spell_time(seconds: float) -> str:
@@ -38,6 +39,11 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
             ranges.append([number, number])
     words = [str(a) if a == b else f"{a}-{b}" for a, b in ranges[:most]]
     return ", ".join(words) + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")
+
+
+def short_path(path: Path) -> Path:
+    """A path as it is printed: from the current folder where it lies in it, else in full."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def one_line(error: object) -> str:

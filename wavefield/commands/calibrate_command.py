@@ -7,6 +7,7 @@ import click
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
 from wavefield.commands.sources import PATH, experiment_file
+from wavefield.text import short_path
 
 
 @click.command(
@@ -60,7 +61,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
             click.echo(f"not usable: {problem}", err=True)
         if not anyway or not len(calibration.rig):
             again = "" if anyway or not len(calibration.rig) else "; --anyway writes it, marked as refused"
-            click.echo(f"No rig was written{again}; the pictures are in {page}.", err=True)
+            click.echo(f"No rig was written{again}; the pictures are in {short_path(page)}.", err=True)
             print_next("calibrate", experiment, first="retake the target images that are listed")
             context.exit(1)
     rig = calibration.rig
@@ -74,7 +75,9 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         click.echo(sentence)
     rig.save(output)
     refused = "" if calibration.usable else ", REFUSED (usable: false in the file)"
-    click.echo(f"Wrote {output} with {', '.join(rig)}{refused}; calibration report: {page}")
+    click.echo(
+        f"Wrote {short_path(output)} with {', '.join(rig)}{refused}; calibration report: {short_path(page)}"
+    )
     if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
         click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
     if loaded.settings.get("preset") == "sheet" or "sheet_thickness" in loaded.settings:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import click
 
+from wavefield.text import short_path
+
 
 def command_line(*words: object) -> str:
     """A command as a shell reads it.
@@ -21,11 +23,5 @@ def print_next(*words: object, first: str = "") -> None:
     """Print the command that usually follows, after what is to be done first; nothing with `--quiet`."""
     context = click.get_current_context(silent=True)
     if not (context and context.meta.get("wavefield.quiet")):
-        click.echo(f"Next: {first}{', then: ' if first else ''}{command_line(*map(_from_here, words))}")
-
-
-def _from_here(word: object) -> object:
-    """A path relative to the current folder, where it is inside."""
-    if isinstance(word, Path) and word.is_relative_to(Path.cwd()):
-        return word.relative_to(Path.cwd())
-    return word
+        shown = (short_path(word) if isinstance(word, Path) else word for word in words)
+        click.echo(f"Next: {first}{', then: ' if first else ''}{command_line(*shown)}")

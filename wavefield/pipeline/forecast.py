@@ -31,7 +31,7 @@ from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.verdict import Remark, Verdict
-from wavefield.text import spell_ranges, spell_time
+from wavefield.text import short_path, spell_ranges, spell_time
 from wavefield.variables import FrameFault
 
 MIN_SIZE_DEVIATION = 0.005  # of the median size of a camera's files
@@ -169,7 +169,7 @@ class Check:
     def __str__(self) -> str:
         lines = [f"verdict: {self.line}"] if self.line else []
         lines += [
-            f"{self.experiment} ({self.path}): {self.steps} steps at {self.frame_rate:g} Hz "
+            f"{self.experiment} ({short_path(self.path)}): {self.steps} steps at {self.frame_rate:g} Hz "
             f"({spell_time(self.steps / self.frame_rate)})"
         ]
         lines += [f"  {camera}" for camera in self.cameras]
