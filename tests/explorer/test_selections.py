@@ -126,6 +126,8 @@ def test_colours_are_balanced_where_there_is_a_sign():
     low, high = display("w").limits(values)
     assert low == -high
     assert display("z_std").limits(np.abs(values))[0] == 0.0
+    assert display("z_std").limits(np.linspace(0.9, 1.0, 50)) == (0.9, 1.0)  # a map of more than one colour
+    assert display("z_std").limits(np.full(50, 0.9)) == (0.0, 0.9)
 
 
 def test_images_are_centred_on_their_nodes():

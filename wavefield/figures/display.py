@@ -62,9 +62,16 @@ class Display:
         return SIGNED if self.signed else POSITIVE
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
-        """Ends of a colour scale for displayed values, without the largest half percent; two digits."""
+        """Ends of a colour scale for displayed values, without the largest half percent; two digits.
+
+        An unsigned scale begins at zero, or at its smallest values where all are above half of its end.
+        """
         half = float(f"{limit(values):.2g}")
-        return (-half if self.signed else 0.0), half
+        if self.signed:
+            return -half, half
+        finite = np.asarray(values, float)[np.isfinite(values)]
+        low = float(f"{np.percentile(finite, 0.5):.2g}") if finite.size else 0.0
+        return (low if half / 2 < low < half else 0.0), half
 
 
 def display(name: str) -> Display:
