@@ -10,6 +10,7 @@ from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
 from wavefield.commands.sources import CUBE, PATH, find_cube
 from wavefield.store.store_paths import beside
+from wavefield.text import short_path
 
 
 class AnalyzeOptions(TypedDict):
@@ -107,12 +108,12 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, options: A
         "gain": predicted_gain(run.cube) if gain is True else gain,
         "fit": options["fit"] or None,
     }
-    with Progress(f"Analysing {store}") as progress:
+    with Progress(f"Analysing {short_path(store)}") as progress:
         if workflow:
             analyze_on_workers(store, output, workflow, progress=progress, **more)
         else:
             analyze_cube(store, output, progress=progress, **more)
-    click.echo(f"Wrote {output}.")
+    click.echo(f"Wrote {short_path(output)}.")
     return 3 if note else 0
 
 
@@ -145,9 +146,9 @@ def report(
 
     def work(cube: Path, page: Path | None = None) -> int:
         page = page or beside(cube, "report", ".html")
-        with Progress(f"Drawing {page}", "parts") as progress:
+        with Progress(f"Drawing {short_path(page)}", "parts") as progress:
             write(cube, page, waves=waves, progress=progress)
-        click.echo(f"Wrote {page}; open it in a browser.")
+        click.echo(f"Wrote {short_path(page)}; open it in a browser.")
         return 0
 
     if not source.is_catalog():
@@ -164,7 +165,7 @@ def report(
     page = compare(
         source.path.stem, [CampaignEntry(*one) for one in cubes], output or source.path.with_suffix(".html")
     )
-    click.echo(f"Wrote {page}, which compares {len(cubes)} runs; open it in a browser.")
+    click.echo(f"Wrote {short_path(page)}, which compares {len(cubes)} runs; open it in a browser.")
     print_next("look", source.path, cubes[0][0])
     context.exit(found)
 

@@ -12,7 +12,7 @@ from wavefield.store.metadata import is_complete
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
-from wavefield.text import spell_ranges
+from wavefield.text import short_path, spell_ranges
 from wavefield.variables import FrameFault, FrameStatus
 
 _LEDGER = ("failed steps", "bad frames")  # remarks that the ledger's own lines contain
@@ -109,7 +109,7 @@ class Status:
             file = beside(self.store, "verdict", ".json")
             lines.append(f"verdict: none, {file} is missing: copy it as well, or run the same command again")
         lines += [
-            f"{self.store}: {self.experiment}, recipe {self.recipe_hash}",
+            f"{short_path(self.store)}: {self.experiment}, recipe {self.recipe_hash}",
             f"  {tried} of {self.steps} steps ({100 * tried // self.steps} %)"
             + ("" if self.complete else "; run the same command again to go on"),
         ]
