@@ -7,11 +7,13 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from scipy import signal
 
+from wavefield.errors import StoreError
 from wavefield.explorer import selections
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import colour_limits, palette, streamlines
-from wavefield.explorer.place import COLOUR_MAPS
-from wavefield.explorer.time_averages import phase_averages, phases_of, time_averages
+from wavefield.explorer.place import COLOUR_MAPS, Place
+from wavefield.explorer.save import map_of
+from wavefield.explorer.time_averages import AverageRequest, averages, index_of, phases_of
 
 X, Y = np.linspace(-0.5, 0.5, 41), np.linspace(-0.4, 0.4, 33)
 GX, GY = np.meshgrid(X, Y)
@@ -78,15 +80,15 @@ def test_spectra_are_those_of_scipy(steps):
 def test_averages_over_time_are_those_of_numpy(tmp_path):
     fields = make_cube(tmp_path / "cube.zarr")
     record, done = CubeRecord(tmp_path / "cube.zarr"), []
-    found = time_averages(record, ("w", "z", "vorticity"), done.append)
+    found = averages(record, AverageRequest(("w", "z", "vorticity"), 0), done.append)
     for name in ("w", "z"):
         values = fields[name].astype(float)
         with np.errstate(invalid="ignore"):
             mean, rms = values.mean(axis=0), values.std(axis=0)
-        np.testing.assert_allclose(found[name].mean, mean, atol=2e-5)
-        np.testing.assert_allclose(found[name].rms, rms, atol=2e-5)
+        np.testing.assert_allclose(found[name][0], mean, atol=2e-5)
+        np.testing.assert_allclose(found[name][1], rms, atol=2e-5)
     vorticity = record.steps("vorticity", 0, record.layout.steps)  # at once, not by chunks
-    np.testing.assert_allclose(found["vorticity"].mean, vorticity.mean(axis=0), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found["vorticity"][0], vorticity.mean(axis=0), rtol=1e-4, atol=1e-5)
     assert done[-1] == 1.0
 
 
@@ -94,7 +96,7 @@ def test_phase_averages_are_those_of_the_waves_of_the_period_alone(tmp_path):
     make_cube(tmp_path / "cube.zarr")
     record, done = CubeRecord(tmp_path / "cube.zarr"), []
     period = 24 * float(np.diff(record.time).mean())
-    found = phase_averages(record, ("z",), period, done.append)["z"]
+    found = averages(record, AverageRequest(("z",), 0, period), done.append)["z"]
     steps = record.steps("z", 0, record.layout.steps).astype(float)
     assert len(found) == phases_of(period, record.frame_rate) == 24
     # steps half a step from a phase contribute to it and to the next one alike
@@ -102,3 +104,13 @@ def test_phase_averages_are_those_of_the_waves_of_the_period_alone(tmp_path):
         alike = 0.5 * (steps[k::24].mean(axis=0) + steps[(k - 1) % 24 :: 24].mean(axis=0))
         np.testing.assert_allclose(found[k], alike, atol=2e-4)
     assert done[-1] == 1.0
+
+
+def test_the_saved_map_of_a_phase_average_is_the_one_that_is_shown(tmp_path):
+    make_cube(tmp_path / "cube.zarr")
+    record = CubeRecord(tmp_path / "cube.zarr")
+    place = Place("z", 3, average="phase", period=0.8)
+    shown = averages(record, AverageRequest(("z",), 0, 0.8))["z"][index_of(record, place)]
+    np.testing.assert_array_equal(map_of(record, place)["z"], shown)
+    with pytest.raises(StoreError, match="needs the period"):
+        map_of(record, Place("z", 3, average="phase"))

@@ -14,6 +14,7 @@ from wavefield.explorer.look_page import LookPage
 from wavefield.explorer.place import TABS, Place
 from wavefield.explorer.server import middle_node
 from wavefield.explorer.session import LookSession
+from wavefield.explorer.time_averages import request_of
 from wavefield.store.verdict import Remark, Verdict
 
 
@@ -56,7 +57,7 @@ def test_models_can_be_told_apart_by_name(cube):
 def test_a_place_is_shown_at_once(cube):
     place = Place("z", 17, node=(0.1, 0.1), line=(-0.2, 0, 0.2, 0), area=(-0.1, -0.1, 0.1, 0.1))
     page, _ = build(cube, place)
-    assert page.controls.step.value == 17
+    assert page.controls["step"].value == 17
     assert page.controls.link.text == place.query()
     assert len(page.panels.map.sources["node"].data["x"]) == 1
 
@@ -90,7 +91,7 @@ def test_a_mean_over_time_is_shown_with_its_own_colours(cube, average):
     page.change(show="w", average=average)
     page.redraw()
     for _ in range(200):
-        if wait_for.get(page._request(), None) is not None:
+        if wait_for.get(request_of(page.session.record, page.place), None) is not None:
             break
         time.sleep(0.02)
     page.redraw()
@@ -109,12 +110,12 @@ def test_phase_averages_need_a_period_and_are_shown_at_the_phase_of_the_step(cub
     page, _ = build(cube)
     page.change(show="z", average="phase", step=3)
     page.redraw()
-    assert page.controls.period.visible
+    assert page.controls["period"].visible
     assert "enter the period of the waves" in page.panels.map.figure.title.text
     page.change(period=0.8)
     page.redraw()
     for _ in range(200):
-        if page.averages.get(page._request(), None) is not None:
+        if page.averages.get(request_of(page.session.record, page.place), None) is not None:
             break
         time.sleep(0.02)
     page.redraw()
@@ -123,7 +124,7 @@ def test_phase_averages_need_a_period_and_are_shown_at_the_phase_of_the_step(cub
     assert Place.read({"period": "-1"}).period is None
     page.change(average="mean")
     page.redraw()
-    assert not page.controls.period.visible
+    assert not page.controls["period"].visible
 
 
 def test_logarithmic_colours_are_those_of_magnitudes(cube):
@@ -144,7 +145,7 @@ def test_fitted_colours_are_nobodys_wish(cube):
     page, _ = build(cube)
     page.redraw()
     assert page.place.limits is None
-    page.controls.low.value, page.controls.high.value = -3.0, 4.0
+    page.controls["low"].value, page.controls["high"].value = -3.0, 4.0
     assert page.place.limits == (-3.0, 4.0)
 
 

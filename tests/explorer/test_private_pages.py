@@ -168,11 +168,11 @@ def test_any_value_that_is_not_offered_is_another_one(own):
     for choice in document.select({"type": Select}):
         choice.value = "../../etc/passwd"
     for step in (-7, 10**9):
-        page.controls.step.value = step
+        page.controls["step"].value = step
         assert 0 <= page.place.step < page.session.record.layout.steps
     page.redraw()
     assert page.place.show in page.session.record.names
-    assert page.place.drag == "move"
+    assert page.controls.entered("drag") == "move"
 
 
 def test_a_disabled_button_writes_nothing(own):
@@ -303,7 +303,7 @@ def shown(tmp_path_factory):
             raise StoreError(mark("waves"))
 
     page.session.run = Damaged()
-    page.panels.waves().show()
+    page.panels.waves().show(page.place)
     collect(document)
 
     follower = Follower(Experiment.load(experiment_file(folder)))

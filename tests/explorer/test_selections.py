@@ -141,7 +141,6 @@ def test_a_link_shows_the_same_place_again():
         show="eps_piv",
         step=77,
         tab="waves",
-        drag="line",
         limits=(-2.5, 2.5),
         average="phase",
         period=0.8,
@@ -151,7 +150,6 @@ def test_a_link_shows_the_same_place_again():
         node=(0.1, -0.25),
         line=(0, 0, 1, 0.5),
         area=(-1, -1, 1, 1),
-        camera="cam2",
     )
     query = dict(pair.split("=") for pair in place.query().split("&"))
     assert Place.read(query, ("w", "eps_piv"), 100) == place

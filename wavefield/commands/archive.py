@@ -11,7 +11,7 @@ import click
 from wavefield.commands.level_command import level, sheet
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import CUBE, PATH, experiment_file, find_cube
+from wavefield.commands.sources import CUBE, EXPERIMENT, FILE, PATH, find_cube
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -118,8 +118,8 @@ def catalog() -> None:
 
 
 @catalog.command(epilog="\b\nExample:\n  wavefield catalog add campaign.yaml run07/experiment.yaml")
-@click.argument("catalog", type=click.Path(dir_okay=False, path_type=Path))
-@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
+@click.argument("catalog", type=FILE)
+@EXPERIMENT
 def add(catalog: Path, experiment: Path) -> None:
     """Register an experiment in a catalog, which is made if it is not there.
 
@@ -128,24 +128,15 @@ def add(catalog: Path, experiment: Path) -> None:
     """
     from wavefield.pipeline.catalog import catalog_add
 
-    name = catalog_add(catalog, experiment_file(experiment))
+    name = catalog_add(catalog, experiment)
     click.echo(f"{catalog} now has {name}.")
     print_next("run", catalog, name)
 
 
 _PROGRAMS = (
-    "wavefield",
-    "uvmat",
-    "vic3d",
-    "dice",
-    "opencv",
-    "matlab",
-    "wass",
-    "openptv",
-    "myptv",
-    "metashape",
+    "wavefield", "uvmat", "vic3d", "dice", "opencv", "matlab", "wass", "openptv", "myptv", "metashape",
     "colmap",
-)
+)  # fmt: skip
 
 
 class _Files(click.Group):

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wavefield.commands.next_command import print_next
-from wavefield.commands.sources import PATH, experiment_file
+from wavefield.commands.sources import EXPERIMENT, frames_option
 
 _KEY = 'background: "background/{camera}.tif"'
 
@@ -17,10 +17,8 @@ Examples:
   wavefield background . --frames 500
 """
 )
-@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
-@click.option(
-    "--frames", default=200, show_default=True, type=click.IntRange(min=2), help="How many to average."
-)
+@EXPERIMENT
+@frames_option(200, "How many to average.", least=2)
 def background(experiment: Path, frames: int) -> None:
     """Average the frames of each camera, to subtract what is fixed.
 
@@ -30,7 +28,7 @@ def background(experiment: Path, frames: int) -> None:
     from wavefield.series import Experiment
     from wavefield.series.mean_images import write_backgrounds
 
-    found = Experiment.load(experiment_file(experiment))
+    found = Experiment.load(experiment)
     bare = found.model_copy(update={"background": None}).open_frames()
     for file in write_backgrounds(bare, found.path.parent / "background", frames):
         click.echo(f"Wrote {file}.")

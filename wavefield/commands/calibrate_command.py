@@ -6,7 +6,7 @@ import click
 
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import PATH, experiment_file
+from wavefield.commands.sources import EXPERIMENT, FILE, NEW_RIG, RIG, frames_option
 from wavefield.text import short_path
 
 
@@ -17,8 +17,8 @@ Examples:
   wavefield calibrate experiment.yaml -o new.yaml
 """
 )
-@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Rig file to write.")
+@EXPERIMENT
+@click.option("-o", "--output", type=FILE, help="Rig file to write.")
 @click.option("--anyway", is_flag=True, help="Write the rig although it is refused; the file states why.")
 @click.pass_context
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
@@ -39,7 +39,6 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     from wavefield.reports.target_pictures import draw_found
     from wavefield.series import Experiment
 
-    experiment = experiment_file(experiment)
     loaded = Experiment.load(experiment)
     output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
     folder = output.with_name(f"{output.stem}_report")
@@ -92,14 +91,10 @@ Example:
   wavefield refine rest/experiment.yaml --rig rig.yaml -o rig_rest.yaml
 """
 )
-@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
-@click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
-@click.option(
-    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
-)
-@click.option(
-    "--frames", default=10, show_default=True, type=click.IntRange(min=1), help="How many frames to use."
-)
+@EXPERIMENT
+@RIG
+@NEW_RIG
+@frames_option(10, "How many frames to use.")
 def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Correct and level a rig with still-water images.
 
@@ -111,7 +106,6 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     from wavefield.pipeline.still_water import level_at_rest, plane_sentence
     from wavefield.series import Experiment
 
-    experiment = experiment_file(experiment)
     loaded = Experiment.load(experiment)
     refuse_input(output, *([rig] if rig else loaded.rig_paths))
     check_writable(output, RIG)

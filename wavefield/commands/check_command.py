@@ -13,7 +13,7 @@ import click
 from wavefield.commands import campaign_commands
 from wavefield.commands.next_command import command_line, print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import JSON, PATH, experiment_file
+from wavefield.commands.sources import JSON, PATH, RIG, experiment_file
 
 if TYPE_CHECKING:
     from wavefield.measurement.diagnostics import Diagnosis
@@ -38,7 +38,7 @@ Examples:
 """
 )
 @campaign_commands.takes_source("EXPERIMENT|FOLDER|CUBE|CATALOG")
-@click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
+@RIG
 @click.option("--workflow", type=PATH, help="Where and how it would run: a file as in workflows/.")
 @click.option(
     "--pairs", is_flag=True, help="Also compare each pair of cameras, and their clocks at more instants."

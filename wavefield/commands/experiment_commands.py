@@ -13,7 +13,7 @@ import click
 from wavefield.commands import campaign_commands
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import CUBE, JSON, PATH, experiment_file, find_cube, is_store
+from wavefield.commands.sources import CUBE, FILE, JSON, PATH, RIG, STORE, experiment_file, is_store
 
 if TYPE_CHECKING:
     from wavefield.series import Experiment
@@ -62,7 +62,7 @@ Examples:
 """
 )
 @campaign_commands.takes_source("EXPERIMENT|FOLDER|CUBE|CATALOG")
-@click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
+@RIG
 @click.option("--workflow", type=PATH, help="Where and how to run: a file as in workflows/.")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Cube to write.")
 @click.option(
@@ -147,7 +147,7 @@ def _after(found: Status) -> str:
 
 
 @click.command(epilog="\b\nExamples:\n  wavefield status cube.zarr\n  wavefield status .")
-@click.argument("store", metavar=CUBE, type=PATH)
+@STORE
 @JSON
 @click.pass_context
 def status(context: click.Context, store: Path, as_json: bool) -> None:
@@ -157,7 +157,6 @@ def status(context: click.Context, store: Path, as_json: bool) -> None:
     """
     from wavefield.pipeline import status as run_status
 
-    store = find_cube(store)
     found = run_status(store)
     click.echo(json.dumps(found.to_dict(), indent=1, default=str) if as_json else str(found))
     if not as_json:
@@ -181,11 +180,7 @@ Examples:
     "Takes seconds for any cube; bytes that changed in place are not found.",
 )
 @click.pass_context
-def verify(
-    context: click.Context,
-    source: campaign_commands.CommandSource,
-    quick: bool,
-) -> None:
+def verify(context: click.Context, source: campaign_commands.CommandSource, quick: bool) -> None:
     """Verify that the chunks of a cube are complete and unchanged.
 
     The exit status is 1 where something is damaged; the command that measured the cube then measures those
@@ -205,9 +200,7 @@ def verify(
 
 @click.command(epilog="\b\nExample:\n  wavefield init run07          # writes run07/experiment.yaml")
 @click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Experiment file to write."
-)
+@click.option("-o", "--output", type=FILE, help="Experiment file to write.")
 def init(folder: Path, output: Path | None) -> None:
     """Propose an experiment file for a folder of images.
 

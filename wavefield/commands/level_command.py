@@ -6,7 +6,7 @@ import click
 
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import PATH, experiment_file
+from wavefield.commands.sources import EXPERIMENT, NEW_RIG, RIG, frames_option
 
 
 @click.command(
@@ -16,19 +16,15 @@ Examples:
   wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
 """
 )
-@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
-@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
-@click.option(
-    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
-)
+@EXPERIMENT
+@RIG
+@NEW_RIG
 @click.option(
     "--distance",
     type=click.FloatRange(min=0, min_open=True),
     help="Between two cameras, m: the second camera's pose is recomputed from features that both see.",
 )
-@click.option(
-    "--frames", default=20, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
-)
+@frames_option(20, "How many instants to use.")
 def level(experiment: Path, rig: Path | None, output: Path, distance: float | None, frames: int) -> None:
     """Place and level cameras by the sea that they see.
 
@@ -38,7 +34,6 @@ def level(experiment: Path, rig: Path | None, output: Path, distance: float | No
     """
     from wavefield.calibration.level_on_water import level_experiment
 
-    experiment = experiment_file(experiment)
     _check_output(output, experiment, rig)
     with Progress("Matching the cameras", "instants") as progress:
         found = level_experiment(experiment, rig, distance, frames, progress)
@@ -55,14 +50,10 @@ Examples:
   wavefield rig sheet piv/experiment.yaml --rig target.yaml -o sheet.yaml
 """
 )
-@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
-@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
-@click.option(
-    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
-)
-@click.option(
-    "--frames", default=50, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
-)
+@EXPERIMENT
+@RIG
+@NEW_RIG
+@frames_option(50, "How many instants to use.")
 def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Bring z = 0 to a light sheet by its particles.
 
@@ -72,7 +63,6 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     """
     from wavefield.calibration.light_sheet import find_sheet
 
-    experiment = experiment_file(experiment)
     _check_output(output, experiment, rig)
     with Progress("Correlating the cameras", "passes") as progress:
         found = find_sheet(experiment, rig, frames, progress)

@@ -5,12 +5,32 @@ import os
 import tempfile
 import webbrowser
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from wavefield.commands.sources import CUBE, PATH, experiment_file, find_cube
+from wavefield.commands.sources import CUBE, EXPERIMENT, PATH, RIG, find_cube
 
+if TYPE_CHECKING:
+    from wavefield.explorer.server import PageServer
+
+_PORT = click.option(
+    "--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free."
+)
+_OPEN = click.option(
+    "--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser."
+)
 LAST = 19  # niceness of a process that takes what the others leave
+
+
+def serve(server: "PageServer", open_page: bool) -> None:
+    """Serve a page until Ctrl-C."""
+    server.start()
+    announce(server.url, int(server.port or 0), open_page)
+    try:
+        server.io_loop.start()
+    except KeyboardInterrupt:
+        server.stop()
 
 
 def announce(url: str, port: int, open_page: bool) -> None:
@@ -56,8 +76,8 @@ Examples:
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Wave store; by default the one next to the cube.",
 )
-@click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free.")
-@click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
+@_PORT
+@_OPEN
 def look(source: Path, run: str | None, waves: Path | None, port: int | None, open_page: bool) -> None:
     """Open an interactive page of a cube.
 
@@ -79,12 +99,7 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     give_way(record.layout.steps - record.steps_done)
     server = session_server(session, port)
     session.load()
-    server.start()
-    announce(server.url, int(server.port or 0), open_page)
-    try:
-        server.io_loop.start()
-    except KeyboardInterrupt:
-        server.stop()
+    serve(server, open_page)
 
 
 @click.command(
@@ -94,14 +109,10 @@ Examples:
   wavefield follow experiment.yaml --rig rig.yaml
 """
 )
-@click.argument("experiment", metavar="EXPERIMENT|FOLDER", type=PATH)
-@click.option(
-    "--rig",
-    type=click.Path(exists=True, path_type=Path),
-    help="Rig file, in place of the one that the experiment names.",
-)
-@click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next free one.")
-@click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
+@EXPERIMENT
+@RIG
+@_PORT
+@_OPEN
 def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool) -> None:
     """Monitor cameras while they record: newest map, status lights.
 
@@ -113,13 +124,8 @@ def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool
     from wavefield.explorer.follower import Follower
     from wavefield.series import Experiment
 
-    follower = Follower(Experiment.load(experiment_file(experiment)), rig)
+    follower = Follower(Experiment.load(experiment), rig)
     server = follow_server(follower, port)
     follower.start()
-    server.start()
-    announce(server.url, int(server.port or 0), open_page)
-    try:
-        server.io_loop.start()
-    except KeyboardInterrupt:
-        server.stop()
+    serve(server, open_page)
     follower.stop()

@@ -1,15 +1,21 @@
 """What a command works on: an experiment file, its folder or its cube, whichever of them is given."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import click
 
 from wavefield.errors import ExperimentError, StoreError
 
+Command = TypeVar("Command", bound=Callable[..., None])
 PATH = click.Path(exists=True, path_type=Path)
 CUBE = "CUBE|EXPERIMENT|FOLDER"
+FILE = click.Path(dir_okay=False, path_type=Path)
 JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON, for scripts.")
+RIG = click.option("--rig", type=PATH, help="Rig file, in place of the one that the experiment names.")
+NEW_RIG = click.option("-o", "--output", required=True, type=FILE, help="Rig to write.")
 
 
 def is_store(path: Path) -> bool:
@@ -37,6 +43,19 @@ def experiment_file(source: Path) -> Path:
     raise ExperimentError(
         f"{source} holds no experiment file; `wavefield init {source}` proposes one from its images"
     )
+
+
+# the arguments of commands on one experiment, or on one cube
+EXPERIMENT = click.argument(
+    "experiment", metavar="EXPERIMENT|FOLDER", type=PATH, callback=lambda _, __, path: experiment_file(path)
+)
+STORE = click.argument("store", metavar=CUBE, type=PATH, callback=lambda _, __, path: find_cube(path))
+
+
+def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command], Command]:
+    """The option of how many frames to use."""
+    count = click.IntRange(min=least)
+    return click.option("--frames", default=default, show_default=True, type=count, help=words)
 
 
 def find_cube(source: Path, run: str | None = None) -> Path:

@@ -5,6 +5,8 @@ from typing import TypedDict, Unpack
 
 import click
 
+from wavefield.commands.sources import FILE
+
 
 class TargetParts(TypedDict):
     """Options of `wavefield target` for one kind of target."""
@@ -38,7 +40,7 @@ Examples:
 """
 )
 @click.argument("kind", type=click.Choice(tuple(_DEFAULT_SHAPES)))
-@click.argument("output", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("output", type=FILE)
 @click.option("--mesh", default=0.025, show_default=True, help="Distance between neighbouring nodes, metres.")
 @click.option(
     "--shape",

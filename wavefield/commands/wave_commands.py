@@ -8,7 +8,7 @@ import click
 from wavefield.commands import campaign_commands
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import CUBE, PATH, find_cube
+from wavefield.commands.sources import CUBE, FILE, STORE, find_cube
 from wavefield.store.store_paths import beside
 from wavefield.text import short_path
 
@@ -22,7 +22,8 @@ class AnalyzeOptions(TypedDict):
     fit: dict[str, str]
 
 
-_STORE = click.Path(exists=True, file_okay=False, path_type=Path)
+_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+_GIVEN = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
 @click.command(
@@ -40,9 +41,7 @@ Examples:
     help="Steps per Welch segment; by default chosen from the record.",
 )
 @click.option(
-    "--probes",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="CSV of wave probes; by default those that the experiment file names.",
+    "--probes", type=_GIVEN, help="CSV of wave probes; by default those that the experiment file names."
 )
 @click.option(
     "--gain",
@@ -61,7 +60,7 @@ Examples:
 )
 @click.option(
     "--workflow",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=_GIVEN,
     help="Where to compute: a file as in workflows/; by default the cores of this machine.",
 )
 @click.pass_context
@@ -125,18 +124,15 @@ Examples:
 """
 )
 @campaign_commands.takes_source(f"{CUBE}|CATALOG")
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
+@click.option("-o", "--output", type=FILE, help="HTML file to write.")
 @click.option(
     "--waves",
-    type=_STORE,
+    type=_FOLDER,
     help="Wave store; by default the one that `wavefield analyze` writes beside the cube.",
 )
 @click.pass_context
 def report(
-    context: click.Context,
-    source: campaign_commands.CommandSource,
-    output: Path | None,
-    waves: Path | None,
+    context: click.Context, source: campaign_commands.CommandSource, output: Path | None, waves: Path | None
 ) -> None:
     """Write the report of a cube: one HTML file that opens offline.
 
@@ -173,11 +169,11 @@ def report(
 @click.command(
     epilog="\b\nExample:\n  wavefield paper cube.zarr --rest rest.zarr      # writes paper.html next to it"
 )
-@click.argument("store", metavar=CUBE, type=PATH)
-@click.option("--rest", type=_STORE, help="Cube of still water, from the same cameras.")
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
+@STORE
+@click.option("--rest", type=_FOLDER, help="Cube of still water, from the same cameras.")
+@click.option("-o", "--output", type=FILE, help="HTML file to write.")
 @click.option(
-    "--waves", type=_STORE, help="Wave store; by default the one next to the cube, made if there is none."
+    "--waves", type=_FOLDER, help="Wave store; by default the one next to the cube, made if there is none."
 )
 def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | None) -> None:
     """Write the figures and numbers of the method's paper.
@@ -187,7 +183,6 @@ def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | Non
     """
     from wavefield.reports.paper_page import paper as write
 
-    store = find_cube(store)
     output = output or beside(store, "paper", ".html")
     with Progress(f"Drawing {output}", "parts") as progress:
         write(store, output, rest=rest, waves=waves, progress=progress)

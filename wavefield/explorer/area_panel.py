@@ -3,20 +3,12 @@
 import numpy as np
 from bokeh.layouts import column
 
+from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.cube_record import CubeRecord
+from wavefield.explorer.node_spectrum import show_spectrum, spectrum_figure
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import (
-    BLUE,
-    add_hover,
-    band,
-    draw_band,
-    envelope,
-    make_figure,
-    make_sources,
-    number,
-    words_of,
-)
-from wavefield.explorer.selections import area, span, spectrum_columns
+from wavefield.explorer.plot_parts import number
+from wavefield.explorer.selections import area, span
 from wavefield.figures.display import display
 
 
@@ -26,29 +18,21 @@ class AreaPanel:
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self._drawn: tuple[object, ...] = ()
-        self.words = words_of(
+        self.words = parts.words_of(
             "area_words", "Choose “rectangle” for dragging (key R) and drag over the map.", html=True
         )
-        self.sources = make_sources(
+        self.sources = parts.make_sources(
             "area", mean="t mean low high", bins="left right density", spectrum="f e low high"
         )
-        self.means = make_figure("area_mean_figure", height=210, x_axis_label="t (s)")
-        draw_band(self.means, self.sources["mean"], "t", "mean", line_width=1.2)
-        self.hover = add_hover(
-            self.means, ("t", "@t{0.000} s"), ("mean", "@mean"), renderers=self.means.renderers[1:2],
-            mode="vline",
-        )  # fmt: skip
-        self.histogram = make_figure(
+        self.means = parts.make_figure("area_mean_figure", height=210, x_axis_label="t (s)")
+        parts.draw_band(self.means, self.sources["mean"], "t", "mean", line_width=1.2)
+        parts.add_hover(self.means, renderers=self.means.renderers[1:2], mode="vline")
+        self.histogram = parts.make_figure(
             "area_histogram", height=210, tools="pan,wheel_zoom,reset", y_axis_label="probability density"
         )
-        self.histogram.quad(
-            "left", "right", "density", 0, source=self.sources["bins"], fill_color=BLUE, line_color="white"
-        )
-        self.spectrum = make_figure(
-            "area_spectrum_figure", height=230, x_axis_type="log", y_axis_type="log",
-            x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset",
-        )  # fmt: skip
-        draw_band(self.spectrum, self.sources["spectrum"], "f", "e")
+        colours = {"fill_color": parts.BLUE, "line_color": "white"}
+        self.histogram.quad("left", "right", "density", 0, source=self.sources["bins"], **colours)
+        self.spectrum = spectrum_figure("area_spectrum_figure", self.sources["spectrum"], 230)
         self.layout = column(
             self.words, self.means, self.histogram, self.spectrum, sizing_mode="stretch_width"
         )
@@ -67,24 +51,16 @@ class AreaPanel:
         found = area(
             preview.stored(name)[rows, columns], preview.scale(name) * shown.factor, 1.0 / record.frame_rate
         )
-        t, mean, std = envelope(record.time, found.mean, found.std)
-        low, high = band(mean, std, thinned=t.size < record.time.size)
+        t, mean, std = parts.envelope(record.time, found.mean, found.std)
+        low, high = parts.band(mean, std, thinned=t.size < record.time.size)
         self.sources["mean"].data = {"t": t, "mean": mean, "low": low, "high": high}
-        self.sources["bins"].data = {
-            "left": found.edges[:-1],
-            "right": found.edges[1:],
-            "density": found.density,
-        }
-        self.hover.tooltips = [("t", "@t{0.000} s"), (f"mean {name}", f"@mean{{0.[000]}} {shown.unit}")]
+        bins = {"left": found.edges[:-1], "right": found.edges[1:]}
+        self.sources["bins"].data = bins | {"density": found.density}
+        self.means.hover.tooltips = [("t", "@t{0.000} s"), (f"mean {name}", f"@mean{{0.[000]}} {shown.unit}")]
         self.means.yaxis.axis_label = f"mean of {shown.label}"
         self.histogram.xaxis.axis_label = shown.label
-        self.spectrum.yaxis.axis_label = f"E ({shown.unit})²/Hz"
-        self.sources["spectrum"].data = spectrum_columns(found.spectrum)
-        if found.spectrum is None:
-            self.spectrum.title.text = "too short a record without gaps for a spectrum"
-        else:
-            low_factor, high_factor = number(found.spectrum.low, 2), number(found.spectrum.high, 2)
-            self.spectrum.title.text = f"95 % interval of a single node: {low_factor} to {high_factor} times"
+        words = "95 % interval of a single node"
+        show_spectrum(self.spectrum, self.sources["spectrum"], found.spectrum, shown, words)
         finite = np.isfinite(found.mean)
         overall = float(np.average(found.mean[finite])) if finite.any() else float("nan")
         self.words.text = (

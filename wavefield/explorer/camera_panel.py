@@ -10,27 +10,9 @@ from bokeh.models import Range1d, Select
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.mask_panel import outlines_of
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import (
-    IMAGE,
-    SKY,
-    VERMILION,
-    YELLOW,
-    PanelEvents,
-    chosen,
-    clear,
-    draw_masks,
-    draw_ring,
-    fit_image,
-    grey_mapper,
-    keep_pixels_square,
-    make_figure,
-    make_sources,
-    on_click,
-    quality_mapper,
-    words_of,
-)
 from wavefield.explorer.selections import nearest
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.target_images import TargetImages
@@ -89,11 +71,7 @@ def visible_nodes(
 class CameraPanel:
     """Frames of the cameras."""
 
-    def __init__(
-        self,
-        session: LookSession,
-        events: PanelEvents,
-    ) -> None:
+    def __init__(self, session: LookSession, events: parts.PanelEvents) -> None:
         self._session, self._picked, self._took_corner = session, events.picked, events.took_corner
         run = session.run
         self._targets = TargetImages(run.experiment) if run.experiment is not None else None
@@ -109,9 +87,9 @@ class CameraPanel:
         for widget in (self.camera, self.frame, self.overlay):
             widget.on_change("value", lambda attr, old, new: events.image_chosen())
         absent = "" if cameras else run.reason("frames")
-        self.words = words_of("camera_words", f"no images: {absent}" if absent else "")
-        self.sources = make_sources(
-            "camera", image=IMAGE, nodes="X Y kind", moves="X0 Y0 X1 Y1", grid="xs ys", node="X Y",
+        self.words = parts.words_of("camera_words", f"no images: {absent}" if absent else "")
+        self.sources = parts.make_sources(
+            "camera", image=parts.IMAGE, nodes="X Y kind", moves="X0 Y0 X1 Y1", grid="xs ys", node="X Y",
             target="X Y", mask="x y", masks="xs ys",
         )  # fmt: skip
         self.figure = self._draw()
@@ -122,38 +100,38 @@ class CameraPanel:
 
     def _draw(self) -> figure:
         height, width = next((one.shape for one in self._session.run.frames.values()), (3, 4))
-        made = make_figure(
+        made = parts.make_figure(
             "camera_view", tools="pan,wheel_zoom,box_zoom,reset,save", toolbar_location="above",
             x_range=Range1d(0, 1), y_range=Range1d(1, 0), x_axis_label="column (px)", y_axis_label="row (px)",
             aspect_ratio=float(np.clip(width / height, 1.15, 2.2)),
         )  # fmt: skip
         made.grid.grid_line_color = None
-        keep_pixels_square(made)
+        parts.keep_pixels_square(made)
         source = self.sources
-        made.image("image", source=source["image"], color_mapper=grey_mapper())
-        made.multi_line("xs", "ys", source=source["grid"], color=SKY, line_alpha=0.85, line_width=1.2)
+        made.image("image", source=source["image"], color_mapper=parts.grey_mapper())
+        made.multi_line("xs", "ys", source=source["grid"], color=parts.SKY, line_alpha=0.85, line_width=1.2)
         made.scatter(
             "X", "Y", source=source["nodes"], size=4.5, line_color="white", line_width=0.4,
-            fill_color={"field": "kind", "transform": quality_mapper()},
+            fill_color={"field": "kind", "transform": parts.quality_mapper()},
         )  # fmt: skip
-        made.segment("X0", "Y0", "X1", "Y1", source=source["moves"], color=YELLOW, line_width=1.6)
+        made.segment("X0", "Y0", "X1", "Y1", source=source["moves"], color=parts.YELLOW, line_width=1.6)
         made.scatter(
-            "X", "Y", source=source["target"], marker="cross", size=9, line_color=SKY, line_width=1.8
+            "X", "Y", source=source["target"], marker="cross", size=9, line_color=parts.SKY, line_width=1.8
         )
-        draw_ring(made, source["node"], "X", "Y", VERMILION, 15)
-        draw_masks(made, source["mask"], source["masks"])
-        on_click(made, self._clicked)
+        parts.draw_ring(made, source["node"], "X", "Y", parts.VERMILION, 15)
+        parts.draw_masks(made, source["mask"], source["masks"])
+        parts.on_click(made, self._clicked)
         return made
 
     def _images(self) -> list[str]:
-        poses = self._targets.poses(chosen(self.camera)) if self._targets is not None else []
+        poses = self._targets.poses(parts.chosen(self.camera)) if self._targets is not None else []
         return [*FRAMES, *(f"{_TARGET}{pose}" for pose in poses)]
 
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
         """Show the chosen image of the chosen camera at a step."""
-        name = chosen(self.camera)
+        name = parts.chosen(self.camera)
         if not name:
             return
         self.frame.options = self._images()
@@ -162,7 +140,7 @@ class CameraPanel:
         if self.frame.value.startswith(_TARGET):
             self._show_target(name, self.frame.value.removeprefix(_TARGET))
             return
-        clear(self.sources["target"])
+        parts.clear(self.sources["target"])
         second = self.frame.value == FRAMES[1]
         series, index = self._session.run.frames[name], place.step + int(second)
         frame = series.read(index)
@@ -180,10 +158,10 @@ class CameraPanel:
 
     def _show_image(self, image: Image | None, shape: tuple[int, ...], message: str) -> None:
         height, width = shape
-        fit_image(self.figure, width, height)
+        parts.fit_image(self.figure, width, height)
         if image is None:
             self.words.text = f"{message}; the other images can be shown."
-            clear(self.sources["image"])
+            parts.clear(self.sources["image"])
             return
         small, factor = shrink(image)
         averaged = f"Every pixel here is the mean of {factor} x {factor} of the camera's."
@@ -200,11 +178,11 @@ class CameraPanel:
         if found.image is not None:
             self.words.text = f"{found.words}. {self.words.text}"
         self._nodes = {}
-        clear(*(self.sources[key] for key in ("nodes", "moves", "grid", "node", "masks")))
+        parts.clear(*(self.sources[key] for key in ("nodes", "moves", "grid", "node", "masks")))
         self.sources["target"].data = {"X": found.pixel[:, 0], "Y": found.pixel[:, 1]}
 
     def _show_nodes(self, camera: Camera, place: Place, second: bool) -> None:
-        record, overlay = self._session.record, chosen(self.overlay)
+        record, overlay = self._session.record, parts.chosen(self.overlay)
         fields = {name: record.field(name, place.step) for name in ("z", *_MOTION, "quality")}
         x, y = np.meshgrid(record.x, record.y)
         every = max(1, -(-max(x.shape) // _NODES))
@@ -213,7 +191,7 @@ class CameraPanel:
             camera, x[thin], y[thin], {name: field[thin] for name, field in fields.items()},
             1.0 / record.frame_rate, second,
         )  # fmt: skip
-        clear(self.sources["nodes"], self.sources["moves"])
+        parts.clear(self.sources["nodes"], self.sources["moves"])
         of_a_kind = self._nodes["kind"] < len(KINDS)
         drawn = {key: values[of_a_kind].astype(np.float32) for key, values in self._nodes.items()}
         if overlay == "nodes":
@@ -230,14 +208,14 @@ class CameraPanel:
             lines = [camera.project(x[j], y[j], z[j]) for j in rows]
             lines += [camera.project(x[:, i], y[:, i], z[:, i]) for i in columns]
         self.sources["grid"].data = {"xs": [X for X, _ in lines], "ys": [Y for _, Y in lines]}
-        clear(self.sources["node"])
+        parts.clear(self.sources["node"])
         if place.node is not None:
             j, i = nearest(record.y, place.node[1]), nearest(record.x, place.node[0])
             column_px, row_px = camera.project(record.x[i], record.y[j], z[j, i])
             self.sources["node"].data = {"X": [float(column_px)], "Y": [float(row_px)]}
 
     def _clicked(self, event: Tap) -> None:
-        name = chosen(self.camera)
+        name = parts.chosen(self.camera)
         if name and self._took_corner(name, (float(event.x), float(event.y))):
             return
         nodes = self._nodes

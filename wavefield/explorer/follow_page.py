@@ -16,32 +16,16 @@ from jinja2 import Environment
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
+from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.camera_panel import frame_columns, shrink
 from wavefield.explorer.follower import FollowedSet, Follower
 from wavefield.explorer.lights import State, StatusLight, red_lights, state_runs
 from wavefield.explorer.map_fields import arrows, palette, top_speed
-from wavefield.explorer.plot_parts import (
-    GREY,
-    IMAGE,
-    INK,
-    SKY,
-    chosen,
-    colour_bar,
-    draw_probes,
-    fit_image,
-    grey_mapper,
-    image_data,
-    keep_pixels_square,
-    make_figure,
-    make_sources,
-    words_of,
-)
 from wavefield.explorer.server import PageServer, make_server
 from wavefield.explorer.target_watch import TargetWatch
 from wavefield.explorer.template import apply_template, asset
 from wavefield.figures.display import display
 from wavefield.text import spell_time
-from wavefield.variables import TABLE
 
 _REFRESH_MS = 200
 _MAX_CAMERA_PX = 800  # three images next to each other, in detail
@@ -78,16 +62,16 @@ class CameraView:
     @classmethod
     def of(cls, name: str) -> "CameraView":
         """An empty view."""
-        sources = make_sources(name, image=IMAGE, nodes="x y")
-        made = make_figure(
+        sources = parts.make_sources(name, image=parts.IMAGE, nodes="x y")
+        made = parts.make_figure(
             f"{name}_view", tools="pan,wheel_zoom,reset", x_range=(0, 100), y_range=(100, 0),
             aspect_ratio=1.25, min_border_left=34, min_width=300, title=name,
         )  # fmt: skip
         made.grid.grid_line_color = None
-        keep_pixels_square(made)
-        made.image("image", source=sources["image"], color_mapper=grey_mapper())
+        parts.keep_pixels_square(made)
+        made.image("image", source=sources["image"], color_mapper=parts.grey_mapper())
         made.scatter(
-            "x", "y", source=sources["nodes"], marker="cross", size=8, line_color=SKY, line_width=1.6
+            "x", "y", source=sources["nodes"], marker="cross", size=8, line_color=parts.SKY, line_width=1.6
         )
         return cls(made, sources)
 
@@ -98,12 +82,7 @@ class CameraView:
         if len(x) or len(self.sources["nodes"].data["x"]):
             self.sources["nodes"].data = {"x": x, "y": y}
         height, width = image.shape
-        fit_image(self.figure, width, height)
-
-
-def _named(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Choices of variables, as those of `look`."""
-    return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
+        parts.fit_image(self.figure, width, height)
 
 
 class FollowPage:
@@ -115,13 +94,15 @@ class FollowPage:
         self._lights: tuple[StatusLight, ...] = ()
         self._remembered = 0  # entries of the history that are drawn
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights", "target": "target_words"}
-        self.words = {key: words_of(name, html=True) for key, name in names.items()}
-        self.variable = Select(title="Map of", value="w", options=_named(_VARIABLES), name="show", width=230)
+        self.words = {key: parts.words_of(name, html=True) for key, name in names.items()}
+        self.variable = Select(
+            title="Map of", value="w", options=parts.named(_VARIABLES), name="show", width=230
+        )
         self.variable.on_change("value", lambda attr, old, new: self._redraw())
         self.mapper = LinearColorMapper(
-            palette=palette(display("w").colour_map), nan_color=GREY, low=-1, high=1
+            palette=palette(display("w").colour_map), nan_color=parts.GREY, low=-1, high=1
         )
-        self.sources = make_sources("map", image=IMAGE, arrows="x y", probes="x y name")
+        self.sources = parts.make_sources("map", image=parts.IMAGE, arrows="x y", probes="x y name")
         if probes is not None:
             positions = {"x": probes.probe_x.values, "y": probes.probe_y.values}
             self.sources["probes"].data = positions | {"name": [str(name) for name in probes.probe.values]}
@@ -129,7 +110,7 @@ class FollowPage:
         self.cameras = {name: CameraView.of(name) for name in follower.experiment.cameras}
 
     def _draw_map(self) -> figure:
-        made = make_figure(
+        made = parts.make_figure(
             "map", tools="pan,wheel_zoom,reset,save", toolbar_location="above", match_aspect=True,
             aspect_ratio=1.3, sizing_mode="scale_width", x_axis_label="x (m)", y_axis_label="y (m)",
         )  # fmt: skip
@@ -137,9 +118,9 @@ class FollowPage:
         made.grid.grid_line_color = None
         image = made.image("image", source=self.sources["image"], color_mapper=self.mapper)
         made.x_range.renderers = made.y_range.renderers = [image]
-        made.line("x", "y", source=self.sources["arrows"], color=INK, line_width=1.1)
-        draw_probes(made, self.sources["probes"])
-        made.add_layout(colour_bar(self.mapper), "right")
+        made.line("x", "y", source=self.sources["arrows"], color=parts.INK, line_width=1.1)
+        parts.draw_probes(made, self.sources["probes"])
+        made.add_layout(parts.colour_bar(self.mapper), "right")
         return made
 
     def attach(self, document: Document) -> None:
@@ -217,13 +198,13 @@ class FollowPage:
 
     def _show_map(self, latest: FollowedSet) -> None:
         x, y = self._follower.nodes
-        shown = display(chosen(self.variable))
+        shown = display(parts.chosen(self.variable))
         values = latest.fields[shown.name].astype(np.float32) * np.float32(shown.factor)
         low, high = shown.limits(values)
         if self.map.title.text.startswith(f"{shown.name}:"):  # the scale grows only
             high = max(high, self.mapper.high)
         self.mapper.update(palette=palette(shown.colour_map), low=-high if low < 0 else 0.0, high=high)
-        self.sources["image"].data = image_data(values, x, y)
+        self.sources["image"].data = parts.image_data(values, x, y)
         u, v = (np.asarray(latest.fields[name], float) for name in "uv")
         xs, ys, _ = arrows(u, v, x, y, top_speed(u, v))
         self.sources["arrows"].data = {"x": xs, "y": ys}

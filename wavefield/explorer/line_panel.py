@@ -5,23 +5,11 @@ from bokeh.layouts import column
 from bokeh.models import LinearColorMapper, Range1d, Span
 from numpy.typing import NDArray
 
+from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import palette
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import (
-    BLUE,
-    GREY,
-    IMAGE,
-    INK,
-    add_hover,
-    clear,
-    colour_bar,
-    image_data,
-    make_figure,
-    make_sources,
-    number,
-    words_of,
-)
+from wavefield.explorer.plot_parts import number
 from wavefield.explorer.selections import interpolate, line_points, time_distance
 from wavefield.figures.display import display
 
@@ -31,36 +19,36 @@ _DIAGRAM_STEPS = 400  # of the time-distance diagram, about the displayed step
 class LinePanel:
     """Transect and time-distance diagram."""
 
-    def __init__(self, record: CubeRecord) -> None:
-        self._record = record
+    def __init__(self, record: CubeRecord, limits: parts.Limits) -> None:
+        self._record, self._limits = record, limits
         self._window = (0, 0)  # steps of the diagram
         self._drawn: tuple[object, ...] = ()
-        self.words = words_of(
+        self.words = parts.words_of(
             "line_words", "Choose “line” for dragging (key L) and drag across the map.", html=True
         )
-        self.sources = make_sources("line", now="s value", image=IMAGE)
+        self.sources = parts.make_sources("line", now="s value", image=parts.IMAGE)
         labels = 56  # px for those of the colour bar, which become longer with the values
-        self.transect = make_figure(
+        self.transect = parts.make_figure(
             "line_transect", height=230, tools="pan,wheel_zoom,reset", min_border_right=labels
         )
-        self.transect.line("s", "value", source=self.sources["now"], color=BLUE, line_width=1.8)
-        self.hover = add_hover(self.transect, ("", "@value"), mode="vline")
-        self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=GREY)
-        self.diagram = make_figure(
+        self.transect.line("s", "value", source=self.sources["now"], color=parts.BLUE, line_width=1.8)
+        parts.add_hover(self.transect, mode="vline")
+        self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=parts.GREY)
+        self.diagram = parts.make_figure(
             "line_diagram", height=430, tools="pan,wheel_zoom,reset,save", toolbar_location="above",
             x_range=self.transect.x_range, y_range=Range1d(0, 1), min_border_right=labels,
             x_axis_label="distance along the line (m)", y_axis_label="t (s)",
         )  # fmt: skip
         self.diagram.grid.grid_line_color = None
         self.diagram.image("image", source=self.sources["image"], color_mapper=self.mapper)
-        self.diagram_hover = add_hover(self.diagram, ("", "@image"))
-        self.moment = Span(dimension="width", location=0, line_color=INK, line_dash="dotted")
+        parts.add_hover(self.diagram)
+        self.moment = Span(dimension="width", location=0, line_color=parts.INK, line_dash="dotted")
         self.diagram.add_layout(self.moment)
-        self.diagram.add_layout(colour_bar(self.mapper), "right")
+        self.diagram.add_layout(parts.colour_bar(self.mapper), "right")
         self.layout = column(self.words, self.transect, self.diagram, sizing_mode="stretch_width")
 
-    def show(self, place: Place, limits: tuple[float, float]) -> None:
-        """Show the line of a place, in colours between two limits in the displayed unit."""
+    def show(self, place: Place) -> None:
+        """Show the line of a place."""
         if place.line is None:
             return
         record, name, time = self._record, place.coloured, float(self._record.time[place.step])
@@ -70,8 +58,11 @@ class LinePanel:
         values = interpolate(record.field(name, place.step), record.x, record.y, x, y) * shown.factor
         self.sources["now"].data = {"s": distance, "value": values}
         self.transect.yaxis.axis_label = shown.label
-        self.hover.tooltips = [("along the line", "@s{0.000} m"), (name, f"@value{{0.[000]}} {shown.unit}")]
-        self.diagram_hover.tooltips = [
+        self.transect.hover.tooltips = [
+            ("along the line", "@s{0.000} m"),
+            (name, f"@value{{0.[000]}} {shown.unit}"),
+        ]
+        self.diagram.hover.tooltips = [
             ("along the line, t", "$x{0.000} m, $y{0.000} s"),
             (name, f"@image{{0.[000]}} {shown.unit}"),
         ]
@@ -81,10 +72,11 @@ class LinePanel:
         )
         self.moment.location = time
         if name not in record.preview.thin.names:
-            clear(self.sources["image"])
+            parts.clear(self.sources["image"])
             self.diagram.title.text = f"no diagram of {name}: it is computed step by step"
             return
-        self.mapper.update(palette=palette(place.colours or shown.colour_map), low=limits[0], high=limits[1])
+        low, high = self._limits(place)
+        self.mapper.update(palette=palette(place.colours or shown.colour_map), low=low, high=high)
         self.diagram.title.text = shown.label
         drawn = (place.line, name, record.preview.count)
         if self._drawn != drawn or not self._well_inside(place.step):
@@ -105,7 +97,7 @@ class LinePanel:
         )
         along = np.linspace(0.0, float(np.hypot(x[-1] - x[0], y[-1] - y[0])), values.shape[1])
         time = record.time[steps]
-        self.sources["image"].data = image_data(values * np.float32(display(name).factor), along, time)
+        self.sources["image"].data = parts.image_data(values * np.float32(display(name).factor), along, time)
         self.diagram.y_range.update(start=float(time[0]), end=float(time[-1]))
         self._window = steps.start, steps.stop
 

@@ -1,9 +1,10 @@
 """The page of `wavefield look`: one session of one reader, thin over the panels."""
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from bokeh.document import Document
@@ -16,16 +17,10 @@ from wavefield.explorer.look_controls import LookControls
 from wavefield.explorer.look_header import LookHeader
 from wavefield.explorer.look_panels import LookPanels
 from wavefield.explorer.place import AVERAGES, TABS, Place, Value
-from wavefield.explorer.plot_parts import PanelEvents, chosen, clear
+from wavefield.explorer.plot_parts import PanelEvents, clear
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.template import apply_template
-from wavefield.explorer.time_averages import (
-    AverageRequest,
-    Field,
-    phase_averages,
-    phases_of,
-    time_averages,
-)
+from wavefield.explorer.time_averages import AverageRequest, Field, averages, index_of, phases_of, request_of
 from wavefield.figures.display import display
 from wavefield.variables import FrameStatus
 
@@ -47,9 +42,9 @@ class LookPage:
         events = PanelEvents(
             self.pick, self._take_corner, self._masks_changed, lambda: self._soon(self._show_view)
         )
-        self.panels = LookPanels(session, place, self.controls.drag, events)
-        self.averages: BackgroundReader[AverageRequest, Mapping[str, Sequence[Field]]] = BackgroundReader(
-            self._read_averages,
+        self.panels = LookPanels(session, place, self.controls["drag"], events)
+        self.averages: BackgroundReader[AverageRequest, dict[str, list[Field]]] = BackgroundReader(
+            partial(averages, session.record),
             on_progress=lambda words: self.panels.map.figure.title.update(text=words),
             on_error=lambda words: self.header.report(StoreError(words)),
             on_end=lambda: self._soon(self.redraw),
@@ -63,21 +58,13 @@ class LookPage:
 
     def _listen(self) -> None:
         controls, panels = self.controls, self.panels
-        controls.variable.on_change(
-            "value", lambda a, o, new: self.change(show=chosen(controls.variable), limits=None)
-        )
-        controls.step.on_change("value", lambda a, o, new: self.change(step=self._within(new)))
-        controls.average.on_change(
-            "value", lambda a, o, new: self.change(average=chosen(controls.average), limits=None)
-        )
-        controls.period.on_change("value", lambda a, o, new: self.change(period=new or None, limits=None))
-        controls.colours.on_change("value", lambda a, o, new: self.change(colours=chosen(controls.colours)))
-        controls.overlay.on_change("value", lambda a, o, new: self.change(overlay=chosen(controls.overlay)))
-        controls.log.on_change("active", lambda a, o, new: self.change(log=bool(new), limits=None))
-        controls.drag.on_change("value", lambda a, o, new: self._drag_mode(chosen(controls.drag)))
-        controls.low.on_change("value", lambda a, o, new: self._limits_entered())
-        controls.high.on_change("value", lambda a, o, new: self._limits_entered())
-        controls.fit.on_click(self._fit)
+        for name in ("show", "average", "period", "step", "colours", "log", "overlay"):
+            event = "active" if name == "log" else "value"
+            controls[name].on_change(event, lambda a, o, new, name=name: self._entered(name))
+        controls["drag"].on_change("value", lambda a, o, new: self._drag_mode())
+        for name in ("low", "high"):
+            controls[name].on_change("value", lambda a, o, new: self._limits_entered())
+        controls["fit"].on_click(self._fit)
         controls.play_on(panels.map.sources["image"])
         panels.views.on_change("active", lambda a, o, new: self.change(tab=TABS[int(new)]))
         panels.picked.on_change("active", lambda a, o, new: self._soon(self._show_picked))
@@ -137,16 +124,19 @@ class LookPage:
             self.place = place
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
-    def _within(self, step: float) -> int:
-        return int(min(max(step, 0), self.session.record.layout.steps - 1))
+    def _entered(self, name: str) -> None:
+        changed = {name: self.controls.entered(name)}
+        if name in ("show", "average", "period", "log"):  # other limits fit
+            changed["limits"] = None
+        self.change(**changed)
 
     def pick(self, kind: str, where: tuple[float, ...]) -> None:
         """Show the "node", "line" or "area" that was picked on the map or in an image."""
-        if kind == "node" and self.place.drag == "mask":
+        if kind == "node":
             from wavefield.series.masks import WATER
 
-            self._take_corner(WATER, (where[0], where[1]))
-            return
+            if self._take_corner(WATER, (where[0], where[1])):
+                return
         picked: dict[str, Value] = {kind: tuple(where)}
         self.place = replace(self.place, **picked)  # type: ignore[arg-type]
         self.panels.open_picked(kind)
@@ -155,15 +145,14 @@ class LookPage:
         if self.place.tab == "cameras":
             self._soon(self._show_view)
 
-    def _drag_mode(self, mode: str) -> None:
-        self.place = replace(self.place, drag=mode)
+    def _drag_mode(self) -> None:
+        mode = str(self.controls.entered("drag"))
         if mode in _DRAG_TABS:
             self.panels.open_picked(_DRAG_TABS[mode])
-        self._write_link()
 
     def _take_corner(self, image: str, corner: tuple[float, float]) -> bool:
         """Take a click as the corner of a mask, if masks are being drawn."""
-        if self.place.drag != "mask":
+        if self.controls.entered("drag") != "mask":
             return False
         self.panels.open_picked("mask")
         self.panels.masks().add(image, corner)
@@ -213,59 +202,34 @@ class LookPage:
         step, record = self.place.step, self.session.record
         self.header.forget_error()
         self._guarded(self._show_map)
-        self.controls.step.title = f"Step {step} of {record.layout.steps}, t = {record.time[step]:.3f} s"
-        self.controls.step.value = step
+        title = f"Step {step} of {record.layout.steps}, t = {record.time[step]:.3f} s"
+        self.controls["step"].update(title=title, value=step)
         self.panels.show_view(self.place)
         self.panels.show_step(self.place)
         self._write_link()
 
-    def _request(self) -> AverageRequest:
-        """The variables of the map: the displayed one, and u and v of the arrows."""
-        record = self.session.record
-        names = self.place.show, *(name for name in ("u", "v") if name in record.stored)
-        period = (self.place.period or 0.0) if self.place.averaged == "phase" else 0.0
-        return AverageRequest(tuple(dict.fromkeys(names)), record.steps_done, period)
-
-    def _phase(self, period: float) -> tuple[int, float]:
-        """The phase average nearest to the step that is shown, by its index, and its phase, degrees."""
-        phases = phases_of(period, self.session.record.frame_rate)
-        index = round(float(self.session.record.time[self.place.step]) / period * phases) % phases
-        return index, 360 * index / phases
-
-    def _read_averages(
-        self, request: AverageRequest, progress: Callable[[float], None]
-    ) -> Mapping[str, Sequence[Field]]:
-        record = self.session.record
-        if request.period:
-            return phase_averages(record, request.names, request.period, progress)
-        return time_averages(record, request.names, progress)
-
     def _fields(self) -> dict[str, NDArray[np.float32]] | None:
         """What the map shows of the displayed variable and of u and v, (ny, nx); None while it is read."""
         record, place = self.session.record, self.place
+        request = request_of(record, place)
         if not place.averaged:
-            early, names = record.preview.early_step(place.step), self._request().names
+            early = record.preview.early_step(place.step)
             if early is not None:
-                return {name: record.preview.early_field(name, early) for name in names}
-            return {name: record.field(name, place.step) for name in names}
-        request = self._request()
-        if place.averaged != "phase":
-            index = ("mean", "rms").index(place.averaged)
-        elif request.period * record.frame_rate > 2:
-            index = self._phase(request.period)[0]
-        else:
-            return None
-        found = self.averages.get(request, self._document)
-        return {name: average[index] for name, average in found.items()} if found else None
+                return {name: record.preview.early_field(name, early) for name in request.names}
+            return {name: record.field(name, place.step) for name in request.names}
+        index = index_of(record, place)
+        found = None if index is None else self.averages.get(request, self._document)
+        return {name: each[index] for name, each in found.items()} if found and index is not None else None
 
     def _show_map(self) -> None:
         record, place, panel = self.session.record, self.place, self.panels.map
-        self.controls.period.visible = place.average == "phase"
+        self.controls["period"].visible = place.average == "phase"
         fields = self._fields()
         if fields is None:
-            known = place.averaged != "phase" or (place.period or 0.0) * record.frame_rate > 2
-            ask = f"enter the period of the waves, more than {2 / record.frame_rate:.3g} s"
-            panel.figure.title.text = f"{place.show}: {'reading all steps' if known else ask}"
+            words = "reading all steps"
+            if index_of(record, place) is None:
+                words = f"enter the period of the waves, more than {2 / record.frame_rate:.3g} s"
+            panel.figure.title.text = f"{place.show}: {words}"
             clear(panel.sources["image"], panel.sources["arrows"])
             return
         panel.show(place, fields)
@@ -273,7 +237,7 @@ class LookPage:
         for widget in self.controls.of_scale:
             widget.disabled = place.show == "quality"
         self._setting_limits = True
-        self.controls.low.value, self.controls.high.value = self.panels.limits(place)
+        self.controls["low"].value, self.controls["high"].value = self.panels.limits(place)
         self._setting_limits = False
         self._status_shown = self._status()
         code, early = self._status_shown
@@ -281,8 +245,10 @@ class LookPage:
         what = f"{place.show}: {shown.long_name}{shown.in_unit}"
         if place.averaged:
             words = f"{what}, {AVERAGES[place.averaged]}"
-            if place.averaged == "phase" and place.period:
-                words += f" over {place.period:g} s, phase {self._phase(place.period)[1]:.0f}°"
+            index = index_of(record, place)
+            if place.averaged == "phase" and place.period and index is not None:
+                degrees = 360 * index / phases_of(place.period, record.frame_rate)
+                words += f" over {place.period:g} s, phase {degrees:.0f}°"
         else:
             status = _STATUS_WORDS.get(FrameStatus(code), "")
             if early is not None:
@@ -323,5 +289,5 @@ class LookPage:
             self._show_picked()
         self._chunks_shown = chunks
         if self.place.tab == "waves":
-            self.panels.waves().show()
+            self.panels.waves().show(self.place)
         self.header.show()

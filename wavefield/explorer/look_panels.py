@@ -1,6 +1,6 @@
 """The panels of `wavefield look` in two groups of tabs: views of a step, and what is picked on them."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bokeh.models import Select
 
@@ -30,23 +30,28 @@ class LookPanels:
     def __init__(self, session: LookSession, place: Place, drag: Select, events: PanelEvents) -> None:
         self._session, self._events = session, events
         record = session.record
-        self.map = MapPanel(record, drag, events.picked)
-        self.surface = LazyPanel(lambda: SurfacePanel(record))
+        self.map, self.node = MapPanel(record, drag, events.picked), NodePanel(record)
         self.cameras = LazyPanel(self._make_cameras)
         self.waves = LazyPanel(self._make_waves)
-        self.node = NodePanel(record)
-        self.line = LazyPanel(lambda: LinePanel(record))
-        self.area = LazyPanel(lambda: AreaPanel(record))
-        save = SavePanel()
         self.masks = LazyPanel(self._make_masks)
-        bodies = self.map.figure, self.surface.body, self.cameras.body, self.waves.body
+        self._views: dict[str, LazyPanel[Any]] = {  # but for the map
+            "surface": LazyPanel(lambda: SurfacePanel(record, self._step_limits)),
+            "cameras": self.cameras,
+            "waves": self.waves,
+        }
+        self._picked: dict[str, LazyPanel[Any]] = {  # but for the node
+            "line": LazyPanel(lambda: LinePanel(record, self._step_limits)),
+            "area": LazyPanel(lambda: AreaPanel(record)),
+            "save": LazyPanel(SavePanel),
+            "mask": self.masks,
+        }
+        bodies = self.map.figure, *(panel.body for panel in self._views.values())
         titles = [tab.capitalize() for tab in TABS]
         self.views = make_tabs("views", TABS.index(place.tab), list(zip(titles, bodies)))
-        self.show_save = save.show
-        picked = self.node.layout, self.line.body, self.area.body, save.layout, self.masks.body
+        bodies = self.node.layout, *(panel.body for panel in self._picked.values())
         first = "line" if place.line else "area" if place.area else "node"
         titles = ["Node", "Line", "Rectangle", "Save", "Mask"]
-        self.picked = make_tabs("picked", PICKED.index(first), list(zip(titles, picked)))
+        self.picked = make_tabs("picked", PICKED.index(first), list(zip(titles, bodies)))
 
     def _make_cameras(self) -> "CameraPanel":
         from wavefield.explorer.camera_panel import CameraPanel
@@ -73,13 +78,9 @@ class LookPanels:
 
     def show_view(self, place: Place) -> None:
         """Show a place in the open view; the map is always drawn."""
-        if place.tab == "surface":
-            self.surface().show(place, self._step_limits(place))
-        elif place.tab == "cameras":
-            self.cameras().show(place)
+        if place.tab in self._views:
+            self._views[place.tab]().show(place)
             self._show_corners()
-        elif place.tab == "waves":
-            self.waves().show()
 
     def _step_limits(self, place: Place) -> tuple[float, float]:
         """Limits of the colour scale in the panels that show a step, without average and logarithm."""
@@ -91,16 +92,7 @@ class LookPanels:
     def show_picked(self, place: Place) -> None:
         """Show what is picked, in the open tab."""
         kind = PICKED[int(self.picked.active)]
-        if kind == "node":
-            self.node.show(place)
-        elif kind == "line":
-            self.line().show(place, self._step_limits(place))
-        elif kind == "area":
-            self.area().show(place)
-        elif kind == "mask":
-            self.masks()
-        else:
-            self.show_save(place)
+        (self.node if kind == "node" else self._picked[kind]()).show(place)
 
     def show_step(self, place: Place) -> None:
         """Show another step of what is picked: the series at the node stay."""

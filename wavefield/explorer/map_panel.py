@@ -24,28 +24,13 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import arrows, colour_limits, palette, streamlines, top_speed
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import (
-    GREY,
-    IMAGE,
-    INK,
-    clear,
-    colour_bar,
-    draw_masks,
-    draw_probes,
-    draw_ring,
-    image_data,
-    label_kinds,
-    make_figure,
-    make_sources,
-    number,
-    on_click,
-    quality_mapper,
-)
-from wavefield.figures.display import POSITIVE, SIGNED, display
-from wavefield.figures.quality_kinds import KINDS, quality_kind
+from wavefield.explorer.plot_parts import number
+from wavefield.figures.display import display
+from wavefield.figures.quality_kinds import KINDS, drawn_kind
 
 # draws the line or the rectangle while it is dragged; Python gets it at the end
 _DRAG = """
@@ -85,14 +70,14 @@ class MapPanel:
         self._start: tuple[float, float] | None = None  # of the drag that goes on
         self._fitted: dict[tuple[str, str, bool], tuple[float, float]] = {}  # limits, by `_scale`
         self._fastest = 0.0  # speed of the longest arrows, m/s
-        self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=GREY)
-        self.bar = colour_bar(self.mapper)
+        self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=parts.GREY)
+        self.bar = parts.colour_bar(self.mapper)
         self.arrow_key = Label(
             x=8, y=8, x_units="screen", y_units="screen", text="", text_font_size="12px",
             background_fill_color="white", background_fill_alpha=0.8, padding=3,
         )  # fmt: skip
-        self.sources = make_sources(
-            "map", image=IMAGE, arrows="x y", node="x y", line="x y", area="left right bottom top",
+        self.sources = parts.make_sources(
+            "map", image=parts.IMAGE, arrows="x y", node="x y", line="x y", area="left right bottom top",
             mask="x y", masks="xs ys", probes="x y name",
         )  # fmt: skip
         self.figure = self._draw()
@@ -102,7 +87,7 @@ class MapPanel:
         width, height = float(np.ptp(record.x)) or 1.0, float(np.ptp(record.y)) or 1.0
         move, wheel = PanTool(), WheelZoomTool()
         zoom = BoxZoomTool(match_aspect=True), wheel, ZoomInTool(), ZoomOutTool()
-        made = make_figure(
+        made = parts.make_figure(
             "map", tools=[move, *zoom, ResetTool(), SaveTool()], active_scroll=wheel, active_drag=move,
             match_aspect=True, toolbar_location="above", x_axis_label="x (m)", y_axis_label="y (m)",
             aspect_ratio=map_aspect(width / height),
@@ -112,16 +97,16 @@ class MapPanel:
         made.background_fill_color = "#f6f8fa"
         image = made.image("image", source=source["image"], color_mapper=self.mapper)
         made.x_range.renderers = made.y_range.renderers = [image]
-        made.line("x", "y", source=source["arrows"], color=INK, line_width=1.1)
-        for colour, line_width in (("white", 5.0), (INK, 2.2)):
+        made.line("x", "y", source=source["arrows"], color=parts.INK, line_width=1.1)
+        for colour, line_width in (("white", 5.0), (parts.INK, 2.2)):
             made.line("x", "y", source=source["line"], line_cap="round", color=colour, line_width=line_width)
         made.quad(
             "left", "right", "bottom", "top", source=source["area"],
-            fill_alpha=0.08, fill_color=INK, line_color=INK, line_width=2, line_dash=[6, 4],
+            fill_alpha=0.08, fill_color=parts.INK, line_color=parts.INK, line_width=2, line_dash=[6, 4],
         )  # fmt: skip
-        draw_masks(made, source["mask"], source["masks"])
-        draw_probes(made, source["probes"])
-        draw_ring(made, source["node"], "x", "y", INK, 13)
+        parts.draw_masks(made, source["mask"], source["masks"])
+        parts.draw_probes(made, source["probes"])
+        parts.draw_ring(made, source["node"], "x", "y", parts.INK, 13)
         made.add_layout(self.bar, "right")
         made.add_layout(self.arrow_key)
         self.hover = HoverTool(renderers=[image])
@@ -137,7 +122,7 @@ class MapPanel:
             made.js_on_event(event, follow)
         made.on_event(PanStart, self._drag_begins)
         made.on_event(PanEnd, self._drag_ends)
-        on_click(made, lambda event: self._picked("node", (event.x, event.y)))
+        parts.on_click(made, lambda event: self._picked("node", (event.x, event.y)))
         self._drag.js_on_change("value", CustomJS(args={"bar": made.toolbar, "move": move}, code=_PAN))
 
     def _drag_begins(self, event: PanStart) -> None:
@@ -154,21 +139,18 @@ class MapPanel:
         """Draw fields (ny, nx) in stored units: that of a place, and u and v if there are any."""
         values = fields[place.show]
         if place.show == "quality":
-            kinds = quality_kind(values).astype(np.float32)
-            kinds[kinds == len(KINDS)] = np.nan
-            fresh = quality_mapper()
+            fresh = parts.quality_mapper()
             self.mapper.update(palette=fresh.palette, low=fresh.low, high=fresh.high)
-            label_kinds(self.bar)
+            parts.label_kinds(self.bar)
             self._name_values(place, f"return {[words for _, words, _ in KINDS]}[value] ?? 'none'")
-            self.sources["image"].data = image_data(kinds, self._record.x, self._record.y)
+            self.sources["image"].data = parts.image_data(drawn_kind(values), self._record.x, self._record.y)
         else:
             self._show_values(values * np.float32(display(place.show).factor), place)
         self._show_overlay(place, fields)
 
     def _show_values(self, values: NDArray[np.float32], place: Place) -> None:
-        signed = display(place.show).signed and place.averaged != "rms" and not place.log
         if _scale(place) not in self._fitted and np.isfinite(values).any():
-            self._fitted[_scale(place)] = colour_limits(values, signed, place.log)
+            self._fitted[_scale(place)] = colour_limits(values, place.signed, place.log)
         low, high = place.limits or self.fitted(place)
         if place.log:
             with np.errstate(divide="ignore"):
@@ -176,14 +158,14 @@ class MapPanel:
             low, high = (float(np.log10(end)) for end in (low if low > 0 else 1e-4 * high, high))
         code = "10 ** value" if place.log else "value"
         if self._name_values(place, f"return Number(({code}).toPrecision(4))"):
-            plain = colour_bar(self.mapper)
+            plain = parts.colour_bar(self.mapper)
             labels = CustomJSTickFormatter(code=_POWER) if place.log else plain.formatter
             self.bar.update(ticker=plain.ticker, formatter=labels, major_label_overrides={})
-        colours = palette(place.colours or (SIGNED if signed else POSITIVE))
+        colours = palette(place.colour_map)
         if self.mapper.palette != colours:  # 256 colours take 10 ms to check
             self.mapper.palette = colours
         self.mapper.update(low=low, high=high)
-        self.sources["image"].data = image_data(values, self._record.x, self._record.y)
+        self.sources["image"].data = parts.image_data(values, self._record.x, self._record.y)
 
     def _name_values(self, place: Place, code: str) -> bool:
         """Name what is under the pointer, its value by a script; returns whether it was named otherwise."""
@@ -217,7 +199,7 @@ class MapPanel:
         """Draw arrows or streamlines of u and v, of the step or of the mean flow."""
         self.arrow_key.text = ""
         if place.overlay == "nothing" or place.averaged == "rms" or not {"u", "v"} <= set(fields):
-            clear(self.sources["arrows"])
+            parts.clear(self.sources["arrows"])
             return
         u, v, x, y = fields["u"], fields["v"], self._record.x, self._record.y
         if place.overlay == "streamlines":

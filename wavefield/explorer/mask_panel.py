@@ -11,6 +11,7 @@ from bokeh.models import Button
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
+from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import alert, words_of
 from wavefield.explorer.session import LookSession
 from wavefield.series.mask_file import add_polygons
@@ -44,6 +45,9 @@ class MaskPanel:
         self.save.on_click(self._save)
         buttons = row(self.undo, self.clear, self.save, styles={"flex-wrap": "wrap"})
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
+
+    def show(self, place: Place) -> None:
+        """The corners are the same at every place."""
 
     def add(self, image: str, corner: Corner) -> None:
         """Add a corner: px in the image of a camera, or metres on the water."""

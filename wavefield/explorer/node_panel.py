@@ -9,28 +9,14 @@ from bokeh.models import Select, Span
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.background_reader import BackgroundReader
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.derived_series import SeriesRequest, derived_series
 from wavefield.explorer.map_fields import readings
 from wavefield.explorer.node_spectrum import NearProbe, NodeSpectrum, nearest_probe
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import (
-    BLUE,
-    INK,
-    MOST_POINTS,
-    VERMILION,
-    add_hover,
-    band,
-    chosen,
-    draw_band,
-    envelope,
-    make_figure,
-    make_sources,
-    number,
-    quality_mapper,
-    words_of,
-)
+from wavefield.explorer.plot_parts import number
 from wavefield.explorer.selections import nearest
 from wavefield.figures.display import DERIVED, display
 from wavefield.figures.quality_kinds import KINDS, quality_kind
@@ -49,27 +35,20 @@ class NodePanel:
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self.probes: xr.Dataset | None = None  # of the experiment, when they are read
-        self._main = tuple(name for name in _MAIN if name in record.stored)
         self._node: tuple[float, float] | None = None  # the picked one, m
         self._refining = False
-        self.words = words_of("node_words", "Click a node of the map.", html=True)
-        others = self._others(record.names)
+        self.words = parts.words_of("node_words", "Click a node of the map.", html=True)
+        names = self._others(record.names)
         self.other = Select(
-            title="Fifth series", value=others[0] if others else "", options=others, name="node_other"
+            title="Fifth series", value=names[0] if names else "", options=names, name="node_other"
         )
         # One source per figure: what arrives together is painted once, and all of it must fit a browser's
         # buffer of 128 kB, or half of it is painted first.
         series = {f"{name}_series": "t value low high" for name in self._main}
         early = {f"{name}_early": "t value" for name in self._main}
-        self.sources = make_sources(
-            "node",
-            **series,
-            **early,
-            other_series="t value",
-            quality="left right kind",
-            probe_series="t value",
-        )
-        self.now = Span(dimension="height", location=0, line_color=INK, line_dash="dotted")
+        others = {"other_series": "t value", "quality": "left right kind", "probe_series": "t value"}
+        self.sources = parts.make_sources("node", **series, **early, **others)
+        self.now = Span(dimension="height", location=0, line_color=parts.INK, line_dash="dotted")
         self.figures: dict[str, figure] = {}
         for name in (*self._main, "other"):
             self.figures[name] = self._draw_series(name)
@@ -87,44 +66,47 @@ class NodePanel:
             self.spectrum.figure, sizing_mode="stretch_width",
         )  # fmt: skip
 
+    @property
+    def _main(self) -> tuple[str, ...]:
+        return tuple(name for name in _MAIN if name in self._record.stored)
+
     def _others(self, names: tuple[str, ...]) -> list[str]:
         return [n for n in names if n not in (*self._main, "quality") and not n.endswith("_std")]
 
     def _draw_series(self, name: str) -> figure:
         time = self._record.time
         x_range = next(iter(self.figures.values())).x_range if self.figures else (time[0], time[-1])
-        shown = chosen(self.other) if name == "other" else name
+        shown = parts.chosen(self.other) if name == "other" else name
         label = display(shown).label if shown else ""
-        made = make_figure(f"node_{name}_figure", height=_SERIES_PX, y_axis_label=label, x_range=x_range)
+        made = parts.make_figure(
+            f"node_{name}_figure", height=_SERIES_PX, y_axis_label=label, x_range=x_range
+        )
         if not self.figures:
             made.x_range.on_change("start", lambda attr, old, new: self._zoomed())
         made.xaxis.visible = False
         source = self.sources[f"{name}_series"]
         if name == "other":
-            made.line("t", "value", source=source, color=BLUE, line_width=1.1)
+            made.line("t", "value", source=source, color=parts.BLUE, line_width=1.1)
+            parts.add_hover(made, mode="vline")
         else:
-            draw_band(made, source, "t", "value", line_width=1.1)
-            made.scatter("t", "value", source=self.sources[f"{name}_early"], color=BLUE, size=3)
+            parts.draw_band(made, source, "t", "value", line_width=1.1)
+            made.scatter("t", "value", source=self.sources[f"{name}_early"], color=parts.BLUE, size=3)
+            rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {display(name).unit}")
+            parts.add_hover(made, *rows, renderers=made.renderers[1:2], mode="vline")
         if name == "z":
             made.line(
-                "t", "value", source=self.sources["probe_series"], color=VERMILION, line_width=1.3,
+                "t", "value", source=self.sources["probe_series"], color=parts.VERMILION, line_width=1.3,
                 line_dash="dashed",
             )  # fmt: skip
-        if name != "other":
-            unit = display(name).unit
-            rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {unit}")
-            add_hover(made, *rows, renderers=made.renderers[1:2], mode="vline")
-        else:
-            self.other_hover = add_hover(made, ("t", "@t{0.000} s"), ("", "@value"), mode="vline")
         made.add_layout(self.now)
         return made
 
     def _draw_strip(self) -> figure:
-        made = make_figure(
+        made = parts.make_figure(
             "node_strip", height=66, x_range=self.figures["other"].x_range, y_range=(0, 1),
             x_axis_label="t (s); strip: quality",
         )  # fmt: skip
-        colour = {"field": "kind", "transform": quality_mapper()}
+        colour = {"field": "kind", "transform": parts.quality_mapper()}
         made.quad("left", "right", 0, 1, source=self.sources["quality"], fill_color=colour, line_color=None)
         made.yaxis.update(ticker=[], axis_label="")
         made.ygrid.visible = False
@@ -198,8 +180,8 @@ class NodePanel:
             std = np.full_like(values, np.nan)
             if f"{name}_std" in self._record.stored:
                 std = self._series(f"{name}_std", factor)[part]
-            t, value, std = envelope(time, values, std)
-            low, high = band(value, std, thinned=t.size < time.size)
+            t, value, std = parts.envelope(time, values, std)
+            low, high = parts.band(value, std, thinned=t.size < time.size)
             if early or len(self.sources[f"{name}_early"].data["t"]):
                 self.sources[f"{name}_early"].data = {"t": self._record.time[early], "value": series[early]}
             self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
@@ -214,17 +196,18 @@ class NodePanel:
             time, half_step = self._record.time[part], 0.5 / self._record.frame_rate
             near = found.probe.sel(time=slice(time[0] - half_step, time[-1] + half_step))
             values = near.elevation.values * display("z").factor
-            data = dict(zip(("t", "value"), envelope(near.time.values, values)))
+            data = dict(zip(("t", "value"), parts.envelope(near.time.values, values)))
         if data["t"].size or len(self.sources["probe_series"].data["t"]):
             self.sources["probe_series"].data = data
 
     def _show_other(self) -> None:
-        name = chosen(self.other)
+        name = parts.chosen(self.other)
         if self._node is None or not name:
             return
         shown, part, record = display(name), self._window(), self._record
         self.figures["other"].yaxis.axis_label = shown.label
-        self.other_hover.tooltips = [("t", "@t{0.000} s"), (name, f"@value{{0.[0000]}} {shown.unit}")]
+        rows = [("t", "@t{0.000} s"), (name, f"@value{{0.[0000]}} {shown.unit}")]
+        self.figures["other"].hover.tooltips = rows
         if name in DERIVED:
             j, i = self._index(record.y, record.x)
             found = self._reader.get(SeriesRequest(j, i, record.steps_done), self.layout.document)
@@ -232,7 +215,7 @@ class NodePanel:
             series = series * np.float32(shown.factor)
         else:
             series = self._series(name, shown.factor)
-        t, value = envelope(record.time[part], series[part])
+        t, value = parts.envelope(record.time[part], series[part])
         self.sources["other_series"].data = {"t": t, "value": value}
 
     def _show_quality(self) -> None:
@@ -253,14 +236,19 @@ class NodePanel:
 
     def _show_spectrum(self) -> None:
         if self._node is not None:
-            name = chosen(self.spectrum.variable)
+            name = parts.chosen(self.spectrum.variable)
             values = self._series(name, display(name).factor)
             self.spectrum.show(values, self._record.time, self._near())
 
     def _zoomed(self) -> None:
         """Draw finer series for a narrower view."""
         document = self.layout.document
-        if self._node is None or self._record.time.size <= MOST_POINTS or self._refining or document is None:
+        if (
+            self._node is None
+            or self._record.time.size <= parts.MOST_POINTS
+            or self._refining
+            or document is None
+        ):
             return
         self._refining = True
         document.add_timeout_callback(self._refine, _ZOOM_DELAY_MS)

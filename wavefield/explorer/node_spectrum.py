@@ -3,21 +3,14 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from bokeh.models import Select
+from bokeh.models import ColumnDataSource, Select
+from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from wavefield.explorer.plot_parts import (
-    VERMILION,
-    add_hover,
-    chosen,
-    clear,
-    draw_band,
-    make_figure,
-    make_sources,
-    number,
-)
-from wavefield.explorer.selections import spectrum, spectrum_columns
-from wavefield.figures.display import display
+from wavefield.explorer import plot_parts as parts
+from wavefield.explorer.plot_parts import number
+from wavefield.explorer.selections import Spectrum, spectrum, spectrum_columns
+from wavefield.figures.display import Display, display
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,25 +41,44 @@ def nearest_probe(probes: "xr.Dataset | None", x: float, y: float) -> NearProbe 
     return NearProbe(probes.isel(probe=k), float(distance[k]))
 
 
+def spectrum_figure(name: str, source: ColumnDataSource, height: int, **line: object) -> figure:
+    """A figure of a spectrum with its confidence interval; `line`: settings of its curve."""
+    made = parts.make_figure(
+        name, height=height, x_axis_type="log", y_axis_type="log", x_axis_label="frequency (Hz)",
+        tools="pan,wheel_zoom,reset",
+    )  # fmt: skip
+    parts.draw_band(made, source, "f", "e", **line)
+    parts.add_hover(made, renderers=made.renderers[1:2], mode="vline")
+    return made
+
+
+def show_spectrum(
+    made: figure, source: ColumnDataSource, found: Spectrum | None, shown: Display, words: str
+) -> None:
+    """Show a spectrum of a variable in its displayed unit; its interval is stated in words."""
+    source.data = spectrum_columns(found)
+    unit = f"({shown.unit})²/Hz"
+    made.yaxis.axis_label = f"E {unit}"
+    made.hover.tooltips = [("frequency", "@f{0.000} Hz"), (f"E of {shown.name}", f"@e {unit}")]
+    made.title.text = "too short a record without gaps for a spectrum"
+    if found is not None:
+        made.title.text = f"{words}: {number(found.low, 2)} to {number(found.high, 2)} times"
+
+
 class NodeSpectrum:
     """Spectra at the picked node."""
 
     def __init__(self, names: tuple[str, ...], frame_rate: float) -> None:
         self._frame_rate = frame_rate
         self.variable = Select(title="Spectrum of", value="z", options=list(names), name="node_which")
-        self.sources = make_sources("node", spectrum="f e low high", probe_spectrum="f e")
-        made = make_figure(
-            "node_spectrum_figure", height=190, x_axis_type="log", y_axis_type="log",
-            x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset",
-        )  # fmt: skip
-        draw_band(made, self.sources["spectrum"], "f", "e", legend_label="this node")
+        self.sources = parts.make_sources("node", spectrum="f e low high", probe_spectrum="f e")
+        made = spectrum_figure(
+            "node_spectrum_figure", self.sources["spectrum"], 190, legend_label="this node"
+        )
         made.line(
-            "f", "e", source=self.sources["probe_spectrum"], color=VERMILION, line_width=1.6,
+            "f", "e", source=self.sources["probe_spectrum"], color=parts.VERMILION, line_width=1.6,
             line_dash="dashed", legend_label="probe",
         )  # fmt: skip
-        self.hover = add_hover(
-            made, ("frequency", "@f{0.000} Hz"), renderers=made.renderers[1:2], mode="vline"
-        )
         made.legend.update(
             location="bottom_left", label_text_font_size="11px", background_fill_alpha=0.7, padding=4
         )
@@ -74,20 +86,13 @@ class NodeSpectrum:
 
     def show(self, values: NDArray[np.floating], time: NDArray[np.floating], near: NearProbe | None) -> None:
         """Show the spectrum of a series (time,) of the chosen variable in its displayed unit."""
-        name = chosen(self.variable)
+        name = parts.chosen(self.variable)
         shown = display(name)
         found = spectrum(values, 1.0 / self._frame_rate)
-        self.figure.yaxis.axis_label = f"E ({shown.unit})²/Hz"
-        self.hover.tooltips = [("frequency", "@f{0.000} Hz"), (f"E of {name}", f"@e ({shown.unit})²/Hz")]
-        self.sources["spectrum"].data = spectrum_columns(found)
-        clear(self.sources["probe_spectrum"])
+        words = f"spectrum of {name}; 95 % interval"
+        show_spectrum(self.figure, self.sources["spectrum"], found, shown, words)
+        parts.clear(self.sources["probe_spectrum"])
         self.figure.legend.visible = False
-        if found is None:
-            self.figure.title.text = "too short a record without gaps for a spectrum"
-        else:
-            self.figure.title.text = (
-                f"spectrum of {name}; 95 % interval: {number(found.low, 2)} to {number(found.high, 2)} times"
-            )
         if name == "z" and near is not None:
             segment = None if found is None else float(1 / found.frequency[0])
             self._show_probe(near, time, shown.factor, segment)

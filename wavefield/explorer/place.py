@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from urllib.parse import urlencode
 
+from wavefield.figures.display import POSITIVE, SIGNED, display
+
 TABS = ("map", "surface", "cameras", "waves")
 AVERAGES = {
     "": "this step",
@@ -34,7 +36,6 @@ class Place:
     show: str = "w"  # variable of the map
     step: int = 0  # index of the step
     tab: str = "map"  # one of `TABS`
-    drag: str = "move"  # what dragging does, one of `DRAGS`
     limits: tuple[float, float] | None = None  # of the colour scale, in the displayed unit; None: fitted
     average: str = ""  # over time, on the map, one of `AVERAGES`
     period: float | None = None  # of the phase averages, s
@@ -44,7 +45,6 @@ class Place:
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
     line: tuple[float, float, float, float] | None = None  # its ends x0, y0, x1, y1, metres
     area: tuple[float, float, float, float] | None = None  # opposite corners of the rectangle, metres
-    camera: str = ""  # camera whose frame is shown
 
     @property
     def averaged(self) -> str:
@@ -55,6 +55,16 @@ class Place:
         """This place as panels see it that show single steps: without averages, logarithms, quality."""
         shown = replace(self, show=self.coloured, average="", log=False)
         return shown if shown == self else replace(shown, limits=None)
+
+    @property
+    def signed(self) -> bool:
+        """Whether what the map shows has a sign, so that its colours are balanced about zero."""
+        return display(self.show).signed and self.averaged != "rms" and not self.log
+
+    @property
+    def colour_map(self) -> str:
+        """The colour map of the map."""
+        return self.colours or (SIGNED if self.signed else POSITIVE)
 
     @property
     def coloured(self) -> str:
@@ -81,8 +91,8 @@ class Place:
         """Inverse of `query` for a cube with these variables and steps; ignores what is not valid."""
         out = cls(step=first, show="w" if "w" in names or not names else names[0])
         allowed = {
-            "show": names, "tab": TABS, "drag": tuple(DRAGS), "average": tuple(AVERAGES),
-            "colours": COLOUR_MAPS, "overlay": OVERLAYS,
+            "show": names, "tab": TABS, "average": tuple(AVERAGES), "colours": COLOUR_MAPS,
+            "overlay": OVERLAYS,
         }  # fmt: skip
         for name, text in query.items():
             value = _parse(name, text)
@@ -107,4 +117,4 @@ def _parse(name: str, text: str) -> Value:
         return None
     if name == "log":
         return text != "0"
-    return text if name in ("show", "tab", "drag", "average", "colours", "overlay", "camera") else None
+    return text if name in ("show", "tab", "average", "colours", "overlay") else None

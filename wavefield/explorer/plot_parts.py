@@ -28,19 +28,26 @@ from bokeh.plotting import figure
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from wavefield.explorer.place import Place
 from wavefield.figures.quality_kinds import KINDS
+from wavefield.variables import TABLE
 
 INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
 SKY, YELLOW = "#56B4E9", "#F0E442"
 MOST_POINTS = 1000  # of one line: two per pixel of half a page
 IMAGE = "image x y dw dh"  # columns of a source of an image
 Series = NDArray[np.floating]
+Limits = Callable[[Place], tuple[float, float]]  # of a colour scale, in the displayed unit
 
 
 class Panel(Protocol):
     """What fills a tab."""
 
     layout: UIElement  # its figures and widgets
+
+    def show(self, place: Place) -> None:
+        """Show a place."""
+        ...
 
 
 P = TypeVar("P", bound=Panel)
@@ -74,13 +81,10 @@ def make_figure(name: str, **settings: object) -> figure:
 
 def add_hover(
     made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
-) -> HoverTool:
+) -> None:
     """Show names, values and units of what is under the pointer."""
-    hover = HoverTool(
-        tooltips=list(rows), mode=mode, renderers=list(renderers) or "auto", line_policy="nearest"
-    )
-    made.add_tools(hover)
-    return hover
+    drawn = list(renderers) or "auto"
+    made.add_tools(HoverTool(tooltips=list(rows), mode=mode, renderers=drawn, line_policy="nearest"))
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
@@ -114,6 +118,11 @@ def chosen(choice: Select) -> str:
     """The value of a list if it is one of its options, else the first: a browser can send any other."""
     values = [option if isinstance(option, str) else str(option[0]) for option in choice.options]
     return str(choice.value) if choice.value in values else next(iter(values), "")
+
+
+def named(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Choices of variables for a list, each with its meaning."""
+    return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
 
 
 def alert(error: Exception) -> str:

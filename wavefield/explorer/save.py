@@ -20,9 +20,9 @@ from wavefield.explorer.derived_series import derived_series
 from wavefield.explorer.map_fields import arrows, colour_limits, streamlines, top_speed
 from wavefield.explorer.place import AVERAGES, MAX_MOVIE_FRAMES, Place
 from wavefield.explorer.selections import decode, interpolate, line_points, nearest, span
-from wavefield.explorer.time_averages import time_averages
-from wavefield.figures.display import POSITIVE, SIGNED, display
-from wavefield.figures.quality_kinds import KINDS, quality_kind
+from wavefield.explorer.time_averages import averages, index_of, request_of
+from wavefield.figures.display import display
+from wavefield.figures.quality_kinds import KINDS, drawn_kind
 from wavefield.figures.style import draw_map, map_panels
 from wavefield.variables import CUBE_DIMS
 
@@ -38,21 +38,18 @@ def draw(
     fields = map_of(record, place)
     values = fields[place.show]
     if place.show == "quality":
-        kinds = quality_kind(values)
-        values = np.where(kinds < len(KINDS), kinds, np.nan).astype(np.float32)
+        values = drawn_kind(values)
         limits = (0.0, float(len(KINDS) - 1))
     field = xr.DataArray(values * shown.factor, dims=("y", "x"), coords={"y": record.y, "x": record.x})
-    signed = shown.signed and place.averaged != "rms" and not place.log
-    limits = limits or place.limits or colour_limits(field.values, signed, place.log)
+    limits = limits or place.limits or colour_limits(field.values, place.signed, place.log)
     figure, axes = map_panels(field, 1, width=7.0)
     moment = AVERAGES[place.averaged] if place.averaged else f"t = {record.time[place.step]:.3f} s"
     label = shown.long_name + shown.in_unit
-    colours = place.colours or (SIGNED if signed else POSITIVE)
     norm = None
     if place.log:
         field, norm = abs(field), LogNorm(limits[0] if limits[0] > 0 else 1e-4 * limits[1], limits[1])
     title = f"{record.experiment}, {moment}"
-    draw_map(axes[0, 0], field, label, cmap=colours, scale=limits, title=title, norm=norm)
+    draw_map(axes[0, 0], field, label, cmap=place.colour_map, scale=limits, title=title, norm=norm)
     if place.overlay != "nothing" and place.averaged != "rms" and {"u", "v"} <= set(fields):
         u, v, x, y = fields["u"], fields["v"], record.x, record.y
         if place.overlay == "streamlines":
@@ -65,11 +62,13 @@ def draw(
 
 def map_of(record: CubeRecord, place: Place) -> dict[str, NDArray[np.float32]]:
     """What the map shows of the displayed variable and of u and v, (ny, nx), in stored units."""
-    names = tuple(dict.fromkeys((place.show, *(name for name in ("u", "v") if name in record.stored))))
+    request = request_of(record, place)
     if not place.averaged:
-        return {name: record.field(name, place.step) for name in names}
-    found = time_averages(record, names)
-    return {name: getattr(average, place.averaged) for name, average in found.items()}
+        return {name: record.field(name, place.step) for name in request.names}
+    index = index_of(record, place)
+    if index is None:
+        raise StoreError("a phase average needs the period of the waves: enter it beside the average")
+    return {name: found[index] for name, found in averages(record, request).items()}
 
 
 def picture(record: CubeRecord, place: Place, kind: str) -> bytes:
@@ -93,8 +92,7 @@ def _pictures(record: CubeRecord, place: Place, stop: int) -> Pictures:
     shown = display(place.show)
     samples = np.unique(np.linspace(place.step, stop - 1, 5).astype(int))
     values = np.array([record.field(place.show, k) for k in samples]) * shown.factor
-    signed = shown.signed and not place.log
-    limits = place.limits or colour_limits(values, signed, place.log)
+    limits = place.limits or colour_limits(values, place.signed, place.log)
     fastest = top_speed(record.field("u", place.step), record.field("v", place.step))
     for step in range(place.step, stop):
         figure = draw(record, replace(place, step=step), limits, fastest)

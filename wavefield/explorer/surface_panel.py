@@ -6,7 +6,7 @@ from bokeh.models import CustomJS, Label, LinearColorMapper
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import palette, relief
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import GREY, INK, colour_bar, make_figure, make_sources, number
+from wavefield.explorer.plot_parts import GREY, INK, Limits, colour_bar, make_figure, make_sources, number
 from wavefield.explorer.template import asset
 from wavefield.figures.display import display, limit
 
@@ -18,8 +18,8 @@ _MOST_LIFT = 1e4  # of what is not flat
 class SurfacePanel:
     """The relief of z, coloured by the displayed variable."""
 
-    def __init__(self, record: CubeRecord) -> None:
-        self._record = record
+    def __init__(self, record: CubeRecord, limits: Limits) -> None:
+        self._record, self._limits = record, limits
         self._highest = 0.0  # of z at the first step that is shown, m
         self._diagonal = float(np.hypot(np.ptp(record.x), np.ptp(record.y)))
         self.sources = make_sources(
@@ -56,15 +56,16 @@ class SurfacePanel:
             made.js_on_event(event, project)
         self.layout = made
 
-    def show(self, place: Place, limits: tuple[float, float]) -> None:
-        """Draw a step, in colours between two limits in the displayed unit."""
+    def show(self, place: Place) -> None:
+        """Draw a step."""
         record, shown = self._record, display(place.coloured)
         z, x, y = relief(record.field("z", place.step), record.x, record.y)
         values, _, _ = relief(record.field(shown.name, place.step), record.x, record.y)
         if not self._highest and np.isfinite(z).any():
             self._highest = limit(z)
         lift = _LIFT * self._diagonal / self._highest if self._highest else 0.0
-        self.mapper.update(palette=palette(place.colours or shown.colour_map), low=limits[0], high=limits[1])
+        low, high = self._limits(place)
+        self.mapper.update(palette=palette(place.colours or shown.colour_map), low=low, high=high)
         self.layout.title.text = (
             f"elevation z, coloured by {shown.label}, t = {record.time[place.step]:.3f} s"
         )

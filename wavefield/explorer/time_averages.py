@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.explorer.cube_record import CubeRecord
+from wavefield.explorer.place import Place
 
-MIN_STEPS = 2  # measured at a node
+MIN_STEPS = 2  # measured at a node, for a mean
 MAX_PHASES = 24  # of a period
 Field = NDArray[np.float32]
-Sums = NDArray[np.float64]
 
 
 class AverageRequest(NamedTuple):
@@ -22,19 +22,39 @@ class AverageRequest(NamedTuple):
     period: float = 0.0  # of phase averages, s; 0: mean and rms are to be shown
 
 
-class TimeAverage(NamedTuple):
-    """Averages of one variable, in stored units; NaN at nodes that were measured less than twice."""
+def request_of(record: CubeRecord, place: Place) -> AverageRequest:
+    """The variables of the map of a place: the displayed one, and u and v of the arrows."""
+    names = place.show, *(name for name in ("u", "v") if name in record.stored)
+    period = (place.period or 0.0) if place.averaged == "phase" else 0.0
+    return AverageRequest(tuple(dict.fromkeys(names)), record.steps_done, period)
 
-    mean: Field  # (ny, nx)
-    rms: Field  # (ny, nx), about the mean
+
+def index_of(record: CubeRecord, place: Place) -> int | None:
+    """Which of its averages a place shows; None for phases of no period, or of less than two steps."""
+    if place.averaged != "phase":
+        return ("mean", "rms").index(place.averaged)
+    period = place.period or 0.0
+    if period * record.frame_rate <= 2:
+        return None
+    phases = phases_of(period, record.frame_rate)
+    return round(float(record.time[place.step]) / period * phases) % phases  # the nearest to its step
 
 
-def time_averages(
-    record: CubeRecord, names: tuple[str, ...], progress: Callable[[float], None] | None = None
-) -> dict[str, TimeAverage]:
-    """Averages of variables over all measured steps, chunk by chunk."""
-    shape = record.y.size, record.x.size
-    sums = {name: np.zeros((3, *shape)) for name in names}  # of 1, of values, of their squares
+def averages(
+    record: CubeRecord, request: AverageRequest, progress: Callable[[float], None] | None = None
+) -> dict[str, list[Field]]:
+    """Averages of variables over all measured steps, (ny, nx), in stored units, chunk by chunk.
+
+    Mean, and rms about it, at nodes that were measured twice; or, for a period, the mean at each phase.
+    """
+    from wavefield.waves.surface.phase_average import phase_weights
+
+    weights = np.ones((1, record.layout.steps))
+    if request.period:
+        phases = phases_of(request.period, record.frame_rate)
+        weights = phase_weights(2 * np.pi * record.time / request.period, phases).T
+    shape = 3, len(weights), record.y.size, record.x.size
+    sums = {name: np.zeros(shape) for name in request.names}  # of 1, of values, of their squares
     chunks = record.layout.chunks()
     for number, (start, stop) in enumerate(chunks):
         if record.ledger[start:stop].any():
@@ -42,47 +62,21 @@ def time_averages(
                 values = np.asarray(record.steps(name, start, stop), np.float64)
                 measured = np.isfinite(values)
                 values[~measured] = 0.0
-                total += [measured.sum(axis=0), values.sum(axis=0), np.einsum("tyx,tyx->yx", values, values)]
-        if progress is not None:
-            progress((number + 1) / len(chunks))
-    return {name: _average(*total) for name, total in sums.items()}
-
-
-def phase_averages(
-    record: CubeRecord,
-    names: tuple[str, ...],
-    period: float,
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, list[Field]]:
-    """Averages of variables at each phase of a period, s; NaN at nodes that were not measured there."""
-    from wavefield.waves.surface.phase_average import phase_weights
-
-    phases = phases_of(period, record.frame_rate)
-    weights = phase_weights(2 * np.pi * record.time / period, phases).T  # (phases, steps)
-    sums = {name: np.zeros((2, phases, record.y.size, record.x.size)) for name in names}
-    chunks = record.layout.chunks()
-    for number, (start, stop) in enumerate(chunks):
-        if record.ledger[start:stop].any():
-            for name, total in sums.items():
-                values = np.asarray(record.steps(name, start, stop), np.float64)
-                measured = np.isfinite(values)
-                for k, part in enumerate((measured.astype(float), np.where(measured, values, 0.0))):
+                for k, part in enumerate((measured.astype(float), values, values**2)):
                     total[k] += np.tensordot(weights[:, start:stop], part, 1)
         if progress is not None:
             progress((number + 1) / len(chunks))
-    return {
-        name: list(np.where(count > 0.5, total / np.maximum(count, 0.5), np.nan).astype(np.float32))
-        for name, (count, total) in sums.items()
-    }
+    least = 0.5 if request.period else MIN_STEPS
+    out = {}
+    for name, (count, total, squares) in sums.items():
+        mean, square = (
+            np.where(count >= least, part / np.maximum(count, least), np.nan) for part in (total, squares)
+        )
+        found = mean if request.period else [*mean, *np.sqrt(np.maximum(square - mean**2, 0.0))]
+        out[name] = [field.astype(np.float32) for field in found]
+    return out
 
 
 def phases_of(period: float, frame_rate: float) -> int:
     """Phases of a period, s: no more than it holds steps, so that each is measured."""
     return min(MAX_PHASES, max(int(period * frame_rate + 1e-6), 1))
-
-
-def _average(count: Sums, total: Sums, squares: Sums) -> TimeAverage:
-    known = count >= MIN_STEPS
-    mean, square = (np.where(known, part / np.maximum(count, 1), np.nan) for part in (total, squares))
-    rms = np.sqrt(np.maximum(square - mean**2, 0.0))
-    return TimeAverage(mean.astype(np.float32), rms.astype(np.float32))

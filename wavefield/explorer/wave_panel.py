@@ -9,23 +9,10 @@ from numpy.typing import NDArray
 
 from wavefield import water
 from wavefield.errors import StoreError
+from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.map_fields import palette
-from wavefield.explorer.plot_parts import (
-    BLUE,
-    GREEN,
-    IMAGE,
-    INK,
-    VERMILION,
-    add_hover,
-    chosen,
-    colour_bar,
-    image_data,
-    make_figure,
-    make_sources,
-    number,
-    on_click,
-    words_of,
-)
+from wavefield.explorer.place import Place
+from wavefield.explorer.plot_parts import number
 from wavefield.explorer.session import LookSession
 from wavefield.figures.display import POSITIVE
 
@@ -36,10 +23,10 @@ _SPECTRUM, _MAP = "E_komega_", "E_kxky_"  # before the name of a variable
 _WRAP = {"flex-wrap": "wrap"}
 # coherence of z_t with ...: column, variable, label, colour, dash
 _CURVES = (
-    ("w", "gamma2_w", "z_t with w", BLUE, "solid"),
-    ("nl", "gamma2_nl", "z_t with −u·∇z", VERMILION, "dashed"),
-    ("tot", "gamma2_tot", "z_t with both", INK, "dotdash"),
-    ("level", "level_w", "chance, 5 %", GREEN, "dotted"),
+    ("w", "gamma2_w", "z_t with w", parts.BLUE, "solid"),
+    ("nl", "gamma2_nl", "z_t with −u·∇z", parts.VERMILION, "dashed"),
+    ("tot", "gamma2_tot", "z_t with both", parts.INK, "dotdash"),
+    ("level", "level_w", "chance, 5 %", parts.GREEN, "dotted"),
 )
 
 
@@ -66,7 +53,7 @@ class WavePanel:
         self._depth = depth if np.isfinite(depth) else DEEP_WATER_M
         self._spectra: xr.Dataset | None = None
         self._chosen = 0  # index of the frequency of the map
-        self.words = words_of("wave_words")
+        self.words = parts.words_of("wave_words")
         self.variable = Select(title="E(k, ω) of", value="", options=[], name="wave_variable")
         self.current = Slider(
             title="Current along the waves (m/s)", start=-0.5, end=0.5, step=0.01, value=0.0,
@@ -77,8 +64,8 @@ class WavePanel:
             title="Depth (m)", start=0.01, end=top, step=0.01, value=min(self._depth, top),
             name="wave_depth", width=230,
         )  # fmt: skip
-        self.sources = make_sources(
-            "wave", image=IMAGE, plane=IMAGE, ruler="k f", circle="kx ky", window="left right",
+        self.sources = parts.make_sources(
+            "wave", image=parts.IMAGE, plane=parts.IMAGE, ruler="k f", circle="kx ky", window="left right",
             coherence="k w nl tot level", direction="angle density",
         )  # fmt: skip
         self.picked = Span(
@@ -100,22 +87,22 @@ class WavePanel:
     def _draw(self) -> dict[str, figure]:
         source = self.sources
         mapper = LinearColorMapper(palette=palette(POSITIVE), low=-DECADES, high=0, nan_color="#00224e")
-        spectrum = make_figure(
+        spectrum = parts.make_figure(
             "wave_spectrum", height=340, tools="pan,wheel_zoom,box_zoom,reset,save", toolbar_location="above",
             x_axis_label="k / 2π (1/m)", y_axis_label="ω / 2π (Hz)", x_range=Range1d(0, 1),
             y_range=Range1d(0, 1),
         )  # fmt: skip
         spectrum.image("image", source=source["image"], color_mapper=mapper)
         spectrum.line("k", "f", source=source["ruler"], color="white", line_width=4)
-        spectrum.line("k", "f", source=source["ruler"], color=INK, line_width=1.8, line_dash=[7, 4])
-        add_hover(
+        spectrum.line("k", "f", source=source["ruler"], color=parts.INK, line_width=1.8, line_dash=[7, 4])
+        parts.add_hover(
             spectrum, ("k / 2π", "$x{0.00} 1/m"), ("ω / 2π", "$y{0.00} Hz"),
             ("log₁₀ of E relative to its largest", "@image{0.00}"), renderers=spectrum.renderers[:1],
         )  # fmt: skip
         spectrum.add_layout(self.picked)
-        spectrum.add_layout(colour_bar(mapper), "right")
-        on_click(spectrum, lambda event: self.choose(event.y))
-        plane = make_figure(  # kx and ky on equal axes
+        spectrum.add_layout(parts.colour_bar(mapper), "right")
+        parts.on_click(spectrum, lambda event: self.choose(event.y))
+        plane = parts.make_figure(  # kx and ky on equal axes
             "wave_map", height=_PLANE_PX, min_width=280, match_aspect=True,
             tools="pan,wheel_zoom,reset,save", toolbar_location="above",
             x_axis_label="kx / 2π (1/m)", y_axis_label="ky / 2π (1/m)",
@@ -127,17 +114,17 @@ class WavePanel:
             axis.update(renderers=[window], range_padding=0.0)
         image = plane.image("image", source=source["plane"], color_mapper=mapper)
         plane.line("kx", "ky", source=source["circle"], color="white", line_dash=[6, 4], line_width=1.6)
-        add_hover(
+        parts.add_hover(
             plane, ("kx, ky / 2π", "$x{0.00}, $y{0.00} 1/m"),
             ("log₁₀ of E relative to its largest", "@image{0.00}"), renderers=[image],
         )  # fmt: skip
-        directions = make_figure(
+        directions = parts.make_figure(
             "wave_directions", height=_PLANE_PX, min_width=280, x_axis_label="direction (degrees)",
             y_axis_label="D (1/rad)", tools="reset",
         )  # fmt: skip
-        directions.line("angle", "density", source=source["direction"], color=BLUE, line_width=1.8)
-        add_hover(directions, ("direction", "@angle{0}°"), ("D", "@density{0.000} 1/rad"), mode="vline")
-        curves = make_figure(
+        directions.line("angle", "density", source=source["direction"], color=parts.BLUE, line_width=1.8)
+        parts.add_hover(directions, ("direction", "@angle{0}°"), ("D", "@density{0.000} 1/rad"), mode="vline")
+        curves = parts.make_figure(
             "wave_coherence_figure", height=240, x_axis_label="k / 2π (1/m)", y_axis_label="coherence γ²",
             x_range=Range1d(0, 1), y_range=Range1d(0, 1.02), tools="xpan,xwheel_zoom,reset",
         )  # fmt: skip
@@ -147,14 +134,16 @@ class WavePanel:
                 legend_label=label,
             )  # fmt: skip
         rows = ((label, f"@{name}{{0.000}}") for name, _, label, *_ in _CURVES)
-        add_hover(curves, ("k / 2π", "@k{0.00} 1/m"), *rows, renderers=curves.renderers[:1], mode="vline")
+        parts.add_hover(
+            curves, ("k / 2π", "@k{0.00} 1/m"), *rows, renderers=curves.renderers[:1], mode="vline"
+        )
         curves.legend.update(label_text_font_size="11px", background_fill_alpha=0.7)
         return {"spectrum": spectrum, "map": plane, "directions": directions, "coherence": curves}
 
     # -- showing ---------------------------------------------------------------------------------------
 
-    def show(self) -> None:
-        """Show the waves, as soon as there are some."""
+    def show(self, place: Place) -> None:
+        """Show the waves, as soon as there are some; they are those of the whole record."""
         if self._spectra is not None:
             return
         session = self._session
@@ -178,18 +167,18 @@ class WavePanel:
         self._show_spectrum()
 
     def _show_spectrum(self) -> None:
-        if self._spectra is None or not chosen(self.variable):
+        if self._spectra is None or not parts.chosen(self.variable):
             return
-        energy = self._spectra[_SPECTRUM + chosen(self.variable)].transpose("omega", "k")
+        energy = self._spectra[_SPECTRUM + parts.chosen(self.variable)].transpose("omega", "k")
         hertz, cycles = energy.omega.values / (2 * np.pi), energy.k.values / (2 * np.pi)
-        self.sources["image"].data = image_data(log_density(energy.values), cycles, hertz)
+        self.sources["image"].data = parts.image_data(log_density(energy.values), cycles, hertz)
         shortest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
         for key in ("spectrum", "coherence"):
             self.figures[key].x_range.update(start=0, end=min(float(cycles[-1]), 1.25 * shortest))
         self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
         self.figures[
             "spectrum"
-        ].title.text = f"log₁₀ of E(k, ω) of {chosen(self.variable)}, relative to its largest"
+        ].title.text = f"log₁₀ of E(k, ω) of {parts.chosen(self.variable)}, relative to its largest"
         self._show_relation()
         self._show_map()
 
@@ -212,13 +201,15 @@ class WavePanel:
     def _show_map(self) -> None:
         spectra = self._spectra
         names = [
-            name for name in (chosen(self.variable), "w") if spectra is not None and _MAP + name in spectra
+            name
+            for name in (parts.chosen(self.variable), "w")
+            if spectra is not None and _MAP + name in spectra
         ]
         if spectra is None or not names:
             return
         energy = spectra[_MAP + names[0]].isel(omega_map=self._chosen).transpose("ky", "kx")
         kx, ky = energy.kx.values / (2 * np.pi), energy.ky.values / (2 * np.pi)
-        self.sources["plane"].data = image_data(log_density(energy.values), kx, ky)
+        self.sources["plane"].data = parts.image_data(log_density(energy.values), kx, ky)
         hertz = float(energy.omega_map) / (2 * np.pi)
         self.picked.location = hertz
         self.figures["map"].title.text = f"E(kx, ky) of {names[0]} at {number(hertz)} Hz, the nearest stored"

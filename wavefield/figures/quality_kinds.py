@@ -34,3 +34,9 @@ def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
     for index in range(len(KINDS) - 1, -1, -1):
         out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
     return out
+
+
+def drawn_kind(quality: NDArray[Any]) -> NDArray[np.float32]:
+    """The same for pictures: NaN where nothing applies."""
+    kinds = quality_kind(quality)
+    return np.where(kinds < len(KINDS), kinds, np.nan).astype(np.float32)
