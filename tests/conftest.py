@@ -41,6 +41,14 @@ def shared() -> Path:
 BLANK = cv2.imencode(".png", np.full((1, 1), 255, np.uint8))[1].tobytes()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def nothing_waits_for_the_disk() -> Iterator[None]:
+    """Files of tests need not outlive a power cut: waiting for the disk is a tenth of a run here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda number: None)
+        yield
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves pictures blank, for tests of what stands beside them: drawing is most of the time of a page."""

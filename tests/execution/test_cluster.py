@@ -19,7 +19,7 @@ from cube_cases import different
 from distributed import Client
 
 from wavefield.errors import ExperimentError
-from wavefield.execution import dask_cluster
+from wavefield.execution import dask_cluster, pool
 from wavefield.execution.cluster import open_cluster
 from wavefield.execution.dask_settings import dask_settings
 from wavefield.execution.slurm import count_jobs, slurm_cluster
@@ -352,7 +352,8 @@ def take_memory(item):
     return kept.size
 
 
-def test_a_worker_beyond_its_memory_is_ended_with_a_word_about_it():
+def test_a_worker_beyond_its_memory_is_ended_with_a_word_about_it(monkeypatch):
+    monkeypatch.setattr(pool, "CHECK_S", 0.1)
     with open_cluster(Workflow(cluster="local", workers=2, memory="400 MB")) as map_unordered:
         ((_, result),) = map_unordered(take_memory, [0])
     assert re.search(

@@ -423,6 +423,7 @@ def test_links_of_the_save_panel_bring_files_and_the_view(page, chrome, fields):
     page.click("map", X[15], Y[3])  # a node that no other test picks
     arrived(page, "node", (X[15], Y[3]))
     page.page.locator(".bk-tab").get_by_text("Save", exact=True).click()
+    page.wait(f"{model('frames')} != null")  # made when its tab is first opened
     page.set("frames", "value", "4")
     words = f"{model('save_words')}.text"
     page.wait(f"{words}.includes('node.csv') && {words}.includes('frames=4')")

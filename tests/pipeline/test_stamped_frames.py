@@ -31,8 +31,7 @@ def chunks_of(size):
 def test_stamps_change_the_values_whatever_the_chunks_and_belong_to_the_recipe(own_tank, reference, tmp_path):
     stamp(own_tank, 1)
     cube = run(own_tank, workflow=chunks_of(16)).store
-    for size in (1, 7):
-        assert different(run(own_tank, tmp_path / f"{size}.zarr", workflow=chunks_of(size)).store, cube) == []
+    assert different(run(own_tank, tmp_path / "by_3.zarr", workflow=chunks_of(3)).store, cube) == []
     assert {"z", "u", "v", "w", "z_t"} <= set(different(cube, reference))
     stamp(own_tank, 2)
     with pytest.raises(StoreError, match=r"another recipe \(departures"):
