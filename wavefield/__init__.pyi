@@ -39,6 +39,7 @@ from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
 from wavefield.waves.nonlinear.coherence import coherence
 from wavefield.waves.nonlinear.kinematics import kinematics
+from wavefield.waves.nonlinear.linear_surface import linear_surface
 from wavefield.waves.nonlinear.nonlinear_ratio import nonlinear_ratio
 from wavefield.waves.nonlinear.resonances import resonances
 from wavefield.waves.spectra.field_spectra import komega, spectrum
@@ -90,6 +91,7 @@ __all__ = [
     "kinematics",
     "komega",
     "level",
+    "linear_surface",
     "load_rig",
     "look",
     "match",

@@ -38,6 +38,7 @@ NAMES = [
     "spectral_slope",
     "phase_average",
     "subsurface",
+    "linear_surface",
     "analyze",
 ]
 ESTIMATORS = {name: getattr(wf, name, None) or getattr(wv, name) for name in NAMES}

@@ -21,6 +21,7 @@ from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound
 from wavefield.waves.nonlinear.coherence import coherence
 from wavefield.waves.nonlinear.higher_order import HigherOrderSettings, higher_order
 from wavefield.waves.nonlinear.kinematics import finite_residual, kinematics, kinematics_at
+from wavefield.waves.nonlinear.linear_surface import linear_surface
 from wavefield.waves.nonlinear.nonlinear_ratio import nonlinear_ratio
 from wavefield.waves.nonlinear.resonances import ResonanceSettings, resonances
 from wavefield.waves.nonlinear.wave_vectors import plane_coherence
@@ -85,6 +86,7 @@ __all__ = [
     "kinematics",
     "kinematics_at",
     "komega",
+    "linear_surface",
     "nonlinear_ratio",
     "phase_average",
     "plane_coherence",
