@@ -33,13 +33,13 @@ def one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def keep_memory(one_arena: bool = False) -> None:
+def keep_memory() -> None:
     """Let the C library keep freed arrays for the next ones, within bounds, where it is glibc.
 
     A step makes and drops hundreds of arrays of a few MB. Handed back each time, every page of theirs is
-    mapped and cleared again, and that takes longer than measuring. It cannot be undone: for processes of
-    our own only, which are the workers and the command line. Dask's nannies ask for the opposite
-    (``MALLOC_TRIM_THRESHOLD_``).
+    mapped and cleared again, and that takes longer than measuring. All threads share what is kept, or each
+    would keep its own. It cannot be undone: for processes of our own only, which are the workers and the
+    command line. Dask's nannies ask for the opposite (``MALLOC_TRIM_THRESHOLD_``).
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -47,15 +47,14 @@ def keep_memory(one_arena: bool = False) -> None:
         return
     mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT)
     mallopt(_M_TRIM_THRESHOLD, _MOST_KEPT)
-    if one_arena:
-        mallopt(_M_ARENA_MAX, 1)
+    mallopt(_M_ARENA_MAX, 1)
 
 
 @functools.cache
 def settle_worker() -> None:
     """Set this process, a worker, once for all; Ctrl-C and Slurm's warning are for the run itself."""
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-    keep_memory(one_arena=True)
+    keep_memory()
     if threading.current_thread() is threading.main_thread():
         for number in signal_numbers("SIGINT", "SIGUSR1"):
             signal.signal(number, signal.SIG_IGN)
