@@ -228,3 +228,15 @@ def test_the_direction_of_an_isotropic_sea_is_as_uncertain_as_it_differs_between
     angle, std = (np.array([one[name] for one in found]) for name in ("direction", "direction_std"))
     apart = np.angle(np.exp(1j * (angle[1:] - angle[:-1])))
     assert np.mean(np.abs(apart) < 1.96 * np.hypot(std[1:], std[:-1])) > 0.9
+
+
+def test_the_interval_of_directions_holds_waves_that_a_current_keeps_in_the_window():
+    current = -0.3 * np.cos(0.4), -0.3 * np.sin(0.4)  # against the waves, nearly as fast as their groups
+    sea = LatticeSea(side=150, shape=(400, 26, 30), current=current, directions=((0.4, 20.0, 1.0),))
+    lines = [2.0, 2.3, 2.6]
+    found = [wv.directions(sea.cube(draw, ("w",)).w, lines, sea.depth, current=current) for draw in range(12)]
+    D = np.array([one.D.values for one in found])
+    strong = D.mean(axis=0) > 0.1 * D.mean(axis=0).max(axis=1, keepdims=True)
+    relative = (D.var(axis=0, ddof=1) / D.mean(axis=0) ** 2)[strong].mean()
+    dof = 1 / np.mean([1 / one.dof.values[strong] for one in found])
+    assert 0.6 < dof * relative / 2 < 1.3  # 1.9 if segments counted as independent

@@ -3,6 +3,7 @@
 import dask
 import numpy as np
 import pytest
+from independent_seas import LatticeSea
 from waves_cases import cube
 
 import wavefield.waves as wv
@@ -45,6 +46,14 @@ def share(sea):
     (found,) = dask.compute(delayed_current(sea, wv.find_record(sea)))
     nonlinear = wv.kinematics(sea, tuple(found[0])).nonlinear
     return float(nonlinear.std() / sea.w.std())
+
+
+def test_waves_are_not_taken_for_a_current():
+    # 0.09 mm/s of them passed for coherence of z_t with u . grad z
+    sea = LatticeSea(side=200, shape=(640, 24, 30), current=(0.1, 0.05))
+    drawn = [sea.cube(draw, ("z", "u", "v")) for draw in range(2)]
+    found = [dask.compute(delayed_current(one, wv.find_record(one)))[0][0] for one in drawn]
+    assert np.sqrt(np.mean((np.array(found) - sea.current) ** 2)) < 3e-5
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -5,14 +5,21 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
+from wavefield.waves.dispersion_relation.sector_covariances import (
+    LINES_AROUND,
+    harmonic_stds,
+    packet_correlation,
+    sector_covariances,
+    sector_freedom,
+)
 from wavefield.waves.estimation import rings
 from wavefield.waves.estimation.inputs import takes
+from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimation.windows import interval
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.plane_input import plane_of
@@ -22,9 +29,6 @@ Array = NDArray[Any]
 HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2  # of the ring around the relation: relative to k, and in cells
 BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
 UNIFORM_STD = np.pi / np.sqrt(3)  # rad, of a direction of which nothing is known
-_HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
-_HANN_VARIANCE = 4 / 7  # of these five, cells squared
-_LINE_VARIANCE = 1 / 3  # of the power that a Hann window leaves of one wave, cells squared
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
@@ -83,64 +87,7 @@ class _RingSectors:
         return out, out.sum(axis=1) * self.cell_area / area
 
 
-def _covariances(shares: Array, energy: Array, dof: float) -> Array:
-    """Covariances of the energies of sectors, (sectors, sectors).
-
-    Neighbouring cells and lines are correlated, and sectors share cells.
-    """
-    lines, ny, nx = energy.shape
-    reach = min(2, lines - 1)
-    over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
-    planes = shares.reshape(-1, ny, nx)
-    out = np.zeros((shares.shape[0],) * 2)
-    for s, part in enumerate(planes):
-        used = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
-        if not used[0].size:
-            continue
-        box = tuple(slice(max(int(some[0]) - 2, 0), int(some[-1]) + 3) for some in used)
-        smoothed = part[box] * over_lines[:, *box]
-        for axis in (1, 2):
-            smoothed = ndimage.convolve1d(smoothed, _HANN, axis=axis, mode="constant")
-        product = (smoothed * energy[:, *box]).sum(axis=0)
-        out[s] = 2 / dof * (planes[:, *box] * product).sum(axis=(1, 2))
-    return out
-
-
-def _correlation_across(weight: Array, off: Array) -> float:
-    """By what factor waves across the relation are fewer than the windows' correlation gives.
-
-    With the energy of the cells of a ring as `weight`, (lines, cells), and their distance from the relation
-    in cells. Cells count as correlated for even energy; where the relation is narrower than the window all
-    cells across it are one sample: for Gaussian shapes the number is that of the width without the window's.
-    """
-    total = weight.sum()
-    if not total > 0:
-        return 1.0
-    mean = (weight * off).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    measured = 2 * float((weight * (off - mean) ** 2).sum() / total)
-    own = max(measured - 2 * _LINE_VARIANCE, 0.0)
-    return float(np.sqrt((measured + _HANN_VARIANCE) / (own + _HANN_VARIANCE)))
-
-
-def _freedom(levels: Array, covariances: Array) -> Array:
-    """Degrees of freedom of each sector's part of the sum over all, (sectors,)."""
-    total = max(levels.sum(), 1e-300)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
-    return np.asarray(2 / np.maximum(own + covariances.sum() / total**2, 1e-12))
-
-
-def _harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Standard uncertainties of the first harmonic of D along its direction and across it."""
-    total = max(levels.sum(), 1e-300)
-    turned = np.exp(1j * theta)
-    first = (levels * turned).sum() / total
-    by_level = (turned - first) / total * np.exp(-1j * np.angle(first))
-    along, across = (float(part @ covariances @ part) for part in (by_level.real, by_level.imag))
-    return np.sqrt(max(along, 0.0)), np.sqrt(max(across, 0.0))
-
-
-@takes(plane_of("w"))
+@takes(plane_of("w", independent=True))
 def directions(
     density: xr.DataArray,
     frequency: list[float] | Array,
@@ -168,8 +115,8 @@ def directions(
     sectors : int
         Number of sectors of the circle.
     dof : float, optional
-        Degrees of freedom of a cell; needed for ``dof``, ``low``, ``high``. Only of a density alone are
-        they not known.
+        Degrees of freedom of a cell of independent segments (attribute ``degrees_of_freedom`` of
+        `spectrum`); needed for ``dof``, ``low``, ``high``. Only of a density alone are they not known.
     gamma : float
         Surface tension over density, m3/s2.
     bandwidth : float
@@ -198,7 +145,8 @@ def directions(
     resolution: a Hann window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width
     over sqrt(12). D and the harmonics keep that blur. The degrees of freedom are those of the energy of a
     sector, its cells and lines correlated by the Hann windows, fewer where the relation is narrower than the
-    window, and of the sum over all sectors, which share cells, that D is a fraction of.
+    window and where waves stay in it for longer than a segment, and of the sum over all sectors, which share
+    cells, that D is a fraction of.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
@@ -214,24 +162,28 @@ def directions(
     centres = wavenumber(2 * np.pi * frequency, depth, gamma)
     levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
     stds = np.full((2, frequency.size), np.nan)
+    if dof is not None:
+        packets = packet_correlation(ky, kx, density["omega"].values, (depth, gamma), current, dof)
     for i, (f, centre) in enumerate(zip(frequency, centres)):
         band = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
         if not band.size:
             band = np.array([np.abs(lines - f).argmin()])
-        energy = in_still_water(density, band, current)
+        reach = LINES_AROUND if dof is not None else 0
+        near = np.arange(max(band[0] - reach, 0), min(band[-1] + reach + 1, lines.size))
+        inside = np.isin(near, band)
+        around = in_still_water(density, near, current)
         half_width = max(HALF_WIDTH * centre, MIN_HALF_WIDTH * max(cells))
         shares, coverage = plane.shares(float(centre), half_width)
         to_level = np.divide(plane.cell_area / band.size, coverage, out=np.zeros(sectors), where=coverage > 0)
-        levels[i] = shares @ energy.sum(axis=0).ravel() * to_level
+        levels[i] = shares @ around[inside].sum(axis=0).ravel() * to_level
         if dof is not None:
             on_line = wavenumber(2 * np.pi * lines[band], depth, gamma)
             off = (radius - on_line[:, None]) / cell_along
-            weight = shares.sum(axis=0) * energy.reshape(band.size, -1)
-            covariances = _covariances(shares, energy, dof / _correlation_across(weight, off))
+            covariances = sector_covariances(shares, around, inside, off, packets, dof)
             covariances *= np.outer(to_level, to_level)
-            degrees[i] = _freedom(levels[i], covariances)
+            degrees[i] = sector_freedom(levels[i], covariances)
             theta = (np.arange(sectors) + 0.5) * plane.width
-            stds[:, i] = _harmonic_stds(levels[i], covariances, theta)
+            stds[:, i] = harmonic_stds(levels[i], covariances, theta)
     return _label(frequency, centres, levels, degrees, cells, stds)
 
 
@@ -281,18 +233,33 @@ def _label(
     return annotate(out, "direction")
 
 
+def _with_error_of_current(
+    found: xr.Dataset, density: xr.DataArray, used: CurrentUsed, water: tuple[float, float]
+) -> xr.Dataset:
+    """Directions and spreads whose uncertainties hold that of the current: by how much it moves them."""
+    out = found.copy()
+    for i, std in enumerate(used.std):
+        if not std > 0:
+            continue
+        moved = list(used.velocity)
+        moved[i] += std
+        other = directions(
+            density, found["frequency"].values, water[0], current=(moved[0], moved[1]), gamma=water[1]
+        )
+        for name in ("direction", "spread"):
+            apart = np.angle(np.exp(1j * (other[name].values - found[name].values)))
+            out[f"{name}_std"] = np.hypot(out[f"{name}_std"], apart).clip(max=UNIFORM_STD)
+    return out
+
+
 def direction_group(
-    density: xr.DataArray,
-    chosen: list[int],
-    used: CurrentUsed,
-    depth: float,
-    gamma: float,
-    dof: float,
+    density: xr.DataArray, chosen: list[int], used: CurrentUsed, depth: float, gamma: float, welch: Welch
 ) -> xr.Dataset:
     """Directions at the frequencies of the maps, isotropy at all."""
-    current = used.velocity
+    current, dof = used.velocity, welch.dof
     lines = density["omega"].values / (2 * np.pi)
     out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
+    out = _with_error_of_current(out, density, used, (depth, gamma))
     out = out[["D", "dof", "low", "high", "direction", "direction_std", "spread", "spread_std"]]
     out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")})
     out = out.assign_coords(frequency=2 * np.pi * out["frequency"]).rename(frequency="omega_map")
@@ -307,7 +274,7 @@ def direction_group(
 register(
     Product(
         "direction",
-        ("density_w", "map_lines", "current", "depth", "gamma", "cell_dof"),
+        ("density_w", "map_lines", "current", "depth", "gamma", "welch"),
         direction_group,
         group="direction",
         cost=1,

@@ -135,19 +135,19 @@ def directional_spectrum(
         except CubeError as error:
             raise CubeError(f"{error}; or give the current") from None
         current = float(fit["current_x"]), float(fit["current_y"])
-    return from_density(of_w["E"], depth, gamma, current, float(of_w["dof"]), frames_of(fields))
+    return from_density(of_w["E"], depth, gamma, current, of_w.attrs["degrees_of_freedom"], frames_of(fields))
 
 
-def _group(
-    density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, dof: float, welch: Welch
-) -> xr.Dataset:
-    return from_density(density, depth, gamma, used.velocity, dof, welch.frames).assign_attrs(used.attrs)
+def _group(density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch) -> xr.Dataset:
+    return from_density(density, depth, gamma, used.velocity, welch.dof, welch.frames).assign_attrs(
+        used.attrs
+    )
 
 
 register(
     Product(
         "directional",
-        ("density_w", "depth", "gamma", "fitted_or_given_current", "cell_dof", "welch"),
+        ("density_w", "depth", "gamma", "fitted_or_given_current", "welch"),
         _group,
         group="directional",
         without="No directional spectrum",

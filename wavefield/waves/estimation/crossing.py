@@ -1,5 +1,6 @@
 """Correlation of segments by waves that are still in the window: how long waves take to cross it."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,14 +30,36 @@ def hann_autocorrelation(lag: Array) -> Array:
     return np.asarray(((1 - x) * (2 + np.cos(2 * np.pi * x)) + 1.5 / np.pi * np.sin(2 * np.pi * x)) / 3)
 
 
+def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
+    """Variance of a mean of segments over that of independent ones, of packets of velocities (x and y), m/s.
+
+    Segments last T = ``duration``, s, and overlap by half; the window is ``lengths`` L along x and y, m. A
+    cell holds a wave packet while it is within the windows in space and in time: with the velocity v of the
+    packet, lines that are dt apart have the correlation c(dt) = int a(s / T) a(v (dt - s) / L) ds, a the
+    autocorrelation of the Hann window, and powers c^2. The ratio is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 /
+    c(0)^2.
+    """
+    s = np.linspace(-1, 1, LAGS)
+    in_time = hann_autocorrelation(s)
+    out, alone = np.ones_like(velocity[0]), np.ones(())
+    for lag in range(min(count, MOST_SEGMENTS)):
+        apart = (lag / 2 - s) * duration
+        in_space = [
+            hann_autocorrelation(v[..., None] * apart / length) for v, length in zip(velocity, lengths)
+        ]
+        power = (in_space[0] * in_space[1] * in_time).sum(axis=-1) ** 2
+        if lag:
+            out += 2 * (1 - lag / count) * power / alone
+        else:
+            alone = power
+    return out
+
+
 def crossing_correlation(welch: Welch) -> Array:
     """Variance of a mean of segments over that of independent segments, of free waves, (rings, lines).
 
-    A cell holds a wave packet while it is within the windows in space, L long, and in time, T long: with the
-    velocity v of the packet, lines that are dt apart have the correlation c(dt) = int a(s / T) a(v (dt - s) /
-    L) ds, a the autocorrelation of the Hann window, and powers c^2. The ratio is 1 + 2 sum_n (1 - n / K)
-    c(n T / 2)^2 / c(0)^2. On a current U, v = c_g + U; the direction of the waves of a ring follows from the
-    line, omega = sigma(k) + k . U, or without a current is any.
+    That of `correlation_at`, packets having v = c_g + U on a current U; the direction of the waves of a ring
+    follows from the line, omega = sigma(k) + k . U, or without a current is any.
     """
     record, table = welch.record, welch.table
     duration = welch.segment * record.dt
@@ -44,31 +67,21 @@ def crossing_correlation(welch: Welch) -> Array:
     group, still = group_velocity(table.k, welch.depth), dispersion(table.k, welch.depth)
     speed, towards = np.hypot(*welch.current), np.arctan2(welch.current[1], welch.current[0])
     turn = np.linspace(0, np.pi, HEADINGS)
-    s = np.linspace(-1, 1, LAGS)
-    in_time = hann_autocorrelation(s)
     out = np.zeros((table.k.size, HEADINGS))
     for side in (1, -1):
         velocity = [
             group[:, None] * part(towards + side * turn) + along
             for part, along in zip((np.cos, np.sin), welch.current)
         ]
-        powers = []
-        for lag in range(min(welch.count, MOST_SEGMENTS)):
-            apart = (lag / 2 - s) * duration
-            in_space = [
-                hann_autocorrelation(v[..., None] * apart / length) for v, length in zip(velocity, lengths)
-            ]
-            powers.append((in_space[0] * in_space[1] * in_time).sum(axis=-1) ** 2)
-            if lag:
-                out += (1 - lag / welch.count) * powers[lag] / powers[0]  # half of both sides
+        out += correlation_at(velocity, duration, lengths, welch.count) / 2
     lines = welch.omega.size
     if speed < STILL:
-        return np.repeat(1 + out.mean(axis=1, keepdims=True), lines, axis=1)
+        return np.repeat(out.mean(axis=1, keepdims=True), lines, axis=1)
     along = (welch.omega - still[:, None]) / (table.k * speed)[:, None]
     place = np.arccos(along.clip(-1, 1)) * (HEADINGS - 1) / np.pi
     first = np.minimum(place.astype(int), HEADINGS - 2)
     values = [np.take_along_axis(out, first + i, axis=1) for i in (0, 1)]
-    return np.asarray(1 + values[0] + (place - first) * (values[1] - values[0]))
+    return np.asarray(values[0] + (place - first) * (values[1] - values[0]))
 
 
 def wave_share(power: Array) -> Array:

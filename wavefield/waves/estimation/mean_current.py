@@ -7,17 +7,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavefield.waves.estimation.segments import spatial_window
 from wavefield.waves.estimation.wave_record import Record, piece
 
 Array = NDArray[np.float64]
 
-_CURRENT_STEPS = 64  # steps, evenly spread over the record, that the mean is taken over
+_CURRENT_STEPS = 256  # steps, evenly spread over the record, that the mean is taken over
+_PARTS = 16  # of the record, whose means show the uncertainty
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
     """Mean of u, v over the measured nodes of evenly spread steps, and its standard uncertainty; delayed.
 
-    With cube, m/s; returns Mean (2,) and standard uncertainty (2,), m/s, along x and y.
+    Nodes are weighted by a Hann window: even weights leave a hundredth of the waves in the mean, and what
+    they move the frame by is coherent with z_t. Returns mean (2,) and standard uncertainty (2,), m/s, along x
+    and y.
     """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
@@ -29,9 +33,10 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _mean_of_step(block: object) -> float:
-    values = np.asarray(block, np.float64)
-    measured = values[np.isfinite(values)]
-    return float(measured.mean()) if measured.size else np.nan
+    values = np.asarray(block, np.float64)[0]
+    weight = np.where(np.isfinite(values), spatial_window(*values.shape), 0.0)
+    total = float(weight.sum())
+    return float((weight * np.nan_to_num(values)).sum() / total) if total > 0 else np.nan
 
 
 def _mean_and_uncertainty(means: list[list[float]]) -> tuple[Array, Array]:
@@ -39,4 +44,5 @@ def _mean_and_uncertainty(means: list[list[float]]) -> tuple[Array, Array]:
     values = values[np.isfinite(values).all(axis=1)]
     if values.shape[0] < 2:
         return np.zeros(2) if not values.size else values[0], np.full(2, np.nan)
-    return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(values.shape[0])
+    parts = np.array([part.mean(axis=0) for part in np.array_split(values, min(_PARTS, len(values)))])
+    return values.mean(axis=0), parts.std(axis=0, ddof=1) / np.sqrt(len(parts))

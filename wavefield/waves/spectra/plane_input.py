@@ -11,8 +11,11 @@ from wavefield.waves.spectra.field_spectra import spectrum
 PLANE = {"omega", "ky", "kx"}
 
 
-def plane_of(field: str) -> Convert:
-    """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's."""
+def plane_of(field: str, independent: bool = False) -> Convert:
+    """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's.
+
+    Degrees of freedom are those of the segments as they are, or of independent ones.
+    """
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
         water: dict[str, Any] = stated_water(given) if isinstance(given, xr.DataArray | xr.Dataset) else {}
@@ -25,7 +28,8 @@ def plane_of(field: str) -> Convert:
         elif is_field(given):
             given = spectrum(given).compute()
         if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
-            return given["E"], water | ({"dof": float(given["dof"])} if "dof" in given else {})
+            dof = given.attrs.get("degrees_of_freedom") if independent else given.get("dof")
+            return given["E"], water | ({} if dof is None else {"dof": float(dof)})
         raise CubeError(
             f"{name} needs a spectrum over omega, ky and kx (`wavefield.spectrum`), a cube, or a field over"
             f" time, y and x, got {described(given)}"
