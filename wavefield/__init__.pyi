@@ -35,6 +35,7 @@ from wavefield.waves.dispersion_relation.current_by_depth import current_by_dept
 from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
+from wavefield.waves.dispersion_relation.wavelet_directions import wavelet_directions
 from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
 from wavefield.waves.nonlinear.coherence import coherence
@@ -49,6 +50,7 @@ from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths
 from wavefield.waves.surface.energy_budget import energy_budget
+from wavefield.waves.surface.energy_flux import energy_flux
 from wavefield.waves.surface.increments import structure_functions
 from wavefield.waves.surface.phase_average import phase_average
 from wavefield.waves.surface.statistics import statistics
@@ -83,6 +85,7 @@ __all__ = [
     "directional_spectrum",
     "directions",
     "energy_budget",
+    "energy_flux",
     "export",
     "find_sheet",
     "fit_dispersion",
@@ -120,5 +123,6 @@ __all__ = [
     "surface_paths",
     "to_pivpy",
     "verify",
+    "wavelet_directions",
     "waves_and_vortices",
 ]

@@ -22,6 +22,7 @@ NAMES = [
     "breaking",
     "surface_paths",
     "energy_budget",
+    "energy_flux",
     "waves_and_vortices",
     "statistics",
     "cross_spectra",
@@ -31,6 +32,7 @@ NAMES = [
     "crest_statistics",
     "fit_dispersion",
     "directions",
+    "wavelet_directions",
     "free_and_bound",
     "stokes_drift",
     "current_by_depth",
@@ -47,6 +49,7 @@ MORE |= {
     "spectral_slope": {"lowest": 1.5, "highest": 6.0},
     "phase_average": {"period": 0.6, "phases": 8},
     "subsurface": {"levels": [-0.1]},
+    "wavelet_directions": {"frequencies": (2.0,)},
 }
 FIELD = {"E_k", "E_omega", "komega", "spectrum", "structure_functions"}
 PLANE = {"directions", "free_and_bound", "stokes_drift"}

@@ -5,6 +5,7 @@ from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_relation.fit_settings import FitSettings
+from wavefield.waves.dispersion_relation.wavelet_directions import wavelet_directions
 from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.estimation.transfer_functions import (
     elevation_from_w,
@@ -41,6 +42,7 @@ from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths
 from wavefield.waves.surface.energy_budget import energy_budget
+from wavefield.waves.surface.energy_flux import energy_flux
 from wavefield.waves.surface.increments import structure_functions
 from wavefield.waves.surface.phase_average import phase_average
 from wavefield.waves.surface.statistics import statistics
@@ -70,6 +72,7 @@ __all__ = [
     "dispersion",
     "elevation_from_w",
     "energy_budget",
+    "energy_flux",
     "find_record",
     "finite_residual",
     "fit_dispersion",
@@ -103,6 +106,7 @@ __all__ = [
     "surface_paths",
     "total",
     "undo",
+    "wavelet_directions",
     "wavenumber",
     "waves_and_vortices",
     "whole_record",

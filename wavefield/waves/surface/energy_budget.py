@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import DENSITY, GRAVITY, dispersion, group_velocity, water_of
+from wavefield.waves.dispersion_relation.plane_spectrum import WavenumberPlane, noise_level
 from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.segments import segment_length
 from wavefield.waves.estimation.transfer_functions import elevation_from_w
@@ -22,23 +23,26 @@ Array = NDArray[Any]
 VISCOSITY = 1.0e-6  # m2 s-1, water at 20 C
 BANDS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # Hz
 MIN_CELLS_FROM_ZERO = 2.0  # of the k plane: nearer to zero the window mixes waves k and -k
+PARTS_OF_LINE = 4  # that the bands share
 MIN_BLOCKS, MAX_BLOCKS = 4, 16  # of time
 
 
 @dataclass(frozen=True)
-class _WaterProperties:
-    depth: float
-    gamma: float
-    current: tuple[float, float]
-    density: float
-    viscosity: float
+class WaterProperties:
+    """Of the water that waves run on."""
+
+    depth: float  # m
+    gamma: float  # surface tension over density, m3/s2
+    current: tuple[float, float]  # m/s
+    density: float  # kg/m3
+    viscosity: float  # kinematic, m2/s
 
 
-def _sums(E: xr.DataArray, water: _WaterProperties, least_k: float, edges: Array, frames: int) -> Array:
+def _sums(E: xr.DataArray, water: WaterProperties, least_k: float, edges: Array, frames: int) -> Array:
     """Energy J m-2, flux W m-1 along x and y, viscous loss W m-2 of each band, (4, bands), from E of w."""
     ky, kx = np.meshgrid(E["ky"].values, E["kx"].values, indexing="ij")
     omega, k = E["omega"].values, np.hypot(ky, kx)
-    safe = np.maximum(k, least_k)
+    safe = np.maximum(k, least_k)  # waves of it are spread over cells on either side
     sigma = dispersion(safe, water.depth, water.gamma)
     speed = group_velocity(safe, water.depth, water.gamma)
     cells = [float(E[name][1] - E[name][0]) for name in ("ky", "kx")]
@@ -49,13 +53,17 @@ def _sums(E: xr.DataArray, water: _WaterProperties, least_k: float, edges: Array
     weights = [energy, energy * transport[0], energy * transport[1], energy * 4 * water.viscosity * safe**2]
     bands = edges.size - 1
     out = np.zeros((4, bands))
+    parts = ((np.arange(PARTS_OF_LINE) + 0.5) / PARTS_OF_LINE - 0.5) * omega[1]
     for line, o in zip(E.values, omega):
         intrinsic = o - doppler_shift  # w is the rise of a particle that the current carries
-        band = np.digitize(intrinsic / (2 * np.pi), edges) - 1
-        near = (k > least_k) & (np.abs(o - sigma - doppler_shift) < reach) & (band >= 0) & (band < bands)
-        if near.any():
-            z = line[near] * elevation_from_w(intrinsic[near], np.pi / omega[-1], frames)
-            out += [np.bincount(band[near], z * weight[near], bands) for weight in weights]
+        near = (k > least_k) & (np.abs(o - sigma - doppler_shift) < reach) & (intrinsic > omega[1])
+        if not near.any():
+            continue
+        z = line[near] * elevation_from_w(intrinsic[near], np.pi / omega[-1], frames) / PARTS_OF_LINE
+        for part in parts:  # a line on the edge of two bands is shared between them
+            band = np.digitize((intrinsic[near] + part) / (2 * np.pi), edges) - 1
+            inside = (band >= 0) & (band < bands)
+            out += [np.bincount(band[inside], (z * weight[near])[inside], bands) for weight in weights]
     return out
 
 
@@ -70,6 +78,42 @@ def _areas(record: Record) -> list[Record]:
         replace(record, y=(y0, y0 + ny)),
         replace(record, y=(y1 - ny, y1)),
     ]
+
+
+@dataclass(frozen=True)
+class EnergyBlocks:
+    """Energy of the waves of a record by bands of frequency, in blocks of time."""
+
+    field: xr.DataArray  # w
+    record: Record
+    segment: int  # steps of a Welch segment
+    blocks: list[tuple[int, int]]  # first step and one past the last
+    water: WaterProperties
+    edges: Array  # of the bands, Hz
+
+    @property
+    def time(self) -> Array:
+        """Middle of the blocks, s from the first step."""
+        return np.array([(a + b) / 2 for a, b in self.blocks]) * self.record.dt
+
+    @property
+    def least_k(self) -> float:
+        """Smallest wavenumber that the field separates from its mirror image, rad/m."""
+        sides = [n * h for n, h in zip(self.record.shape, (self.record.dy, self.record.dx))]
+        return MIN_CELLS_FROM_ZERO * 2 * np.pi / min(sides)
+
+    def sums(self, area: Record) -> Array:
+        """Energy, flux along x and y, viscous loss and noise of each band in an area, (blocks, 5, bands)."""
+        frames, out = frames_of(self.field), []
+        for block in self.blocks:
+            bridged = tuple(n for n in area.bridged if block[0] <= n < block[1])
+            part = replace(area, runs=(block,), bridged=bridged)
+            E = spectrum(self.field, segment=self.segment, record=part)["E"].compute()
+            level = noise_level(E.values.reshape(E.sizes["omega"], -1), WavenumberPlane.of(E))
+            noise = E.copy(data=level.reshape(E.shape))
+            both = [_sums(e, self.water, self.least_k / 2, self.edges, frames) for e in (E - noise, noise)]
+            out.append([*both[0], both[1][0]])
+        return np.array(out)
 
 
 def _blocks_of_time(record: Record, segment: int) -> list[tuple[int, int]]:
@@ -129,7 +173,8 @@ def energy_budget(
 
     Notes
     -----
-    E = rho (g + gamma k^2) <z^2> over the cells of E(ky, kx, omega) near the dispersion relation, z from w;
+    E = rho (g + gamma k^2) <z^2> over the cells of E(ky, kx, omega) near the dispersion relation, z from w,
+    the noise of the shortest waves taken off;
     flux E (c_g k/|k| + U); viscous loss 4 nu k^2 E (Lamb), of clean water. The divergence is the difference
     of the fluxes of the right and left half of the rectangle over half its side, and of the upper and lower;
     growth is the slope of the energy over blocks of time. Their errors are the standard errors over blocks.
@@ -166,22 +211,16 @@ def energy_budget(
             f" energy budget needs {MIN_BLOCKS}: choose a shorter segment or a longer record"
         )
     depth, gamma = water_of(cube.attrs, depth)
-    water = _WaterProperties(depth, gamma, current, density, viscosity)
-    lengths = [n * h for n, h in zip(record.shape, (record.dy, record.dx))]
-    least_k = MIN_CELLS_FROM_ZERO * 2 * np.pi / min(lengths)
-    edges, frames = np.asarray(bands, float), frames_of(field)
-    sums = np.empty((5, len(blocks), 4, edges.size - 1))
-    for i, area in enumerate(_areas(record)):
-        for j, block in enumerate(blocks):
-            bridged = tuple(n for n in area.bridged if block[0] <= n < block[1])
-            part = replace(area, runs=(block,), bridged=bridged)
-            E = spectrum(field, segment=segment, record=part)["E"].compute()
-            sums[i, j] = _sums(E, water, least_k, edges, frames)
-    time = np.array([(a + b) / 2 for a, b in blocks]) * record.dt
+    water = WaterProperties(depth, gamma, current, density, viscosity)
+    edges = np.asarray(bands, float)
+    field = field.assign_coords(path_frames=frames_of(cube))
+    energies = EnergyBlocks(field, record, segment, blocks, water, edges)
+    sums = np.array([energies.sums(area) for area in _areas(record)])
     # bands of short enough waves for the field, and for the difference of its halves
-    lowest = [float(dispersion(k, depth, gamma)) / (2 * np.pi) for k in (least_k, 2 * least_k)]
+    lowest = [float(dispersion(n * energies.least_k, depth, gamma)) / (2 * np.pi) for n in (1, 2)]
     allowed = [edges[:-1] >= frequency for frequency in lowest]
-    return _label(sums, time, (lengths[0] / 2, lengths[1] / 2), edges, allowed)
+    sides = record.shape[0] * record.dy / 2, record.shape[1] * record.dx / 2
+    return _label(sums, energies.time, sides, edges, allowed)
 
 
 def _mean(values: Array) -> tuple[Array, Array]:
