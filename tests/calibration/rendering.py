@@ -287,3 +287,14 @@ def centred(camera, shape, mesh):
     """The camera moved so that it sees the middle of a grid of nodes where it saw the origin."""
     middle = np.array([(shape[0] - 1) / 2 * mesh, (shape[1] - 1) / 2 * mesh, 0.0])
     return replace(camera, translation=camera.T - camera.R @ middle)
+
+
+def write_points(path, points):
+    """Write target points as a CSV file that `read_points` reads."""
+    heights = points.z if points.placed and points.z is not None else None
+    lines = [f"# size {points.size[0]} {points.size[1]}", "i,j,X,Y,std" + ("" if heights is None else ",z")]
+    for k, ((i, j), (x, y), std) in enumerate(zip(points.node, points.pixel, points.std, strict=True)):
+        z = "" if heights is None else f",{float(heights[k])!r}"
+        lines.append(f"{i},{j},{float(x)!r},{float(y)!r},{float(std)!r}{z}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n")

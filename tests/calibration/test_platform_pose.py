@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wavefield.calibration.horizon import find_horizon, upward
+from wavefield.calibration.horizon import dip, find_horizon, sight_lines
 from wavefield.calibration.level_on_water import level_on_water
 from wavefield.calibration.relative_pose import match_features, place_second
 from wavefield.rig import Rig
@@ -43,8 +43,11 @@ def test_the_horizon_gives_the_vertical(platform):
     for name, camera in rig.cameras.items():
         line = find_horizon(images[name], camera)
         assert line is not None
-        up = upward(camera, line, 12.0)
-        assert np.degrees(np.arccos(up @ camera.R[:, 2])) < 0.05
+        above = sight_lines(camera, line) @ camera.R[:, 2] + np.sin(dip(12.0))
+        tilt = np.polyfit(
+            line[:, 0] / camera.fx, above, 1
+        )  # of the vertical about the sight line, and along it
+        assert np.degrees(np.abs(tilt)).max() < 0.05
 
 
 def test_no_horizon_is_found_where_there_is_none(platform):

@@ -5,10 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from rendering import write_points
 from solve_cases import nodes, poses
 
 from wavefield.calibration import calibrate
-from wavefield.calibration.pointfile import read_points, write_points
+from wavefield.calibration.pointfile import read_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.predicted_errors import predict_errors
 from wavefield.commands.cli import main

@@ -17,10 +17,11 @@ from rendering import (
     dots,
     dots_with_rings,
     pattern_picture,
+    write_points,
 )
 
 from wavefield.calibration import Target, find_target
-from wavefield.calibration.pointfile import read_points, write_points
+from wavefield.calibration.pointfile import read_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.smooth_map import SmoothMap
 from wavefield.errors import CalibrationError

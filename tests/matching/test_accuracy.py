@@ -52,23 +52,6 @@ def test_block_centres_are_pixel_centres_counted_from_zero(clean_pair):
         assert rms(d, lambda x, y: move(x + shift, y + shift), inside) > 2 * right  # noqa: B023
 
 
-def test_midpoint_field_belongs_to_the_middle_of_the_path(clean_pair):
-    a, b, move = clean_pair
-
-    def at_middle(x, y):
-        u, v = move(x, y)
-        for _ in range(50):
-            u, v = move(x - u / 2, y - v / 2)
-        return u, v
-
-    d = match(a, b)
-    middle = d.at_midpoint()
-    inside = interior(d, a.shape)
-    assert rms(middle, at_middle, inside) < 0.012
-    assert rms(d, at_middle, inside) > 0.05  # the start of the path is another place
-    np.testing.assert_array_equal(middle.x, d.x)
-
-
 def test_ten_pixels_with_gradient_one_third_leave_no_outlier():
     move = wave(10.0, 209.0)
     a, b = particle_pair(move, shape=(400, 420))

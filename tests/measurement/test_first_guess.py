@@ -63,8 +63,8 @@ def test_a_sea_that_moves_both_ways_widens_the_search_both_ways():
 def test_what_the_usual_search_holds_changes_nothing():
     settings = Settings()
     assert wide_enough(settings, guess((9, -4))) is settings
-    assert wide_enough(settings, FirstGuess((0, 0), (0, 0), 0, 36, 1)) is settings
-    assert "only 0 of 36" in FirstGuess((0, 0), (0, 0), 0, 36, 1).sentence
+    assert wide_enough(settings, FirstGuess((0, 0), (0, 0), 0, 36)) is settings
+    assert "only 0 of 36" in FirstGuess((0, 0), (0, 0), 0, 36).sentence
 
 
 @pytest.mark.parametrize("shift", [5, 30, 90, 200])

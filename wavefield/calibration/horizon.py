@@ -32,7 +32,7 @@ def dip(height: float) -> float:
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
-def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera, seed: int = 0) -> Array | None:
+def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array | None:
     """Points (X, Y) of the horizon, (n, 2), px, in images (row, column) of a camera that does not move.
 
     The horizon is a straight line of the undistorted mean image, nearly from side to side, with a steep
@@ -49,7 +49,7 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera, seed: in
         return None
     tangents = np.stack(camera.tangents(*points.T), axis=-1)
     columns = len(np.unique(points[:, 0]))
-    inlier = _line(tangents, points[:, 0], strength, MAX_MISFIT / camera.fy, seed)
+    inlier = _line(tangents, points[:, 0], strength, MAX_MISFIT / camera.fy)
     found = points[inlier]
     if len(np.unique(found[:, 0])) < MIN_SHARE * columns:
         return None
@@ -75,9 +75,9 @@ def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
     return np.array(points, float).reshape(-1, 2), np.array(strength, float)
 
 
-def _line(tangents: Array, column: Array, strength: Array, reach: float, seed: int) -> NDArray[np.bool_]:
+def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
     """Points on the line, nearly from side to side, with the most strength on it (RANSAC), (n,)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
     for first, second in rng.integers(0, len(tangents), (TRIALS, 2)):
@@ -107,21 +107,6 @@ def _sea_below(stack: Sequence[NDArray[np.float32]], line: Array) -> bool:
     if above.size < width or below.size < width:
         return bool(above.size < below.size)  # the line is at the image's edge: mostly sea
     return bool(np.median(above) < MAX_SKY_MOTION * np.percentile(below, 90))
-
-
-def upward(camera: Camera, points: Array, height: float) -> Array:
-    """Vertical, (3,), in a camera's own frame, from points of the horizon (n, 2), px, at a height, m.
-
-    The unit vector u with u . r = -sin(dip) for the unit sight lines r; it points to the image's upper side.
-    """
-    rays = sight_lines(camera, points)
-    u = np.linalg.svd(rays, full_matrices=False)[2][2]
-    u *= -1.0 if u[1] > 0 else 1.0  # rows go down
-    sine = np.sin(dip(height))
-    for _ in range(10):  # Gauss-Newton on the sphere
-        step = np.linalg.lstsq(np.vstack([rays, 1e3 * u]), np.append(-sine - rays @ u, 0.0), rcond=None)[0]
-        u = (u + step) / np.linalg.norm(u + step)
-    return np.asarray(u)
 
 
 def sight_lines(camera: Camera, points: Array) -> Array:

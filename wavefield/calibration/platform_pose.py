@@ -199,7 +199,7 @@ def _changed(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
     return PlatformFit(cameras, up / np.linalg.norm(up), fit.offset + float(x[-1]))
 
 
-def _along_and_across(fit: PlatformFit, one: _Match, raised: float = 0.0) -> tuple[Array, Array, Array]:
+def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
     """Of each match, px: the distance from its epipolar line, that along it from the plane's, and the
     parallax per metre of elevation."""
     first, second = (fit.cameras[name] for name in one.pair)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.atomic_write import ANY_FILE, write_text
 from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError
 from wavefield.file_access import accessing
@@ -92,13 +91,3 @@ def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
         except (TypeError, ValueError):
             raise CalibrationError(f"{path}: point {count} is not made of numbers: {dict(row)}") from None
     return np.array(table, float).reshape(-1, 6), "z" in header
-
-
-def write_points(path: str | Path, points: TargetPoints) -> None:
-    """Write target points as a CSV file that `read_points` reads."""
-    heights = points.z if points.placed and points.z is not None else None
-    lines = [f"# size {points.size[0]} {points.size[1]}", "i,j,X,Y,std" + ("" if heights is None else ",z")]
-    for k, ((i, j), (x, y), std) in enumerate(zip(points.node, points.pixel, points.std, strict=True)):
-        z = "" if heights is None else f",{float(heights[k])!r}"
-        lines.append(f"{i},{j},{float(x)!r},{float(y)!r},{float(std)!r}{z}")
-    write_text(path, "\n".join(lines) + "\n", ANY_FILE)

@@ -26,15 +26,13 @@ class PoseConsistency:
     wrong_views: list[tuple[str, str]]  # (camera, pose) of single views that differ from all others
     wrong_cameras: list[str]  # Cameras that are consistent with no other
     alone: list[str]  # Cameras that share no view with another
-    angle: dict[tuple[str, str], float]  # Largest difference of each pair of cameras over good views, degrees
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """Consistency of two cameras: of the pair, by how much they differ, and of each view."""
+    """Consistency of two cameras: of the pair, and of each view."""
 
     consistent: bool
-    angle: float | None = None  # degrees; None where they share one view only
     good: Mapping[str, bool] = field(default_factory=dict)  # by pose, where they are consistent
 
 
@@ -56,7 +54,6 @@ def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsi
         _wrong_views(names, pairs),
         [name for name in names if name not in group and name not in alone],
         alone,
-        {names: pair.angle for names, pair in pairs.items() if pair.angle is not None},
     )
 
 
@@ -75,8 +72,8 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None
     good = {pose: max(angle[pose] / max_angle, offset[pose] / max_offset) <= 1.0 for pose in common}
     count = sum(good.values())
     if count > len(good) / 2 or (count >= 2 and len(good) <= 4):
-        return _Pair(True, max(angle[pose] for pose in common if good[pose]), good)
-    return _Pair(False, float(np.median(list(angle.values()))))
+        return _Pair(True, good)
+    return _Pair(False)
 
 
 def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -> list[tuple[str, str]]:

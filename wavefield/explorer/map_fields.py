@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wavefield.figures.display import display, limit
 
+_ARROWS, _STREAMS, _RELIEF = 24, 22, 80  # arrows, seeds of streamlines, nodes along the longer side
 _HEAD = 0.32  # of an arrow's length
 _STREAM_STEP = 0.35  # of a streamline between two of its points, nodes
 _STREAM_POINTS = 90  # of a streamline to either side of its seed, at most
@@ -42,15 +43,13 @@ def top_speed(u: Field, v: Field) -> float:
     return limit(speed, 98) if np.isfinite(speed).any() else 0.0
 
 
-def arrows(
-    u: Field, v: Field, x: Field, y: Field, fastest: float, *, along: int = 24
-) -> tuple[Field, Field, float]:
-    """Arrows of the horizontal velocity at about `along` nodes along the longer side.
+def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
+    """Arrows of the horizontal velocity at about 24 nodes along the longer side.
 
     With u, v (ny, nx); x, y (nx,), metres; returns xs, ys (7 n,): n arrows in one line, metres, each of six
     points and a NaN that separates it from the next; and the arrows' metres per m/s.
     """
-    every = max(1, round(max(len(x), len(y)) / along))
+    every = max(1, round(max(len(x), len(y)) / _ARROWS))
     thin = slice(every // 2, None, every)
     gap = every * float(np.mean(np.diff(x)))
     metres = 1.2 * gap / fastest if fastest > 0 else 0.0
@@ -70,14 +69,14 @@ def _with_heads(px: Field, py: Field, dx: Field, dy: Field) -> tuple[Field, Fiel
     return np.array(xs).T.ravel(), np.array(ys).T.ravel()
 
 
-def streamlines(u: Field, v: Field, x: Field, y: Field, *, along: int = 22) -> tuple[Field, Field]:
+def streamlines(u: Field, v: Field, x: Field, y: Field) -> tuple[Field, Field]:
     """Streamlines of the horizontal velocity u, v (ny, nx) as one line xs, ys (m,), metres, with gaps.
 
-    Seeds lie on a lattice of about `along` cells along the longer side. Lines are traced by steps of one
+    Seeds lie on a lattice of about 22 cells along the longer side. Lines are traced by steps of one
     length (midpoint rule), the longest first, and end where they enter a cell that another has passed. Each
     has an arrow head in its middle.
     """
-    gap = max(len(x), len(y)) / along
+    gap = max(len(x), len(y)) / _STREAMS
     seeds = np.meshgrid(np.arange(gap / 2, len(x) - 1, gap), np.arange(gap / 2, len(y) - 1, gap))
     seed = np.array([part.ravel() for part in seeds])
     back, forth = _traced(u, v, seed, -1.0), _traced(u, v, seed, 1.0)
@@ -140,9 +139,9 @@ def _free_part(cells: NDArray[np.int32], taken: set[tuple[int, int]]) -> slice:
     return slice(start, stop)
 
 
-def relief(field: Field, x: Field, y: Field, most: int = 80) -> tuple[Field, Field, Field]:
-    """A field (ny, nx) and its axes, thinned to at most `most` nodes along the longer side."""
-    every = max(1, -(-max(field.shape) // most))
+def relief(field: Field, x: Field, y: Field) -> tuple[Field, Field, Field]:
+    """A field (ny, nx) and its axes, thinned to at most 80 nodes along the longer side."""
+    every = max(1, -(-max(field.shape) // _RELIEF))
     return field[::every, ::every], x[::every], y[::every]
 
 

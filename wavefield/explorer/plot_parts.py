@@ -273,7 +273,7 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
     }
 
 
-def envelope(x: Series, *series: Series, most: int = MOST_POINTS) -> tuple[Series, ...]:
+def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
     """Series (n,) thinned for a screen to the lowest and the highest value of each bin, in their order.
 
     Returns x and the series at the samples where the first of them has these extremes, (m,).
@@ -287,9 +287,9 @@ def envelope(x: Series, *series: Series, most: int = MOST_POINTS) -> tuple[Serie
     >>> len(thin_x) <= 1000, float(thin_x[thin_y.argmax()])
     (True, 4321.0)
     """
-    if x.size <= most:
+    if x.size <= MOST_POINTS:
         return (x, *series)
-    width = -(-2 * x.size // most)
+    width = -(-2 * x.size // MOST_POINTS)
     binned = x.size - x.size % width
     bins = series[0][:binned].reshape(-1, width)
     finite = np.isfinite(bins)

@@ -1,4 +1,4 @@
-"""Quality of a displacement: correlation, influence of each block, reasons to reject it."""
+"""Quality of a displacement: correlation, own score of each block, reasons to reject it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from wavefield.matching.prepared import NO_MASK, Level
 
 F = np.float32
 MIN_CORRELATION = 0.3  # of windows: below, a block has no score and no Hessian
-MIN_GAIN, MAX_GAIN = 0.3, 1.05  # of a step
 
 
 @dataclass(frozen=True)
@@ -34,8 +33,6 @@ def assess(
 ) -> Displacement:
     """The result of a match at its last displacement u, v (ny, nx), px."""
     found = evaluation(a, b, u, v, last, settings)
-    gain = _ratio(last.windowed, MIN_GAIN, MAX_GAIN)
-    influence_u, influence_v = _influence(last, gain)
     ny, nx = u.shape
     return Displacement(
         x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
@@ -44,9 +41,6 @@ def assess(
         v=v,
         correlation=found.correlation,
         reason=found.reason,
-        influence_u=influence_u,
-        influence_v=influence_v,
-        gain=_sparse_median(gain, found.valid, 1.0),
         settings=settings,
         score=found.score,
         hessian=found.hessian,
@@ -77,30 +71,14 @@ def _correlation(last: LastStep) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(correlation, F(-1), F(1)), ab * n
 
 
-def _ratio(windowed: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Gradient energy that both images share over that of their mean, (ny, nx)."""
-    ab, mm = windowed[10], windowed[11]
-    return np.asarray(np.clip(ab / np.maximum(mm, F(1e-12)), F(low), F(high)))
-
-
-def _influence(last: LastStep, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What each block's own residual adds to u and v of its window, (ny, nx), px."""
-    ridge = F(1e-4 * float((last.windowed[2] + last.windowed[4]).mean()) + 1e-12)
-    s0, s1, s2, s3, s4 = last.sums[:5]
-    sx = s0 - gain * (s2 * last.du + s3 * last.dv)
-    sy = s1 - gain * (s3 * last.du + s4 * last.dv)
-    xx, xy, yy = last.windowed[2] * gain + ridge, last.windowed[3] * gain, last.windowed[4] * gain + ridge
-    scale = F(1) / np.maximum(xx * yy - xy * xy, F(1e-30))
-    return (yy * sx - xy * sy) * scale, (xx * sy - xy * sx) * scale
-
-
 def _own_scores(last: LastStep, correlation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Score (2, ny, nx) and Hessian (3, ny, nx) of every block after the step.
 
     The Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
     the gradients is ratio / (2 - ratio), and 0 where their correlation is too low.
     """
-    ratio = _ratio(last.windowed, 0.0, 1.0)
+    shared, of_mean = last.windowed[10:12]
+    ratio = np.clip(shared / np.maximum(of_mean, F(1e-12)), F(0), F(1))
     ratio[correlation <= F(MIN_CORRELATION)] = 0
     hessian = last.sums[2:5] * (ratio / (F(2) - ratio))
     xx, xy, yy = hessian
@@ -125,7 +103,7 @@ def _reasons(
         block_weights(a.good, b.good, u, v, *b.shape, weight)
     else:
         weight = inside
-    least = F(max(settings.min_gradient_energy * _sparse_median(energy, weight > 0, 0.0), 1e-12))
+    least = F(max(settings.min_gradient_energy * _sparse_median(energy, weight > 0), 1e-12))
     rejected = {
         Reason.EDGE: inside == 0,
         Reason.MASKED: (weight == 0) & (inside > 0),
@@ -145,7 +123,7 @@ def _reasons(
     return reason
 
 
-def _sparse_median(field: np.ndarray, usable: np.ndarray, otherwise: float) -> float:
+def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
     """Median of a field over usable blocks, of every third block each way: windows overlap that much."""
     every_third = field[::3, ::3][usable[::3, ::3]]
-    return float(np.median(every_third)) if every_third.size else otherwise
+    return float(np.median(every_third)) if every_third.size else 0.0

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from wavefield.matching.block_lattice import gaussian, window_sigma
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.matching_settings import MatchSettings
 
-PERIOD = 128  # blocks: period of the Fourier transforms below
 FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value is taken to represent, with beads' images
 AVERAGED_VARIANCE = 4.0  # px^2: of the area over which blocks and beads' images average displacements
 
@@ -93,15 +90,3 @@ def footprint_excess(k: np.ndarray) -> np.ndarray:
     """
     out: np.ndarray = np.exp(0.5 * (FOOTPRINT_VARIANCE - AVERAGED_VARIANCE) * np.square(k) / BLOCK**2)
     return out
-
-
-@lru_cache(maxsize=32)
-def transfer_kernel(settings: MatchSettings, gain: float = 1.0) -> np.ndarray:
-    """Weights (2 r + 1, 2 r + 1) of the surrounding blocks in a displacement, by linear theory."""
-    kx = 2 * np.pi * np.fft.fftfreq(PERIOD)
-    ky = kx[:, None]
-    total = transfer_function(settings, kx, ky, gain)
-    kernel = np.fft.fftshift(np.fft.ifft2(total).real)
-    reach = min(PERIOD // 2 - 1, int(3 * settings.window / BLOCK) + 3)
-    middle = slice(PERIOD // 2 - reach, PERIOD // 2 + reach + 1)
-    return kernel[middle, middle].astype(np.float32)

@@ -313,15 +313,13 @@ def diagnose_around(
     model: Model | None,
     middle: int,
     pixel: float,
-    covered: Callable[[str, int], NDArray[Any] | None] | None = None,
 ) -> Diagnosis | None:
     """Compare the pairs of cameras on a few steps of a record; pixel in metres."""
     found: list[Diagnosis] = []
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
-        masks = {n: [covered(n, step + k) for k in (0, 1)] for n in geometry.cameras} if covered else None
         try:
-            found.append(diagnose(frames, geometry, model, pixel, masks))
+            found.append(diagnose(frames, geometry, model, pixel))
         except ValueError:  # a frame is missing or bad
             continue
         if len(found) == COMPARED_STEPS:

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from wavefield.matching.patch_shifts import confirmed, shifts, widened
 from wavefield.measurement.measurement_settings import Settings
 
-Float = NDArray[np.float32]
-
 
 @dataclass(frozen=True)
 class FirstGuess:
@@ -24,7 +22,6 @@ class FirstGuess:
     y: tuple[float, float]
     found: int  # patches of images that were found again, and all that were searched for
     tried: int
-    steps: int  # steps searched
 
     def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
         """Ranges to search along x and y, px; None where the usual one suffices or nothing was found."""
@@ -54,21 +51,20 @@ def first_guess(
 ) -> FirstGuess:
     """Range of the displacements in some steps of a record."""
     kept: list[NDArray[np.float64]] = []
-    tried = seen = 0
+    tried = 0
     for step in steps:
         for name in cameras:
             a, b = read(name, step), read(name, step + 1)
             if a is None or b is None:
                 continue
-            seen += name == cameras[0]
             moved = shifts(np.asarray(a, np.float32), np.asarray(b, np.float32))
             tried += len(moved)
             kept.append(confirmed(moved[:, :2]))
     found = np.concatenate(kept) if kept else np.zeros((0, 2))
     if not len(found):
-        return FirstGuess((0.0, 0.0), (0.0, 0.0), 0, tried, seen)
+        return FirstGuess((0.0, 0.0), (0.0, 0.0), 0, tried)
     (x0, y0), (x1, y1) = found.min(axis=0).tolist(), found.max(axis=0).tolist()
-    return FirstGuess((x0, x1), (y0, y1), len(found), tried, seen)
+    return FirstGuess((x0, x1), (y0, y1), len(found), tried)
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:

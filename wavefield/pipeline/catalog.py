@@ -16,7 +16,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlparse
 
 import yaml
@@ -24,15 +24,14 @@ import yaml
 from wavefield.atomic_write import ANY_FILE, NEW_FILE, write_text
 from wavefield.config_files import read_yaml, safe_name
 from wavefield.errors import ExperimentError, StoreError
-from wavefield.execution.cluster import open_cluster
-from wavefield.execution.lock import Lock
-from wavefield.execution.run_log import jobs_folder
-from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.prepare import PreparedRun, prepare
-from wavefield.pipeline.running import ProgressFunction, process
-from wavefield.rig import Rig
-from wavefield.series import Experiment
-from wavefield.store.ledger import Status
+
+if TYPE_CHECKING:  # slow to import: most commands ask only whether a file is a catalog, and of which runs
+    from wavefield.execution.workflow import Workflow
+    from wavefield.pipeline.prepare import PreparedRun
+    from wavefield.pipeline.running import ProgressFunction
+    from wavefield.rig import Rig
+    from wavefield.series import Experiment
+    from wavefield.store.ledger import Status
 
 _OPTIONS = "intake.readers.user_parameters:OptionsUserParameter"
 _TEXT = "intake.readers.user_parameters:SimpleUserParameter"
@@ -68,6 +67,8 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
     ExperimentError
         If the experiment is wrong, or another experiment of that name is in the catalog.
     """
+    from wavefield.series import Experiment
+
     catalog = Path(catalog).absolute()
     found = Experiment.load(experiment)
     run = name or found.name
@@ -176,11 +177,11 @@ def run_catalog(
     entries: Sequence[str] = (),
     out: str | Path | None = None,
     *,
-    rig: str | Path | Rig | None = None,
-    workflow: str | Path | Workflow | None = None,
-    progress: ProgressFunction | None = None,
+    rig: "str | Path | Rig | None" = None,
+    workflow: "str | Path | Workflow | None" = None,
+    progress: "ProgressFunction | None" = None,
     parameters: Mapping[str, str] | None = None,
-) -> list[Status]:
+) -> "list[Status]":
     """Process runs of a catalog, each into a folder named after its recipe.
 
     Parameters
@@ -220,6 +221,12 @@ def run_catalog(
     >>> all(one.complete for one in found)  # doctest: +SKIP
     True
     """
+    from wavefield.execution.cluster import open_cluster
+    from wavefield.execution.lock import Lock
+    from wavefield.execution.run_log import jobs_folder
+    from wavefield.pipeline.prepare import prepare
+    from wavefield.pipeline.running import process
+
     path = Path(catalog).absolute()
     runs = runs_of(path, entries)
     if out is not None and len(runs) > 1:
@@ -269,7 +276,7 @@ def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
     return Path(_local(_open_entry(Path(catalog).absolute(), "cube", chosen).kwargs["data"].url))
 
 
-def _named(progress: ProgressFunction | None, run: str) -> ProgressFunction | None:
+def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction | None":
     if progress is None:
         return None
     return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
@@ -310,8 +317,10 @@ def _open_entry(catalog: Path, entry: str, chosen: Mapping[str, str]) -> Any:
         raise ExperimentError(f"{catalog}: entry {entry!r}: {error}") from None
 
 
-def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> Experiment:
+def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
     """The experiment that a catalog's entry ``frames`` opens."""
+    from wavefield.series import Experiment
+
     reader = _open_entry(Path(catalog).absolute(), "frames", chosen)
     return Experiment.load(_local(reader.kwargs["data"].url), reader.kwargs.get("folder") or None)
 
@@ -331,7 +340,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
     return next(iter(existing.values()))
 
 
-def store_of(catalog: Path, chosen: Mapping[str, str], prepared: PreparedRun) -> Path:
+def store_of(catalog: Path, chosen: Mapping[str, str], prepared: "PreparedRun") -> Path:
     """Path that a catalog gives to the cube of a run; its recipe joins the catalog's options."""
     data = read_yaml(catalog)
     recipe = data.get("user_parameters", {}).get("recipe")
@@ -351,7 +360,7 @@ def _local(url: str) -> str:
     return unquote(parts.path) if parts.scheme else url
 
 
-def _link_latest(store: Path, prepared: PreparedRun) -> None:
+def _link_latest(store: Path, prepared: "PreparedRun") -> None:
     """Let the link `latest` next to the recipe's folder point to it."""
     folder = store.parent
     if folder.name != prepared.recipe.hash[:8]:

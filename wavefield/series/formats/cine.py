@@ -21,7 +21,7 @@ from wavefield.series.formats.recording import (
 _HEADER = struct.Struct("<2sHHHiIiIIIIII")  # CINEFILEHEADER
 _BITMAP = struct.Struct("<IiiHHIIiiII")  # BITMAPINFOHEADER
 _RATE = 0x300  # of FrameRate in SETUP
-_MARK, _LENGTH = 140, 142  # of "ST" and of SETUP's own length in it; blocks with a head each follow
+_MARK = 140  # of "ST" in SETUP; blocks with a head each follow
 _BLOCK = struct.Struct("<IHH")  # its bytes, what it holds, reserved
 _TIMES = 1002  # TIME64 of every image: fractions of a second, seconds
 _PACKED = {256: 10, 1024: 12}  # biCompression to bits

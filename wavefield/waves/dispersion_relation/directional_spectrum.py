@@ -1,10 +1,7 @@
 """Directional spectra E(f, theta) in the convention of oceanographers, which wavespectra reads."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
@@ -18,8 +15,6 @@ from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, frames_of
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.field_spectra import spectrum
-
-Array = NDArray[Any]
 
 SECTORS = 36
 STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more

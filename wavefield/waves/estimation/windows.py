@@ -6,6 +6,8 @@ from scipy import fft, special  # scipy.stats takes half a second to import
 DEFAULT_SEGMENT = 512  # steps: 25.6 s at 20 Hz
 CORRELATED_CELLS = 1 + 2 * (4 / 9 + 1 / 36)  # along an axis of a spectrum under a Hann window
 
+CONFIDENCE = 0.95  # of the intervals of all spectra
+
 
 def hann(n: int) -> np.ndarray:
     """Hann window with a half-sample offset, (n,): periodic, symmetric and without a zero sample."""
@@ -67,10 +69,10 @@ def effective_duration(segments: float, length: float) -> float:
     return length * 18 * segments**2 / (38 * segments - 3)
 
 
-def interval(dof: np.ndarray | float, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """Confidence interval of a spectrum as factors."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # rings of all frequencies have the same
-    tails = 0.5 + confidence / 2, 0.5 - confidence / 2
+    tails = 0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2
     low, high = (unique / (2 * special.gammaincinv(unique / 2, tail)) for tail in tails)  # of chi squared
     return low[index].reshape(dof.shape), high[index].reshape(dof.shape)
