@@ -35,3 +35,22 @@ def random_camera(seed, *without):
 def field(seed, n=200):
     rng = np.random.default_rng(seed + 1000)
     return (*rng.uniform(-0.5, 0.5, (2, n)), rng.uniform(-0.1, 0.1, n))
+
+
+def random_fisheye(seed, *without):
+    """A camera whose fisheye lens shows 100 to 200 degrees along the sides of its image."""
+    rng = np.random.default_rng(seed + 7000)
+    plain = random_camera(seed, *TERMS)
+    f = 512.0 / np.radians(rng.uniform(50.0, 100.0))
+    terms = {
+        "k1": rng.uniform(-0.03, 0.05),
+        "k2": rng.uniform(-0.005, 0.01),
+        "k3": rng.uniform(-0.001, 0.003),
+        "k4": rng.uniform(-0.0002, 0.0005),
+        "skew": rng.uniform(-2.0, 2.0),
+    }
+    for name in without:
+        terms[name] = 0.0
+    fy = f * rng.uniform(0.99, 1.01)
+    c = rng.uniform(490.0, 530.0, 2)
+    return Camera(f, fy, c[0], c[1], plain.R, plain.T, plain.size, fisheye=True, **terms)

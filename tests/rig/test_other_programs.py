@@ -1,9 +1,10 @@
 """Rigs of DICe, OpenPTV, MyPTV, Metashape and COLMAP: there and back, and against their own equations."""
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from rig_cases import field, random_camera
+from rig_cases import field, random_camera, random_fisheye
 
 from wavefield.commands.archive import rig as command
 from wavefield.errors import RigError
@@ -83,6 +84,71 @@ def test_programs_of_two_cameras_refuse_others(tmp_path, program):
         save_rig(Rig(three), tmp_path / "rig", program)
     with pytest.raises(RigError, match="does not have tau_x"):
         save_rig(Rig({f"cam{n}": random_camera(n) for n in (1, 2)}), tmp_path, program)
+
+
+def relative_to_first(cameras):
+    """The cameras in the frame of the first."""
+    from dataclasses import replace
+
+    first = next(iter(cameras.values()))
+    turned = ((name, camera, camera.R @ first.R.T) for name, camera in cameras.items())
+    return {
+        name: replace(camera, rotation=R, translation=camera.T - R @ first.T) for name, camera, R in turned
+    }
+
+
+@pytest.mark.parametrize("kind", ["radtan", "equidistant", "both"])
+def test_kalibrs_chain_there_and_back_in_the_frame_of_the_first(tmp_path, kind):
+    plain = {n: random_camera(n, "k3", "tau_x", "tau_y", "skew") for n in (1, 2, 3)}
+    wide = {n: random_fisheye(n, "skew") for n in (1, 2, 3)}
+    chosen = {"radtan": plain, "equidistant": wide, "both": {**plain, 2: wide[2]}}[kind]
+    cameras = {f"cam{n}": camera for n, camera in chosen.items()}
+    save_rig(Rig(cameras), tmp_path / "camchain.yaml", "kalibr")
+    back = load_rig(tmp_path / "camchain.yaml")
+    for name, camera in relative_to_first(cameras).items():
+        found = back[name]
+        assert (found.size, found.fisheye) == (camera.size, camera.fisheye)
+        for before, after in (
+            (camera.K, found.K),
+            (camera.D, found.D),
+            (camera.R, found.R),
+            (camera.T, found.T),
+        ):
+            np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("program", ["opencv", "colmap", "metashape"])
+def test_fisheye_lenses_there_and_back(tmp_path, program):
+    cameras = {f"cam{n}": random_fisheye(n, *(["skew"] if program == "colmap" else [])) for n in (1, 2)}
+    cameras["cam3"] = random_camera(3, "tau_x", "tau_y", "skew")
+    path = (
+        tmp_path if program in FOLDERS else tmp_path / ("rig.xml" if program == "metashape" else "rig.yaml")
+    )
+    save_rig(Rig(cameras), path, program)
+    back = load_rig(path)
+    for n, (name, camera) in enumerate(cameras.items()):
+        assert back[name].fisheye == camera.fisheye
+        assert misfit(camera, back[name], n) < 1e-8
+
+
+def test_opencvs_own_sample_states_its_fisheye_model(tmp_path):
+    camera = random_fisheye(4, "skew")
+    storage = cv2.FileStorage(str(tmp_path / "out.yml"), cv2.FILE_STORAGE_WRITE)
+    for key, value in (("image_width", 1024), ("image_height", 1024), ("fisheye_model", 1)):
+        storage.write(key, value)
+    storage.write("camera_matrix", camera.K)
+    storage.write("distortion_coefficients", camera.D[:, None])
+    storage.release()
+    found = load_rig(tmp_path / "out.yml")["cam1"]
+    assert found.fisheye
+    assert np.array_equal(found.D, camera.D)
+
+
+@pytest.mark.parametrize("program", ["dice", "wass", "matlab", "openptv", "myptv", "uvmat", "vic3d"])
+def test_programs_without_fisheye_lenses_refuse_them(tmp_path, program):
+    rig = Rig({f"cam{n}": square(random_fisheye(n, "skew")) for n in (1, 2)})
+    with pytest.raises(RigError, match="fisheye"):
+        save_rig(rig, tmp_path if program in FOLDERS else tmp_path / "rig.xml", program)
 
 
 def openptv_folder(folder, size=(1024, 800), pixel=0.0065, media="1\n1\n1"):
@@ -237,8 +303,8 @@ def test_colmaps_shorter_models(tmp_path):
     camera = rig["b"]
     assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.k1) == (500.0, 500.0, 319.5, 239.5, 0.1)
     assert np.allclose(camera.T, [2.0, 0.0, 0.0])
-    (tmp_path / "cameras.txt").write_text("7 OPENCV_FISHEYE 640 480 500 500 320 240 0 0 0 0\n")
-    with pytest.raises(RigError, match="OPENCV_FISHEYE"):
+    (tmp_path / "cameras.txt").write_text("7 THIN_PRISM_FISHEYE 640 480 500 500 320 240 0 0 0 0\n")
+    with pytest.raises(RigError, match="THIN_PRISM_FISHEYE"):
         load_rig(tmp_path)
 
 

@@ -289,7 +289,7 @@ def test_kalibrs_camera_chain(tmp_path):
     found = load_rig(tmp_path / "camchain.yaml")
     assert found["cam2"].centre == pytest.approx(stereo_pair()["cam2"].centre)
     assert (found["cam2"].k2, found["cam2"].p2, found["cam2"].size) == (0.02, -2e-3, (640, 480))
-    chain["cam1"]["distortion_model"] = "equidistant"
+    chain["cam1"]["distortion_model"] = "fov"
     (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
     with pytest.raises(RigError, match="pinhole-radtan"):
         load_rig(tmp_path / "camchain.yaml")

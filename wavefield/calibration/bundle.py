@@ -7,7 +7,14 @@ import numpy as np
 
 from wavefield.calibration.least_squares import Whitener, huber, minimise
 from wavefield.calibration.observations import Geometry, Observations
-from wavefield.calibration.parameters import ParameterLayout, layout, linearised, moved, predict
+from wavefield.calibration.parameters import (
+    ParameterLayout,
+    layout,
+    linearised,
+    moved,
+    predict,
+    terms_of_kind,
+)
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
@@ -41,6 +48,7 @@ def fit(
     Levenberg-Marquardt with the analytic Jacobian and Huber's loss at four standard deviations.
     """
     o = observations
+    models = [terms_of_kind(own, bool(lens[-1])) for own, lens in zip(models, start.lens, strict=True)]
     plan = layout(o, models, reference, flat, placed)
     start = replace(start, offset=np.zeros_like(start.offset))
     inverse = 1.0 / np.repeat(o.std, 2)

@@ -19,8 +19,17 @@ TERMS: dict[str, tuple[str, ...]] = {
     "k2": ("k2",),
     "p": ("p1", "p2"),
     "k3": ("k3",),
+    "k4": ("k4",),
     "tilt": ("tau_x", "tau_y"),
 }
+
+
+def terms_of_kind(terms: Sequence[str], fisheye: bool) -> tuple[str, ...]:
+    """The terms that a kind of lens has: a fisheye's polynomial has k4, and its centre absorbs a tilt."""
+    if not fisheye:
+        return tuple(term for term in terms if term != "k4")
+    own = ["c" if term == "tilt" else term for term in terms if term != "p"]
+    return tuple(dict.fromkeys([*own, *(["k4"] if "k3" in own else [])]))
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:

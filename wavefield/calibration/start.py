@@ -1,11 +1,12 @@
-"""Starting values: each camera on its own, by Zhang's method."""
+"""Starting values: each camera on its own, by Zhang's method, or as a fisheye."""
 
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from wavefield.calibration.bundle import fit
+from wavefield.calibration.bundle import Fit, fit
+from wavefield.calibration.fisheye_start import equidistant_start
 from wavefield.calibration.limits import LIMITS
 from wavefield.calibration.observations import Geometry, Observations
 from wavefield.calibration.poses import Pose
@@ -15,13 +16,19 @@ from wavefield.rig.lens import LENS, Array
 MAX_HOMOGRAPHY_MISFIT = 8.0  # px: of an inlier, before the lens distortion is fitted
 FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length is not plausible
 MAX_MEDIAN_MISFIT = 0.02  # image widths: of points with known z
+LENSES = ("auto", "perspective", "fisheye")
+SUSPICIOUS_MISFIT = 0.05  # px, rms: beyond it the lens may be a fisheye
+MAX_VIEW_MISFIT = 8.0, 6.0  # px, and times the median view's: a view beyond both is no plane grid
+FEW_TERMS = ("f", "c", "k1")
+FULL_TERMS = ("f", "aspect", "c", "k1", "k2", "p", "k3")  # of both kinds of lens
+FISHEYE_RATIOS = 0.6, 1.2  # of the sums of squares to a perspective lens's, by few and by all terms
 
 
 @dataclass(frozen=True)
 class SingleCamera:
     """One camera calibrated on its own."""
 
-    lens: Array  # (12,): `LENS`
+    lens: Array  # (14,): `LENS`
     poses: dict[str, Pose]  # Target to camera for each pose observed
     spread: float  # Largest angle between two views of the target, degrees
     deep: bool = False  # Whether nodes of known height determine the focal length, however parallel the views
@@ -61,7 +68,7 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 
 
 def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
-    """A lens without distortion as `LENS` (12,) and as a camera matrix (3, 3)."""
+    """A lens without distortion as `LENS` (14,) and as a camera matrix (3, 3)."""
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, cx, cy
@@ -79,18 +86,94 @@ def plane_pose(H: Array, K: Array) -> Pose:
     return rotation, np.asarray(h[:, 2], float)
 
 
-def calibrate_single(observations: Observations) -> SingleCamera:
-    """Calibrate one camera by Zhang's method, then by a fit of its own."""
+def calibrate_single(observations: Observations, lens: str = "auto") -> SingleCamera:
+    """Calibrate one camera on its own; with ``auto`` as a fisheye where its images fit nothing else."""
     o = observations
-    start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
-    used = o.only(np.isin(o.pose, poses))
-    terms = ("f", "k1") if len(poses) < 3 else ("f", "c", "k1")
-    result = fit(used, start, [terms], poses[0], placed=o.placed)
+    kind = {"perspective": _perspective_fit, "fisheye": _fisheye_fit}.get(lens, _fit_of_likely_lens)
+    result, poses = kind(o)
     g = result.geometry
     fitted = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in poses}
     normals = np.stack([R[:, 2] for R, _ in fitted.values()])
     spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
     return SingleCamera(g.lens[0], fitted, spread, deep=bool(o.placed))
+
+
+def _fit_of_likely_lens(o: Observations) -> tuple[Fit, list[int]]:
+    """A perspective lens, but a fisheye where that has more of the views, or fits them better by few terms.
+
+    With all its terms a perspective lens follows a fisheye's images as well, and is wrong between them.
+    """
+    refused: CalibrationError | None = None
+    try:
+        plain, poses = _perspective_fit(o)
+        rms = float(np.sqrt(np.mean(plain.residual**2)))
+        if rms < SUSPICIOUS_MISFIT and len(poses) == len(np.unique(o.pose)):
+            return plain, poses
+    except (CalibrationError, np.linalg.LinAlgError) as error:
+        refused = CalibrationError(str(error))
+    try:
+        wide, all_poses = _fisheye_fit(o)
+    except CalibrationError:
+        if refused is not None:
+            raise refused from None
+        return plain, poses
+    if refused is not None or len(all_poses) > len(poses):
+        return wide, all_poses
+    used = o.only(np.isin(o.pose, poses))
+    for terms, ratio in zip((FEW_TERMS, FULL_TERMS), FISHEYE_RATIOS, strict=True):
+        perspective, fisheye = (
+            fit(used, one.geometry, [terms], poses[0], noise_scale=1.0, placed=o.placed).chi2
+            for one in (plain, wide)
+        )
+        if not fisheye < ratio * perspective:
+            return plain, poses
+    return wide, all_poses
+
+
+def _perspective_fit(o: Observations) -> tuple[Fit, list[int]]:
+    """Zhang's method, then a fit; with the poses found."""
+    start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
+    return _first_fit(o, start, poses), poses
+
+
+def _fisheye_fit(o: Observations) -> tuple[Fit, list[int]]:
+    """A fisheye lens, with the poses found."""
+    if o.placed:
+        raise CalibrationError("a fisheye lens needs tilted views: leave `heights` out")
+    (name,), (size,) = o.cameras, o.sizes
+    found = equidistant_start(o, np.unique(o.pose).tolist())
+    if found is None:
+        raise CalibrationError(f"no view of {name} shows a plane target: photograph it again")
+    f, views = found
+    lens, _ = _pinhole(f, size)
+    lens[LENS.index("fisheye")] = 1.0
+    poses = sorted(views)
+    result = _first_fit(o, _of_poses(o, lens, views), poses)
+    misfit = np.hypot(*result.residual.T)
+    pose = o.pose[np.isin(o.pose, poses)]
+    by_view = np.array([np.median(misfit[pose == p]) for p in poses])
+    least, ratio = MAX_VIEW_MISFIT
+    plane = by_view < max(least, ratio * float(np.median(by_view)))
+    if plane.all():
+        return result, poses
+    poses = [p for p, good in zip(poses, plane, strict=True) if good]
+    return _first_fit(o, _of_poses(o, lens, {p: views[p] for p in poses}), poses), poses
+
+
+def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
+    used = o.only(np.isin(o.pose, poses))
+    terms = ("f", "k1") if len(poses) < 3 else FEW_TERMS
+    return fit(used, start, [terms], poses[0], placed=o.placed)
+
+
+def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
+    """A camera in the frame of the first of the poses that it found: its pose stays, all others move."""
+    pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
+    for p, (R, t) in poses.items():
+        pose_R[p], pose_t[p] = R, t
+    nowhere = np.zeros((len(o.nodes), 3))
+    start = Geometry(lens[None], np.eye(3)[None], np.zeros((1, 3)), pose_R, pose_t, nowhere)
+    return _in_frame_of_pose(start, min(poses))
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
@@ -121,15 +204,11 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
             "the heights of a target that was moved along z"
         )
     lens, K = _pinhole(f, size)
-    pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
+    poses = {}
     for p, H in maps.items():
         R, t = plane_pose(H, K)
-        pose_R[p], pose_t[p] = R, t - depth[p] * R[:, 2]
-    start = Geometry(
-        lens[None], np.eye(3)[None], np.zeros((1, 3)), pose_R, pose_t, np.zeros((len(o.nodes), 3))
-    )
-    # the frame is the camera's own: its pose stays, all target poses move
-    return _in_frame_of_pose(start, min(maps)), sorted(maps)
+        poses[p] = R, t - depth[p] * R[:, 2]
+    return _of_poses(o, lens, poses), sorted(maps)
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:

@@ -73,7 +73,12 @@ def _finite(points: TargetPoints) -> TargetPoints:
 
 
 def calibrate_each(
-    usable: UsableViews, mesh: float, origin: tuple[float, float], flats: Sequence[str], findings: Findings
+    usable: UsableViews,
+    mesh: float,
+    origin: tuple[float, float],
+    flats: Sequence[str],
+    lens: str,
+    findings: Findings,
 ) -> dict[str, SingleCamera]:
     """Each camera calibrated on its own; views that are no plane grid are removed from `usable`."""
     single: dict[str, SingleCamera] = {}
@@ -81,7 +86,7 @@ def calibrate_each(
         if not views:
             continue
         try:
-            single[name] = calibrate_single(collect({name: views}, mesh, origin))
+            single[name] = calibrate_single(collect({name: views}, mesh, origin), lens)
         except CalibrationError as error:
             findings.problems.append(str(error))
     for name, camera in single.items():

@@ -134,7 +134,7 @@ def add(catalog: Path, experiment: Path) -> None:
 
 
 _PROGRAMS = (
-    "wavefield", "uvmat", "vic3d", "dice", "opencv", "matlab", "wass", "openptv", "myptv", "metashape",
+    "wavefield", "uvmat", "vic3d", "dice", "opencv", "kalibr", "matlab", "wass", "openptv", "myptv", "metashape",
     "colmap",
 )  # fmt: skip
 

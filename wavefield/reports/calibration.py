@@ -20,7 +20,7 @@ from wavefield.reports.calibration_page import CalibrationPicture, calibration_p
 NUMBERS = OwnFile("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
 PICTURE = OwnFile("a picture of a calibration", marked(b"Software\0wavefield", start=b"\x89PNG"))
 _LENS_TERMS = {
-    "cx": "_px", "cy": "_px", "k1": "", "k2": "", "p1": "", "p2": "", "k3": "", "tau_x": "_rad",
+    "cx": "_px", "cy": "_px", "k1": "", "k2": "", "p1": "", "p2": "", "k3": "", "k4": "", "tau_x": "_rad",
     "tau_y": "_rad",
 }  # fmt: skip
 

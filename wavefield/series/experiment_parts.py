@@ -78,6 +78,9 @@ class CalibrationSection(ConfigSection):
     tilted: PathText | list[PathText] = Field(examples=['"calib/{camera}/tilt_*.tif"'])
     flat: PathText | None = Field(default=None, examples=['"calib/{camera}/flat.tif"'])
     model: str | None = Field(default=None, description="camera model, where the default does not do")
+    lens: Literal["auto", "perspective", "fisheye"] = Field(
+        default="auto", description="kind of the lenses; auto finds which of them are fisheyes"
+    )
     target_std: float = Field(
         default=0.0,
         ge=0,

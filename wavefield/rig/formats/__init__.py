@@ -17,7 +17,7 @@ from wavefield.rig.formats.colmap import is_colmap, load_colmap, save_colmap
 from wavefield.rig.formats.common import LENGTHS, ImportOptions, Size
 from wavefield.rig.formats.davis_rig import load_davis
 from wavefield.rig.formats.dice import is_dice_text, is_dice_xml, load_dice_text, load_dice_xml, save_dice
-from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr
+from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr, save_kalibr
 from wavefield.rig.formats.matlab_rig import load_matlab, save_matlab
 from wavefield.rig.formats.myptv import is_myptv, load_myptv, save_myptv
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
@@ -175,6 +175,7 @@ def save_rig(rig: Rig, path: str | Path, program: str) -> None:
             "dice": save_dice,
             "metashape": save_agisoft,
             "opencv": save_opencv,
+            "kalibr": save_kalibr,
             "wass": save_wass,
             "matlab": save_matlab,
         }

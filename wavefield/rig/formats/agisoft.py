@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.formats.common import ImportOptions, StoredCamera, refuse_terms, rig_of_file, rotation_near
+from wavefield.rig.formats.common import (
+    ImportOptions,
+    Pose,
+    StoredCamera,
+    refuse_terms,
+    rig_of_file,
+    rotation_near,
+)
 from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 
@@ -31,8 +38,7 @@ def load_agisoft(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
         if not np.abs(T).max() < MAX_DISTANCE:
             raise RigError("its cameras are placed on the globe: export them in local coordinates")
         name = element.attrib.get("label", "")
-        K, D, size = _lens(lenses[element.attrib["sensor_id"]], name)
-        cameras.append(StoredCamera(K, D, (R, T), size))
+        cameras.append(_stored(lenses[element.attrib["sensor_id"]], name, (R, T)))
         own.append(Path(name).stem)
     if not cameras:
         raise RigError("it holds no aligned camera")
@@ -46,15 +52,16 @@ def save_agisoft(rig: Rig, path: str | Path) -> None:
     chunk = ET.SubElement(root, "chunk", label="wavefield", enabled="true")
     sensors, cameras = ET.SubElement(chunk, "sensors"), ET.SubElement(chunk, "cameras")
     for number, (name, camera) in enumerate(rig.cameras.items()):
-        refuse_terms(camera, "Metashape", "k1", "k2", "k3", "p1", "p2", "skew")
+        refuse_terms(camera, "Metashape", "k1", "k2", "k3", "k4", "p1", "p2", "skew")
+        kind = "fisheye" if camera.fisheye else "frame"
         width, height = camera.size
-        sensor = ET.SubElement(sensors, "sensor", id=str(number), label=name, type="frame")
-        lens = ET.SubElement(sensor, "calibration", {"type": "frame", "class": "adjusted"})
+        sensor = ET.SubElement(sensors, "sensor", id=str(number), label=name, type=kind)
+        lens = ET.SubElement(sensor, "calibration", {"type": kind, "class": "adjusted"})
         ET.SubElement(lens, "resolution", width=str(width), height=str(height))
         terms = {
             "f": camera.fy, "cx": camera.cx + 0.5 - 0.5 * width, "cy": camera.cy + 0.5 - 0.5 * height,
             "b1": camera.fx - camera.fy, "b2": camera.skew, "k1": camera.k1, "k2": camera.k2, "k3": camera.k3,
-            "p1": camera.p2, "p2": camera.p1,
+            "k4": camera.k4, "p1": camera.p2, "p2": camera.p1,
         }  # fmt: skip
         for term, value in terms.items():
             ET.SubElement(lens, term).text = repr(float(value))
@@ -82,18 +89,19 @@ def _chunk(root: ET.Element) -> tuple[Array, float]:
     return out, scale
 
 
-def _lens(sensor: ET.Element, name: str) -> tuple[Array, list[float], tuple[float, float]]:
+def _stored(sensor: ET.Element, name: str, pose: Pose) -> StoredCamera:
     found = sensor.findall("calibration")
     if not found:
         raise RigError(f"the sensor of {name!r} has no calibration")
     lens = next((one for one in found if one.attrib.get("class") == "adjusted"), found[-1])
-    if lens.attrib.get("type", "frame") != "frame" or lens.find("f") is None:
-        raise RigError(f"the sensor of {name!r} is not of the type frame, with a focal length f")
+    kind = lens.attrib.get("type", "frame")
+    if kind not in ("frame", "fisheye") or lens.find("f") is None:
+        raise RigError(f"the sensor of {name!r} is not of the type frame or fisheye, with a focal length f")
 
     def term(tag: str) -> float:
         return float(lens.findtext(tag) or 0.0)
 
-    extra = [tag for tag in ("k4", "p3", "p4") if term(tag)]
+    extra = [tag for tag in (("k4",) if kind == "frame" else ("p1", "p2")) + ("p3", "p4") if term(tag)]
     if extra:
         raise RigError(f"the sensor of {name!r} has {', '.join(extra)}: optimize without them")
     size = lens.find("resolution")
@@ -105,4 +113,5 @@ def _lens(sensor: ET.Element, name: str) -> tuple[Array, list[float], tuple[floa
     f = term("f")
     cx, cy = 0.5 * width + term("cx") - 0.5, 0.5 * height + term("cy") - 0.5
     K = np.array([[f + term("b1"), term("b2"), cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
-    return K, [term("k1"), term("k2"), term("p2"), term("p1"), term("k3")], (width, height)
+    order = ("k1", "k2", "p2", "p1", "k3") if kind == "frame" else ("k1", "k2", "k3", "k4")
+    return StoredCamera(K, [term(tag) for tag in order], pose, (width, height), kind == "fisheye")

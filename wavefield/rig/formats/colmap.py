@@ -13,6 +13,7 @@ from wavefield.rig.formats.common import ImportOptions, StoredCamera, refuse_ter
 from wavefield.rig.rig import Rig
 
 LENS_FILE, POSE_FILE = "cameras.txt", "images.txt"
+FISHEYE = "OPENCV_FISHEYE"
 # where each model has its parameters in fx fy cx cy k1 k2 p1 p2 k3; what follows must be zero
 _ORDER = {
     "SIMPLE_PINHOLE": (0, 0, 1, 2),
@@ -21,6 +22,7 @@ _ORDER = {
     "RADIAL": (0, 0, 1, 2, 3, 4),
     "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
     "FULL_OPENCV": (0, 1, 2, 3, 4, 5, 6, 7, 8),
+    FISHEYE: (0, 1, 2, 3, 4, 5, 6, 7),  # k1 to k4
 }
 
 
@@ -48,9 +50,9 @@ def load_colmap(folder: Path, options: ImportOptions) -> Rig:
         terms = [parameters[k] for k in _ORDER[model]]
         fx, fy, cx, cy = terms[:4]
         K = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
-        D = [*terms[4:], *[0.0] * 5][:5]
+        D = terms[4:] if model == FISHEYE else [*terms[4:], *[0.0] * 5][:5]
         pose = Rotation.from_quat([qx, qy, qz, qw]).as_matrix(), options.length * np.array(shift)
-        cameras.append(StoredCamera(K, D, pose, (float(width), float(height))))
+        cameras.append(StoredCamera(K, D, pose, (float(width), float(height)), model == FISHEYE))
         name = PurePosixPath(words[9])
         own.append(name.parent.name or name.stem)
     if len(set(own)) < len(own):
@@ -64,10 +66,11 @@ def save_colmap(rig: Rig, folder: str | Path) -> None:
     lenses = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS"]
     poses = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then its points"]
     for number, (name, camera) in enumerate(rig.cameras.items(), 1):
-        refuse_terms(camera, "COLMAP", "k1", "k2", "p1", "p2", "k3")
+        refuse_terms(camera, "COLMAP", "k1", "k2", "p1", "p2", "k3", "k4")
         terms = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5]
-        terms += [camera.k1, camera.k2, camera.p1, camera.p2, camera.k3, 0.0, 0.0, 0.0]
-        lenses.append(f"{number} FULL_OPENCV {camera.size[0]} {camera.size[1]} {' '.join(map(repr, terms))}")
+        terms += camera.D.tolist() if camera.fisheye else [*camera.D[:5].tolist(), 0.0, 0.0, 0.0]
+        model = FISHEYE if camera.fisheye else "FULL_OPENCV"
+        lenses.append(f"{number} {model} {camera.size[0]} {camera.size[1]} {' '.join(map(repr, terms))}")
         qx, qy, qz, qw = Rotation.from_matrix(camera.R).as_quat().tolist()
         pose = " ".join(map(repr, [qw, qx, qy, qz, *camera.T.tolist()]))
         poses += [f"{number} {pose} {number} {name}.png", ""]

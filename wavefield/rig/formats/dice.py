@@ -12,7 +12,14 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import FIRST_CAMERA, NO_WORLD_POSE, ImportOptions, Size, turned_about_axes
+from wavefield.rig.formats.common import (
+    FIRST_CAMERA,
+    NO_WORLD_POSE,
+    ImportOptions,
+    Size,
+    refuse_terms,
+    turned_about_axes,
+)
 from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 
@@ -83,6 +90,7 @@ def save_dice(rig: Rig, path: str | Path) -> None:
     add(root, "system_type_3D", "string", "OPENCV")
     add(root, RELATIVE, "bool", "false")
     for number, (name, camera) in enumerate(rig.cameras.items()):
+        refuse_terms(camera, "DICe", "k1", "k2", "k3", "p1", "p2", "tau_x", "tau_y", "skew")
         element = ET.SubElement(root, "ParameterList", name=f"CAMERA {number}")
         add(element, "CAMERA_ID", "string", name)
         terms = {

@@ -1,5 +1,7 @@
 """A lens of other terms than ours, fitted over the whole image by one that has ours."""
 
+from typing import Any
+
 import numpy as np
 
 from wavefield.errors import RigError
@@ -9,7 +11,7 @@ from wavefield.rig.rotation import rotation_about
 MAX_MISFIT_PX = 0.2  # of a fitted lens, anywhere in the image
 SAMPLES = 25  # of the image along each side
 
-Terms = dict[str, float]  # of a `Camera`: fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew
+Terms = dict[str, Any]  # of a `Camera`: fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew
 
 
 def image_lattice(size: tuple[int, int]) -> Array:

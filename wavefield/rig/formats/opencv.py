@@ -28,7 +28,7 @@ TRANSLATIONS = ("t", "translation", "translationvector", "tvec")
 MIN_DETERMINANT = 100.0  # of a matrix with focal lengths in px, unlike a rotation's
 
 Nodes = list[tuple[str, Array]]  # names and values of a file
-Parts = dict[str, Array]  # of one camera: K, D, size or width and height, worldr and worldt
+Parts = dict[str, Array]  # of one camera: K, D, size or width and height, fisheye, worldr and worldt
 
 
 def _nodes(storage: cv2.FileStorage) -> Nodes:
@@ -80,6 +80,8 @@ def _part(stem: str, value: Array) -> str:
         return "width"
     if stem in ("imageheight", "height") and value.size == 1:
         return "height"
+    if stem == "fisheyemodel":
+        return "fisheye"
     if stem in ("imagesize", "size", "resolution") and value.size == 2:
         return "size"
     return stem if stem in ("worldr", "worldt") else ""
@@ -99,7 +101,8 @@ def load_opencv(path: Path, options: ImportOptions) -> Rig:
         R, T = _pose(n, name, parts, dict(nodes))
         D = parts.get("D", np.zeros(0)).ravel()
         pose = FIRST_CAMERA if R is FIRST_CAMERA[0] else (R, options.length * T)
-        cameras.append(StoredCamera(parts["K"], D, pose, _stored_size(parts)))
+        fisheye = bool(np.any(parts.get("fisheye", 0)))
+        cameras.append(StoredCamera(parts["K"], D, pose, _stored_size(parts), fisheye))
     return rig_of_file(cameras, options, "this OpenCV file", note)
 
 
@@ -155,7 +158,8 @@ def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose
 def save_opencv(rig: Rig, path: str | Path) -> None:
     """Write a rig as OpenCV's YAML: M1, D1, M2, D2, ..., and R, T of the second camera from the first.
 
-    The poses in the physical frame are added as ``world_R1``, ``world_T1``, ..., metres.
+    The poses in the physical frame are added as ``world_R1``, ``world_T1``, ..., metres, and to lenses of
+    ``cv2.fisheye`` a ``fisheye_model1``.
     """
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     try:
@@ -165,6 +169,8 @@ def save_opencv(rig: Rig, path: str | Path) -> None:
             storage.write(f"image_height{n}", camera.size[1])
             storage.write(f"M{n}", camera.K)
             storage.write(f"D{n}", camera.D[None])
+            if camera.fisheye:
+                storage.write(f"fisheye_model{n}", 1)
             storage.write(f"world_R{n}", camera.R)
             storage.write(f"world_T{n}", camera.T[:, None])
         if len(rig) > 1:

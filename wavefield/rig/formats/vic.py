@@ -23,13 +23,13 @@ def load_vic(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
         if len(values) not in (5, 6, 7, 8):
             raise RigError(f"a <camera> holds {len(values)} numbers instead of cx cy fx fy skew k1 k2 k3")
         cx, cy, fx, fy, skew = values[:5]
-        radial = dict(zip(("k1", "k2", "k3"), values[5:]))
+        k1, k2, k3 = [*values[5:], 0.0, 0.0, 0.0][:3]
         pose = numbers_of(element, "orientation", 6)
         stored = None if mask is None else (int(mask.attrib["width"]), int(mask.attrib["height"]))
         size = options.size(name, "this VIC-3D file", stored)
         T = 1e-3 * np.array(pose[3:])
         cameras[name] = Camera(
-            fx, fy, cx, cy, turned_about_axes(*np.radians(pose[:3])), T, size, skew=skew, **radial
+            fx, fy, cx, cy, turned_about_axes(*np.radians(pose[:3])), T, size, k1, k2, k3=k3, skew=skew
         )
     return Rig(cameras, {"imported": {"program": "VIC-3D", "file": path.name, "unit": "mm"}})
 
