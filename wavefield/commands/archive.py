@@ -134,8 +134,8 @@ def add(catalog: Path, experiment: Path) -> None:
 
 
 _PROGRAMS = (
-    "wavefield", "uvmat", "vic3d", "dice", "opencv", "kalibr", "matlab", "wass", "openptv", "myptv", "metashape",
-    "colmap",
+    "wavefield", "uvmat", "vic3d", "dice", "opencv", "kalibr", "matlab", "wass", "openptv", "myptv",
+    "metashape", "colmap",
 )  # fmt: skip
 
 
