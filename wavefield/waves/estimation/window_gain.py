@@ -209,6 +209,15 @@ def gain_of(
     return own.assign_attrs(origin="linear theory, from what the run learned of its record")
 
 
+def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Factor that corrects the power of a field for a gain, and where that can be done; k in rad/m."""
+    if f"gain_{name}" not in gain:
+        return np.ones_like(k), np.ones(k.shape, bool)
+    power = ring_gain(gain, name, name, k)
+    valid = power > MIN_POWER_GAIN
+    return np.where(valid, 1.0 / np.where(valid, power, 1.0), 1.0), valid
+
+
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
     """Gain of a power or cross spectrum over rings (k in rad/m), for an even distribution of directions."""
     product = (gain[f"gain_{one}"] * gain[f"gain_{other}"]).mean("direction", skipna=False)

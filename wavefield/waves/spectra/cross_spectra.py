@@ -18,12 +18,15 @@ from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
+from wavefield.waves.estimation.window_gain import correction
 from wavefield.waves.estimation.windows import effective_duration
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra import field_spectra
 from wavefield.waves.spectra.segment_sums import NAMES, Requested, sources, sum_segment, transforms
 
 Array = NDArray[Any]
+
+_MEASURED = {"z_t": "z"}  # the response to differences of elevations is that to elevations
 
 
 def label(
@@ -170,13 +173,17 @@ def lazy_cross_spectra(
     return label(arrays, names, pairs, welch, freedom, samples)
 
 
-def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[str] = NAMES) -> xr.Dataset:
     """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them."""
     step = float(ring["omega"][1] - ring["omega"][0])
     duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     out = xr.Dataset(attrs=ring.attrs)
     for name in names:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
+        if gain is not None and name not in ("rise", "nl"):
+            factor, valid = correction(gain, _MEASURED.get(name, name), ring["k"].values)
+            energy = energy * xr.DataArray(factor, dims="k")
+            out[f"valid_k_{name}"] = ("k", valid)
         komega = xr.Dataset(
             {"E": energy, "dof": dof, "dof_omega": ring[f"dof_omega_{name}"]}, attrs=ring.attrs
         )
