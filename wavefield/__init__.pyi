@@ -35,6 +35,7 @@ from wavefield.waves.dispersion_relation.current_by_depth import current_by_dept
 from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
+from wavefield.waves.dispersion_relation.ridge_broadening import ridge_broadening
 from wavefield.waves.dispersion_relation.wavelet_directions import wavelet_directions
 from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
@@ -110,6 +111,7 @@ __all__ = [
     "reconstruct",
     "report",
     "resonances",
+    "ridge_broadening",
     "run",
     "run_catalog",
     "simulate",

@@ -33,6 +33,7 @@ NAMES = [
     "fit_dispersion",
     "directions",
     "wavelet_directions",
+    "ridge_broadening",
     "free_and_bound",
     "stokes_drift",
     "current_by_depth",

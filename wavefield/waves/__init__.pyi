@@ -5,6 +5,7 @@ from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_relation.fit_settings import FitSettings
+from wavefield.waves.dispersion_relation.ridge_broadening import ridge_broadening
 from wavefield.waves.dispersion_relation.wavelet_directions import wavelet_directions
 from wavefield.waves.estimation.cube_of_fields import cube
 from wavefield.waves.estimation.transfer_functions import (
@@ -97,6 +98,7 @@ __all__ = [
     "read_gain",
     "read_probes",
     "resonances",
+    "ridge_broadening",
     "spectral_slope",
     "spectrum",
     "statistics",
