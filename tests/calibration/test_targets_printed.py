@@ -104,6 +104,17 @@ def test_dots_are_numbered_from_their_rings_also_partly_out_of_view(seed):
     assert np.sqrt((error**2).mean()) < 2.0 * np.median(points.std)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_rings_are_found_in_uneven_light(seed):
+    image, *_, mesh, diameter = picture_with_rings(seed)
+    plain = find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    light = np.exp(-2.0 * ((x / image.shape[1] - 0.2) ** 2 + (y / image.shape[0] - 0.7) ** 2))
+    points = find_target(image * light, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
+    assert len(points) > 0.9 * len(plain)
+    assert set(map(tuple, points.node)) <= set(map(tuple, plain.node))
+
+
 def test_a_grid_without_all_its_rings_and_one_larger_than_stated_are_refused():
     image, _, mesh, diameter = picture_with_rings(1, rings=((3, 3), (5, 3)))
     with pytest.raises(CalibrationError, match="2 of the three rings"):

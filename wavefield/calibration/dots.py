@@ -77,7 +77,10 @@ def _find_with_rings(image: Image, target: Target) -> TargetPoints:
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
-    """The largest lattice grown from dots near the middle and their nearest neighbours."""
+    """The largest lattice grown from dots near the middle and their nearest neighbours.
+
+    None where it has less than three dots along either axis.
+    """
     if len(centre) < MIN_DOTS:
         return None
     tree = cKDTree(centre)
@@ -91,7 +94,7 @@ def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLatt
         lattice.grow(Candidates(centre, area, 1.0), size)
         if best is None or len(lattice) > len(best):
             best = lattice
-    return best
+    return best if best and len(best) >= MIN_DOTS and np.ptp(best.node, axis=0).min() >= 2 else None
 
 
 def _rectangle_within(node: Nodes, shape: tuple[int, int]) -> tuple[Mask, Nodes] | None:

@@ -16,6 +16,7 @@ ANGLES = 2 * np.pi * np.arange(24) / 24
 MIN_RING = 0.35  # of the dots' contrast, all around
 MAX_HOLE = 0.6  # of the brightness of the ring
 MAX_OUTSIDE = 0.3  # of the dots' contrast, beyond the ring
+CELL_MIDDLES = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
 def find_rings(image: Image, lattice: TargetLattice) -> Nodes:
@@ -26,13 +27,21 @@ def find_rings(image: Image, lattice: TargetLattice) -> Nodes:
     first = node[0] - np.argwhere(lattice.filled)[0]
     places = np.argwhere((neighbours >= MIN_NEIGHBOURS) | (filled > 0)) + first
     smooth = map_of_nodes(node, pixel)
+
+    def values_at(nodes: Array) -> Array:
+        column, row = np.moveaxis(smooth(nodes.reshape(-1, 2)).reshape(nodes.shape), -1, 0)
+        values: Array = map_coordinates(image, [row, column], order=1, mode="nearest")
+        return values
+
+    def ground(nodes: Array) -> Array:
+        """Between the dots around each node: light is seldom even."""
+        level: Array = np.median(values_at(nodes[:, None] + CELL_MIDDLES), axis=1)
+        return level
+
     offset = RADII[:, None, None] * np.stack([np.cos(ANGLES), np.sin(ANGLES)], -1)
-    column, row = smooth((places[:, None, None] + offset).reshape(-1, 2)).T
-    values = map_coordinates(image, [row, column], order=1, mode="nearest")
-    values = values.reshape(len(places), len(RADII), len(ANGLES))
-    x, y = np.rint(pixel).astype(int).T
-    dark, bright = np.percentile(image, 10), np.median(image[y, x])
-    share = (values - dark) / max(bright - dark, 1.0)
+    contrast = float(np.median(values_at(node.astype(float)) - ground(node)))
+    share = values_at(places[:, None, None] + offset) - ground(places)[:, None, None]
+    share = share / max(contrast, 1.0)
     profile = np.median(share, axis=2)
     closed = np.percentile(share, 10, axis=2).max(1) > MIN_RING
     hollow = profile[:, 0] < MAX_HOLE * profile.max(1)

@@ -41,9 +41,25 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
             poses = {pose: path for pose, path in poses.items() if path not in flat}
             poses |= dict.fromkeys(["flat"], flat[0]) if flat else {}
         out[camera] = poses
+    out = _without_cameras(out)
     if section.flat and not any("flat" in poses for poses in out.values()):
         raise _no_images(experiment, "any camera", [section.flat])
     return out
+
+
+def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
+    """Views whose poses are without their camera's name, which files may repeat (left/left1.jpg)."""
+    repeated = all(
+        pose == "flat" or (pose.startswith(camera) and pose != camera and not camera.isdigit())
+        for camera, poses in views.items()
+        for pose in poses
+    )
+    shorter = {
+        camera: {pose.removeprefix(camera).lstrip("_ "): path for pose, path in poses.items()}
+        for camera, poses in views.items()
+    }
+    kept = all(len(poses) == len(views[camera]) for camera, poses in shorter.items())
+    return shorter if repeated and kept else views
 
 
 def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:
@@ -71,12 +87,13 @@ def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple
     """
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))
+    one_each = re.sub(r"\[.[^]]*\]", "?", pattern)  # [0-9] stands for one character
     groups = {"*": "(.*?)", "?": "(.)"}
-    parts = re.split(r"(\*+|\?)", named)
+    parts = re.split(r"(\*+|\?)", one_each.replace("{camera}", camera))
     expression = re.compile(
         "".join(groups[part[0]] if part[:1] in groups else re.escape(part) for part in parts)
     )
-    *folders, name = pattern.replace("{camera}", "").split("/")
+    *folders, name = one_each.replace("{camera}", "").split("/")
     # folders with wildcards are a part of the pose, too
     template = [re.sub(r"\*+", "*", part) for part in (*folders, Path(name).stem) if re.search(r"[*?]", part)]
     words = [word.strip("_- ") for word in template] or [Path(name).stem.strip("_- ")]

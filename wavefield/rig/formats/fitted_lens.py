@@ -47,7 +47,7 @@ def fit_lens(pixels: Array, tangents: Array) -> tuple[Terms, Array, float]:
     if not worst <= MAX_MISFIT_PX:
         raise RigError(
             f"its lens model is not ours, and the nearest of ours misses it by {worst:.2g} px: "
-            "calibrate again from its target points (`calibration.target.kind: points`)"
+            "calibrate again from its target points, as tables of points (docs/calibration.md)"
         )
     names = ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y")
     terms = dict(zip(names, found[4:11].tolist(), strict=True))
