@@ -162,21 +162,26 @@ def pattern_picture(camera, inside, picture=Picture(), samples=4):
 
 
 def two_level_picture(camera, mesh, depth, diameter, extent, marks, picture=Picture(), samples=4):
-    """White dots on two planes, those of odd rows deeper; a square and a triangle in place of two."""
+    """White dots on two planes, those of odd rows deeper; a square and a triangle mark the origin."""
+
+    def shapes(dx, dy):
+        h = 0.7 * diameter
+        square = np.maximum(abs(dx), abs(dy)) < 0.5 * diameter
+        return square, (dy > -h / 2) & (abs(dx) * np.sqrt(3) < h - dy)
 
     def level(odd):
         def inside(x, y):
             i, j = (2 * np.rint((v / mesh - odd) / 2).astype(int) + odd for v in (x, y))
             dx, dy = x - i * mesh, y - j * mesh
             out = np.hypot(dx, dy) < diameter / 2
-            if not odd:
-                square = np.maximum(abs(dx), abs(dy)) < 0.5 * diameter
-                h = 0.7 * diameter
-                triangle = (dy > -h / 2) & (abs(dx) * np.sqrt(3) < h - dy)
-                for (a, b), shape in zip(marks, (square, triangle)):
-                    out = np.where((i == a) & (j == b), shape, out)
+            for (a, b), shape in zip(marks, shapes(dx, dy)):
+                out = np.where((i == a) & (j == b), shape, out)
             i0, i1, j0, j1 = extent
-            return np.where((i >= i0) & (i <= i1) & (j >= j0) & (j <= j1) & out, 1.0, 0.0)
+            out = (i >= i0) & (i <= i1) & (j >= j0) & (j <= j1) & out
+            for k, (a, b) in enumerate(marks):
+                if (a + b) % 2 and b % 2 == odd:
+                    out = out | shapes(x - a * mesh, y - b * mesh)[k]
+            return np.where(out, 1.0, 0.0)
 
         return inside
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import minimum_filter
 
 sys.path.insert(0, str(Path(__file__).parent))
 from rendering import Picture, camera_at, two_level_picture
@@ -28,7 +29,7 @@ def dots_in_view(camera, margin):
     dot = i % 2 == j % 2
     i, j = i[dot], j[dot]
     seen = camera.sees(i * MESH, j * MESH, np.where(j % 2, -DEPTH, 0.0), margin)
-    return set(zip(i[seen].tolist(), j[seen].tolist())) - set(MARKS)
+    return set(zip(i[seen].tolist(), j[seen].tolist()))
 
 
 @pytest.mark.parametrize(
@@ -41,15 +42,39 @@ def dots_in_view(camera, margin):
     ],
 )
 def test_both_levels_are_found_from_any_side(tilt, turn, roll, at, read):
-    camera = camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0, at)
-    points = find_target(picture(camera, read), TARGET)
+    check(camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0, at), read, MARKS)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_marks_may_be_between_the_dots(seed):
+    draw = np.random.default_rng(seed)
+    tilt, turn, roll = (draw.uniform(0, 35), *draw.uniform(0, 360, 2)) if seed else (0, 0, 0)
+    check(camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0), 1.0, ((0, 1), (1, 0)))
+
+
+def check(camera, read, marks):
+    points = find_target(picture(camera, read, marks), TARGET)
     exact = np.stack(camera.project(points.node[:, 0] * MESH, points.node[:, 1] * MESH, points.z), -1)
     error = np.hypot(*(points.pixel - exact).T)
     assert (error < 0.5).all()  # no dot is taken for another
-    missed = dots_in_view(camera, 14.0) - set(map(tuple, points.node.tolist()))
+    missed = dots_in_view(camera, 14.0) - set(marks) - set(map(tuple, points.node.tolist()))
     assert len(missed) <= 0.01 * len(points)
     assert np.sqrt((error**2).mean() / 2) < 0.05
     np.testing.assert_array_equal(points.z, np.where(points.node[:, 1] % 2, -DEPTH, 0.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_specks_beside_the_dots_are_no_dots(seed):
+    draw = np.random.default_rng(seed)
+    camera = camera_at((416, 320), 20, draw.uniform(0, 360), draw.uniform(0, 360), 0.8, 2150.0)
+    image = picture(camera)
+    plain = find_target(image, TARGET)
+    ground = np.argwhere(minimum_filter(image < 60, 13))
+    for y, x in draw.permutation(ground)[:40]:
+        image[y - 2 : y + 2, x - 2 : x + 2] = 180
+    points = find_target(image, TARGET)
+    assert len(points) > 0.8 * len(plain)
+    assert set(map(tuple, points.node)) <= set(map(tuple, plain.node))
 
 
 def test_the_target_moved_along_z_gives_the_rig_of_a_stereo_pair():

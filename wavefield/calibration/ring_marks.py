@@ -35,12 +35,12 @@ def find_rings(image: Image, lattice: TargetLattice) -> Nodes:
 
     def ground(nodes: Array) -> Array:
         """Between the dots around each node: light is seldom even."""
-        level: Array = np.median(values_at(nodes[:, None] + CELL_MIDDLES), axis=1)
-        return level
+        return np.asarray(np.median(values_at(nodes[:, None] + CELL_MIDDLES), axis=1))
 
     offset = RADII[:, None, None] * np.stack([np.cos(ANGLES), np.sin(ANGLES)], -1)
-    contrast = float(np.median(values_at(node.astype(float)) - ground(node)))
-    share = values_at(places[:, None, None] + offset) - ground(places)[:, None, None]
+    at = node.astype(float)
+    contrast = float(np.median(np.subtract(values_at(at), ground(at))))
+    share = values_at(places[:, None, None] + offset) - ground(places.astype(float))[:, None, None]
     share = share / max(contrast, 1.0)
     profile = np.median(share, axis=2)
     closed = np.percentile(share, 10, axis=2).max(1) > MIN_RING

@@ -48,7 +48,8 @@ class Target:
         grid of strings needs none.
     origin_mark, x_mark : str
         Marks of a grid of strings: a disc on the node (0, 0), a smaller one on (1, 0). A two-level target has
-        a square in place of the dot at (0, 0) and a triangle in place of one further along x. A grid of dots
+        a square in place of the dot at (0, 0) and a triangle in place of one further along x, or both between
+        the dots, the triangle at (1, 0) and the square at (0, 1). A grid of dots
         with ``origin_mark: ring`` has rings in place of three dots: (0, 0), one further along x and one
         further along y; it may be partly out of view.
     diameter : float, optional
@@ -59,7 +60,7 @@ class Target:
     marker : float, optional
         ChArUco: side of a marker, metres.
     depth : float, optional
-        Two-level: how far the other level lies below that of the marks, metres; negative where above.
+        Two-level: how far the other level lies below that of the origin, metres; negative where above.
     origin : (float, float)
         Where node (0, 0) of the flat target lies in the physical frame, metres.
 

@@ -1,31 +1,25 @@
 """Dots on two parallel planes, as in stereo PIV: one level's lattice, then the other's, then the marks.
 
 The dots of one level form a square lattice; those of the other are in the middle of its cells, displaced by
-the parallax between the levels, so that rows seem unevenly spaced. A square in place of a dot marks the
-origin, a triangle the x axis; both are on one level.
+the parallax between the levels, so that rows seem unevenly spaced. A square and a triangle mark origin and x.
 """
 
-import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
 from wavefield.calibration.blobs import find_blobs
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.printed_points import dot_centres, make_points
-from wavefield.calibration.smooth_map import SmoothMap
 from wavefield.calibration.target import Target
 from wavefield.calibration.target_lattice import Candidates, TargetLattice, cross, most_central
+from wavefield.calibration.two_level_marks import Frame, Level, marks_between, marks_in_place
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
-from wavefield.robust import robust_std
 
 MIN_DOTS = 12  # of a level
 MIN_FULLNESS = 0.7  # a blob's area over that of an ellipse of its moments; 0.83 for a triangle
 MAX_PARALLAX = 0.4  # of a cell: most that the other level's dots may be off the middles
-MARK_DEVIATIONS = 6.0  # robust deviations by which a mark differs from the usual dot
 DECISIVE_FRACTION = 0.4  # of all blobs: a level that has them is taken without further trials
-PATCH_REACH = 0.19  # of a cell of one level: half the side of the patch around a dot
-PATCH_SAMPLES = 25  # along each side of it
 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
@@ -33,55 +27,37 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
     The parallax between the levels must be less than a mesh, else dots are taken for their neighbours.
     """
-    best: tuple[int, Image, _Level, _Level] | None = None
+    best: tuple[int, Image, Level, Level, Array] | None = None
     for polarity in (image, 255.0 - image):
         centre, area = find_blobs(polarity, MIN_FULLNESS)
-        one = _first_level(centre, area, polarity.shape[::-1])
-        other = None if one is None else _second_level(one, centre)
+        strong = Candidates(centre, area, 1.0).strong if len(area) else np.zeros(0, bool)
+        dots, area = centre[strong], area[strong]  # without specks
+        one = _first_level(dots, area, polarity.shape[::-1])
+        other = None if one is None else _second_level(one, dots)
         if one is not None and other is not None:
             count = len(one.node) + len(other.node)
             if best is None or count > best[0]:
-                best = count, polarity, one, other
+                best = count, polarity, one, other, centre
     if best is None:
         raise CalibrationError(
             f"no two levels of at least {MIN_DOTS} dots each were found; the target must be in focus, its "
             "dots at least four pixels wide"
         )
-    _, polarity, one, other = best
+    _, polarity, one, other, centre = best
     for marked, second in ((one, other), (other, one)):
-        marks = _marks(polarity, marked)
-        if marks:
-            return _numbered(polarity, marked, second, marks, target)
+        between = marks_between(polarity, marked, second, centre)
+        in_place = None if between else marks_in_place(polarity, marked)
+        if between:
+            return _numbered(polarity, marked, second, (between, np.empty((0, 2), int)), target)
+        if in_place:
+            return _numbered(polarity, marked, second, in_place, target)
     raise CalibrationError(
         "the square that marks the origin and the triangle that marks x are not both in view on one "
         f"level of the target ({len(one.node)} and {len(other.node)} dots were found)"
     )
 
 
-class _Level:
-    """Dots of one level: indices of its own lattice, pixels, the map between.
-
-    In meshes a dot is at ``2 node + shift``: the second level's lattice is set off by one.
-    """
-
-    def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
-        self.node, self.pixel, self.shift = node, pixel, shift
-        self.smooth = SmoothMap(node, pixel, 2.0)
-        slopes = self.smooth.slopes(node)
-        self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
-
-    def index_of(self, pixel: Array) -> Array:
-        """Fractional indices (n, 2) of any pixels: the map inverted."""
-        inverse = np.linalg.inv(self.smooth.matrix)
-        q = np.c_[pixel, np.ones(len(pixel))] @ inverse.T
-        index: Array = q[:, :2] / q[:, 2:]
-        for _ in range(4):
-            slopes = np.moveaxis(self.smooth.slopes(index), 1, 2)
-            index = index + np.linalg.solve(slopes, (pixel - self.smooth(index))[..., None])[..., 0]
-        return index
-
-
-def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> _Level | None:
+def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> Level | None:
     """The largest lattice whose cells have a dot of the other level about their middle."""
     if len(centre) < 2 * MIN_DOTS:
         return None
@@ -101,16 +77,16 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> _Level | 
     return best
 
 
-def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> _Level | None:
+def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> Level | None:
     """The level without dots that are off the smooth map through the others."""
     try:
-        level = _Level(node, pixel, shift)
+        level = Level(node, pixel, shift)
     except (ValueError, np.linalg.LinAlgError):
         return None
     inlier = level.smooth.misfit < max(6 * level.smooth.spread, 0.05 * level.side)
     if inlier.sum() < MIN_DOTS:
         return None
-    return level if inlier.all() else _Level(node[inlier], pixel[inlier], shift)
+    return level if inlier.all() else Level(node[inlier], pixel[inlier], shift)
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
@@ -133,7 +109,7 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
     return [(one, two) for _, one, two in out[:12]]
 
 
-def _middles_filled(level: _Level, centre: Array) -> bool:
+def _middles_filled(level: Level, centre: Array) -> bool:
     """Whether the other dots are about the middles of the cells, and not on their edges."""
     rest = _other_dots(level, centre)
     if len(rest) < MIN_DOTS:
@@ -142,7 +118,7 @@ def _middles_filled(level: _Level, centre: Array) -> bool:
     return bool(np.mean((np.abs(off) < MAX_PARALLAX).all(1)) > 0.8)
 
 
-def _other_dots(level: _Level, centre: Array) -> Array:
+def _other_dots(level: Level, centre: Array) -> Array:
     """Dots within the level's extent that are not its own, (n, 2), px."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
@@ -153,7 +129,7 @@ def _other_dots(level: _Level, centre: Array) -> Array:
     return out
 
 
-def _second_level(one: _Level, centre: Array) -> _Level | None:
+def _second_level(one: Level, centre: Array) -> Level | None:
     """The other level: dots off the middles of the first one's cells by a parallax that varies slowly."""
     rest = _other_dots(one, centre)
     if len(rest) < MIN_DOTS:
@@ -176,65 +152,14 @@ def _second_level(one: _Level, centre: Array) -> _Level | None:
     return _without_outliers(node[inlier][first], rest[inlier][first], shift=1)
 
 
-def _marks(image: Image, level: _Level) -> tuple[Nodes, Nodes] | None:
-    """Nodes of the square and of the triangle: the two dots that differ most from the usual one."""
-    patch = _patches(image, level)
-    difference = np.abs(patch - np.median(patch, 0)).mean(1)
-    middle = np.median(difference)
-    spread = robust_std(difference - middle) + 1e-6
-    unusual = np.flatnonzero(difference > middle + MARK_DEVIATIONS * spread)
-    if len(unusual) < 2:
-        return None
-    unusual = unusual[np.argsort(-difference[unusual])][:2]
-    skewness = [_skewness(patch[k]) for k in unusual]
-    square, triangle = unusual[np.argsort(skewness)]
-    if max(skewness) < 2.0 * min(skewness):  # a square is symmetric
-        return None
-    return level.node[square], level.node[triangle]
-
-
-def _patches(image: Image, level: _Level) -> Array:
-    """Surroundings of every dot in coordinates of the target, (n, samples), brightness 0 to 1."""
-    a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
-    offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
-    places = level.smooth((level.node[:, None] + offset).reshape(-1, 2)).astype(np.float32)
-    own = level.pixel - level.smooth(level.node)
-    places = places.reshape(len(level.node), -1, 2) + own[:, None].astype(np.float32)
-    x, y = places[..., 0], places[..., 1]
-    values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    low, high = np.percentile(values, [10, 95], axis=1, keepdims=True)
-    out: Array = np.clip((values - low) / np.maximum(high - low, 1.0), 0, 1).astype(float)
-    out[:, np.hypot(*offset.T) > PATCH_REACH] = 0  # dots of the other level may be in the corners
-    return out
-
-
-def _skewness(patch: Array) -> float:
-    """Third moments of a patch over its size cubed: large for a triangle, small for symmetric shapes."""
-    light = np.where(patch > 0.3, patch, 0.0)
-    a = np.linspace(-1, 1, PATCH_SAMPLES)
-    x, y = (v.ravel() for v in np.meshgrid(a, a))
-    total = light.sum()
-    x, y = x - light @ x / total, y - light @ y / total
-    size = np.sqrt(light @ (x * x + y * y) / total)
-    moments = [light @ (x**i * y ** (3 - i)) / total for i in range(4)]
-    return float(np.hypot.reduce(moments) / size**3)
-
-
 def _numbered(
-    image: Image, marked: _Level, second: _Level, marks: tuple[Nodes, Nodes], target: Target
+    image: Image, marked: Level, second: Level, marks: tuple[Frame, Nodes], target: Target
 ) -> TargetPoints:
-    """Nodes of both levels in meshes, x from the square to the triangle, right-handed seen from above."""
-    square, triangle = marks
-    slopes = marked.smooth.slopes(square[None].astype(float))[0]
-    turns = [np.array(t) for t in ((1, 0), (0, 1), (-1, 0), (0, -1))]
-    x = turns[int(np.argmax([t @ (triangle - square) for t in turns]))]
-    y = np.array([-x[1], x[0]])
-    if cross(x @ slopes, y @ slopes) > 0:  # rows run downwards: seen from above y is to the left of x
-        y = -y
-    origin = 2 * square + marked.shift
-    no_mark = ~(marked.node == square).all(1) & ~(marked.node == triangle).all(1)
+    """Nodes of both levels in meshes, counted from the origin."""
+    (origin, x, y), replaced = marks
+    no_mark = ~(marked.node[:, None] == replaced).all(2).any(1)
 
-    def located(level: _Level, dots: Mask) -> TargetPoints:
+    def located(level: Level, dots: Mask) -> TargetPoints:
         own = level.node[dots]
         node = (2 * own + level.shift - origin) @ np.stack([x, y], -1)
         pixel, noise, notes = dot_centres(image, own, level.pixel[dots], target, meshes=2)
