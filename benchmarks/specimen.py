@@ -1,9 +1,11 @@
 """Real images of a specimen under load: surface and displacements against a public code's own results.
 
     python -m benchmarks.specimen FOLDER [--pictures DIR]
+    python -m benchmarks.specimen FOLDER --images "images/img_{n:04d}_{c}.tif" --reference "gold/..._{n}.txt"
 
-FOLDER holds images/, cal.xml and reference/. The reference's matches (left to right at rest, left to left
-under load) are turned into positions with the same rig; the measurement sees the images alone.
+FOLDER holds cal.xml, images and results of DICe, called as in its D-specimen unless stated. The reference's
+matches (left to right at rest, left to left under load) are turned into positions with the same rig; the
+measurement sees the images alone.
 """
 
 import os
@@ -30,6 +32,8 @@ from wavefield.rig.water_level import level
 from wavefield.variables import Quality
 
 MICRON = 1e-6
+IMAGES = "images/GT4-{n:04d}_{c}.tif"
+REFERENCE = "reference/DICe_solution_{n}.txt"
 
 
 def triangulate(rig: Rig, left, right):
@@ -59,16 +63,18 @@ class Difference:
     fields: dict[str, np.ndarray]
 
 
-def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[GridGeometry, list[Difference]]:
+def differences(
+    folder: Path, loads: Sequence[int] = range(1, 6), images_at: str = IMAGES, results_at: str = REFERENCE
+) -> tuple[GridGeometry, list[Difference]]:
     """Measure the specimen under the given loads; read the results at the reference's points."""
     names = ("left", "right")
     rig = load_rig(folder / "cal.xml", names=list(names))
     images = {
-        name: {n: read_image(folder / f"images/GT4-{n:04d}_{c}.tif") for n in (0, *loads)}
+        name: {n: read_image(folder / images_at.format(n=n, c=c)) for n in (0, *loads)}
         for c, name in enumerate(names)
     }
     tables = {
-        n: np.genfromtxt(folder / f"reference/DICe_solution_{n}.txt", delimiter=",", names=True)
+        n: np.genfromtxt(folder / results_at.format(n=n), delimiter=",", names=True, comments="*")
         for n in (0, *loads)
     }
     rest = tables[0]
@@ -116,9 +122,11 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[GridG
     return geometry, found
 
 
-def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, str]]:
+def compare(
+    folder: Path, pictures: Path | None = None, images_at: str = IMAGES, results_at: str = REFERENCE
+) -> list[tuple[str, str, str]]:
     """Median differences, as (test, asked, reached)."""
-    geometry, found = differences(folder)
+    geometry, found = differences(folder, images_at=images_at, results_at=results_at)
     rows = [
         (
             "specimen: rectified pixel, um; lattice",
@@ -167,8 +175,10 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the fields")
+    parser.add_argument("--images", default=IMAGES, help="images: {n} is the load, {c} the camera, 0 or 1")
+    parser.add_argument("--reference", default=REFERENCE, help="DICe's results of load {n}")
     options = parser.parse_args()
-    for test, asked, reached in compare(options.folder, options.pictures):
+    for test, asked, reached in compare(options.folder, options.pictures, options.images, options.reference):
         print(f"{test:58s} {asked:>10s}   {reached}", flush=True)
 
 
