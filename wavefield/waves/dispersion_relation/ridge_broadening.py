@@ -134,7 +134,7 @@ def ridge_broadening(
     waves of the measured energy, passed through the windows, is what a line without width leaves. The ratio
     is a exp(i shift t - width^2 t^2 / 2) of a Gaussian line (Aubourg and Mordant 2015); an amplitude with an
     exponential memory of T shows width^2 = 1.8 / (T longest_lag). Uncertainties: jackknife over the segments,
-    2.5 % of the windows' variance (3 % of its root for the shift), and that of the current. The width is NaN
+    the misfit, 2.5 % of the windows' variance (3 % of its root for the shift), the current. The width is NaN
     where its square is below three standard uncertainties: waves leave the field before they lose their
     phase; the shift, where the current was fitted and waves have one direction: the fit has taken it up.
     Long waves that carry short ones to and fro, and a current that changes, widen the line as well.
@@ -202,10 +202,11 @@ def ridge_broadening(
     return annotate(out.drop_vars("resultant").assign_attrs(current=list(current)), "ridge")
 
 
-def _fit(ratio: Array, rest: Array, lags: Array) -> tuple[Array, Array]:
+def _fit(ratio: Array, rest: Array, lags: Array) -> tuple[Array, Array, Array, Array]:
     """Squared width and shift, (..., rings), from correlations over those of the windows, (..., rings, lags).
 
-    `rest`, (rings, lags), is what the windows leave, 0 where it is too little to be used.
+    `rest`, (rings, lags), is what the windows leave, 0 where it is too little to be used. The last two are
+    the errors of both that the misfit would be explained by.
     """
     weight = rest**2
     with np.errstate(all="ignore"):
@@ -217,7 +218,13 @@ def _fit(ratio: Array, rest: Array, lags: Array) -> tuple[Array, Array]:
     width2 = (weight * off * logs).sum(axis=-1) / (weight * off**2).sum(axis=-1)
     phase = np.unwrap(np.angle(ratio), axis=-1)
     shift = (weight * lags * phase).sum(axis=-1) / (weight * lags**2).sum(axis=-1)
-    return width2, shift
+    misfits = logs - (weight * logs).sum(axis=-1, keepdims=True) / total[:, None] - width2[..., None] * off
+    rms = [
+        np.sqrt((weight * part**2).sum(axis=-1) / total)
+        for part in (misfits, phase - shift[..., None] * lags)
+    ]
+    longest = ((rest > 0) * lags).max(axis=-1)
+    return width2, shift, 4 * rms[0] / longest**2, 2 * rms[1] / longest
 
 
 def _label(parts: Array, rings: _Rings, plane: PlaneSpectrum, model: Array, noise: Array) -> xr.Dataset:
@@ -233,14 +240,14 @@ def _label(parts: Array, rings: _Rings, plane: PlaneSpectrum, model: Array, nois
     enough &= of_model[:, 0].real > MIN_FREE * energy
     rest = np.where(used, rest, 0.0)
     rest[~enough, 1:3] = 1.0
-    width2, shift = _fit(mean / of_model, rest, rings.lags)
+    width2, shift, *misfits = _fit(mean / of_model, rest, rings.lags)
     groups = np.array_split(np.arange(len(parts)), min(len(parts), SEGMENTS))
     without = [np.delete(parts, group, axis=0).mean(axis=0) / of_model for group in groups]
-    deviations = [part - part.mean(axis=0) for part in _fit(np.array(without), rest, rings.lags)]
+    deviations = [part - part.mean(axis=0) for part in _fit(np.array(without), rest, rings.lags)[:2]]
     chance = [np.sqrt((len(groups) - 1) / len(groups) * (part**2).sum(axis=0)) for part in deviations]
     windows = np.sqrt(-2 * np.log(LEAST_CORRELATION)) / np.maximum(longest, 1e-9)  # their width, rad/s
-    width2_std = np.hypot(chance[0], MODEL_ERROR * windows**2)
-    shift_std = np.hypot(chance[1], MODEL_SHIFT * windows)
+    width2_std = np.hypot(np.hypot(chance[0], misfits[0]), MODEL_ERROR * windows**2)
+    shift_std = np.hypot(np.hypot(chance[1], misfits[1]), MODEL_SHIFT * windows)
     cell = np.where(rings.near, np.maximum(model, WEAKEST * model.max()), 0.0).sum(axis=0)
     angle = plane.plane.angle
     weights = cell, cell * plane.plane.k, cell * np.cos(angle), cell * np.sin(angle)

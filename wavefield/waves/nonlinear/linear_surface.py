@@ -150,10 +150,11 @@ def linear_surface(
         D eta2 - phi2_z = -div(eta grad phi)
         D phi2 + (g - gamma laplacian) eta2 = -|grad phi|^2 / 2 - eta D phi_z,
 
-    solved in (k, omega) at any depth (Hasselmann 1962; in deep water that is the second order of the
-    transform of Creamer et al. 1989). What is found is taken off z, and the rest forces anew, three times.
-    Left in are: third harmonics, bound waves of waves shorter than ``shortest`` (k rms z = 0.4, or half the
-    Nyquist wavenumber) and faster than half the Nyquist frequency, and those within 5 % of a free frequency.
+    solved in (k, omega) at any depth (Hasselmann 1962; of waves of one direction in deep water that is the
+    second order of the transform of Creamer et al. 1989). What is found is taken off z, and the rest forces
+    anew, three times: what theory expects is removed, whether or not the measurement kept it. Left in are
+    third harmonics, bound waves of waves shorter than ``shortest`` (k rms z = 0.4, or half the Nyquist
+    wavenumber) and faster than half the Nyquist frequency, and those within 5 % of a free frequency.
 
     References
     ----------
