@@ -50,7 +50,7 @@ def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_no
         size = 2.0 * noise / 500.0
         rise, wavelength = found(seed, size, noise, cameras)
         twice, _ = found(seed, 2.0 * size, 2.0 * noise, cameras)
-        assert 0.8 * size < rise < 2.2 * size  # of two cameras' blocks not all beads are the same
+        assert 0.8 * size < rise < 2.7 * size  # of two cameras' blocks not all beads are the same
         assert twice == pytest.approx(2.0 * rise)
         assert wavelength == pytest.approx(2.5 * 5.0 / 540.0, rel=0.1)
 

@@ -1,6 +1,7 @@
 """Cameras that are knocked, shake or are late: dated, measured, named; steady ones raise nothing."""
 
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from wavefield.quality.camera_delay import (
     Delay,
     Sample,
     Synchrony,
+    _mean,
     delays,
     is_determined,
     regress,
@@ -157,3 +159,14 @@ def test_a_rolling_shutter_is_seen_in_images_unless_it_is_stated():
         left = 0.0 if settings.row_delays else fault["row_time"]
         assert found.row_time.seconds == pytest.approx(left, abs=3.5 * found.row_time.std)
         assert found.row_time.std < 0.2 * fault["row_time"]
+
+
+def test_pairs_of_cameras_do_not_make_a_row_time_more_certain_than_each_of_them():
+    for pairs in (1, 2, 5):
+        found = _mean([(4e-4, 1e-4)] * pairs, 20.0)
+        assert found.seconds == pytest.approx(2e-5)
+        assert found.std == pytest.approx(5e-6)
+        rows = Synchrony({}, 500.0, found, 200)
+        assert not list(remarks(rows)), "four standard uncertainties"
+    (remark,) = remarks(Synchrony({}, 500.0, replace(found, std=0.6 * found.std), 200))
+    assert remark.kind == "rolling shutter"

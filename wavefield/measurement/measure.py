@@ -19,7 +19,7 @@ from wavefield.measurement.midtime import frames_used, slope
 from wavefield.measurement.model import Model
 from wavefield.measurement.searched import search_widened
 from wavefield.measurement.step_estimate import StepEstimate, Surfaces, estimate_step
-from wavefield.measurement.temporal_truncation import TemporalTruncation, typical_size
+from wavefield.measurement.step_truncation import elevation_truncation, motion_truncation
 from wavefield.measurement.unresolved_waves import unresolved_std
 from wavefield.measurement.velocity import SHORT_WAVE_VARIANCES
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
@@ -217,16 +217,14 @@ def _fields(
     assert first is not None
     assert second is not None
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
-    truncation = model.record.temporal_truncation
-    left_out = np.zeros_like(motion.d)
-    for frames in np.unique(motion.frames[inside]):
-        parts = truncation.of_displacement(int(frames), motion.d, measured)
-        left_out = np.where(motion.frames == frames, parts, left_out)
+    orders, record = estimate.mid_time.orders, model.record
+    left_out = motion_truncation(motion, orders, inside, measured, record)
     d, d_std = motion.d.copy(), np.hypot(motion.d_std, left_out)
     tilt, tilt_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     d[:2] -= tilt
     d_std[:2] = np.hypot(d_std[:2], tilt_std)
-    z_std = np.hypot(estimate.mid_time.std, _z_truncation(estimate, measured, truncation))
+    frames = frames_used(estimate.surfaces)
+    z_std = np.hypot(estimate.mid_time.std, elevation_truncation(orders, frames, rise, measured, record))
     if model.record.unresolved[0]:
         z_short, rise_short = unresolved_std(*model.record.unresolved, frame_rate)
         parts = np.sqrt(SHORT_WAVE_VARIANCES, dtype=np.float32) * np.float32(rise_short)
@@ -245,16 +243,3 @@ def _fields(
         "v_std": d_std[1] * frame_rate,
         "w_std": d_std[2] * frame_rate,
     }
-
-
-def _z_truncation(
-    estimate: StepEstimate, measured: Mask, truncation: TemporalTruncation
-) -> Float | np.float32:
-    """Standard uncertainty of z by the finite time step, metres: a number, or (ny, nx)."""
-    frames, rise = frames_used(estimate.surfaces), estimate.mid_time.rise
-    out = np.float32(truncation.of_z(frames))
-    if frames != 3 or not measured.any():
-        return out
-    # the error of a parabola is that of the third derivative: large where water rises fast
-    rms = max(float(np.sqrt(np.mean(np.square(rise[measured])))), 1e-12)
-    return np.asarray(out * typical_size(rise, measured) / rms)

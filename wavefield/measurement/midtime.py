@@ -24,6 +24,9 @@ class MidTime:
     z: Float  # (ny, nx): elevation and its standard uncertainty, metres
     std: Float
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
+    orders: tuple[
+        Float, ...
+    ] = ()  # (ny, nx): elevation by all frames, by fewer and by the nearest two, metres
 
 
 def z_at_mid_time(
@@ -51,22 +54,38 @@ def z_at_mid_time(
 
     The same beads in the same places have the same errors in all frames, so these do not average out.
     """
-    weights = ELEVATION_WEIGHTS[frames_used(surfaces)]
+    return z_by_orders(surfaces, flow, x, y, times, late)[0]
+
+
+def z_by_orders(
+    surfaces: Surfaces,
+    flow: tuple[float, float],
+    x: Float,
+    y: Float,
+    times: Float | None = None,
+    late: Float | None = None,
+) -> tuple[Float, ...]:
+    """`z_at_mid_time`, then the same from fewer frames, the nearest two at last: how fast these converge."""
+    count = frames_used(surfaces)
+    weights = [ELEVATION_WEIGHTS[n] for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
     if surfaces[4] is None:
-        weights = weights[::-1]
+        weights = [one[::-1] for one in weights]
     moments, (dx, dy) = np.arange(6) - 2.5, flow
     if times is not None:
         moments = times
         dx, dy = dx / float(times[3] - times[2]), dy / float(times[3] - times[2])
     at: Float | float = 0.0 if late is None else -late
     if late is not None or times is not None:
-        used = np.flatnonzero(weights).tolist()
-        weights = uneven_weights(moments, used, at=at)[0].astype(np.float32)
-    z: Float = np.zeros(x.shape, np.float32)
-    for t, surface, weight in zip(moments.tolist(), surfaces, weights, strict=True):
-        if surface is not None and np.any(weight):
-            z += weight * surface.read(x + (t - at) * dx, y + (t - at) * dy)
-    return z
+        used = [np.flatnonzero(one).tolist() for one in weights]
+        weights = [uneven_weights(moments, some, at=at)[0].astype(np.float32) for some in used]
+    out: list[Float] = [np.zeros(x.shape, np.float32) for _ in weights]
+    for n, (t, surface) in enumerate(zip(moments.tolist(), surfaces, strict=True)):
+        if surface is not None and np.any(weights[0][n]):
+            z = surface.read(x + (t - at) * dx, y + (t - at) * dy)
+            for total, one in zip(out, weights, strict=True):
+                if np.any(one[n]):
+                    total += one[n] * z
+    return tuple(out)
 
 
 def rise_of_water(

@@ -21,8 +21,8 @@ Float = NDArray[Any]
 Blocks = NDArray[np.intp]
 
 WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not resolve
-_COMMON_OF_BEADS = 0.15  # of a block's variance: overlapping beads of unsteady brightness, without any waves
-_SEEN_IN_COMMON = 0.25  # of the variance of short waves: two cameras' blocks do not hold the same beads
+_COMMON_OF_BEADS = 0.1  # of a block's variance: unsteady, clustered beads without any short waves
+_SEEN_IN_COMMON = 0.15  # of the variance of short waves, 0.11 to 0.30: blocks do not hold the same beads
 _RIDGE = 0.1  # of the typical Hessian
 _MAX_STD = 3.0  # single blocks are limited to so many standard deviations
 _MIN_BLOCKS = 50

@@ -45,7 +45,7 @@ MIN_BLOCKS = 4  # matched ones of a patch
 NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
 SIGNIFICANCE = 4.0  # standard deviations
-ROW_SIGNIFICANCE = 6.0  # of a row time: cameras show a place in nearly the same row
+ROW_SIGNIFICANCE = 5.0  # of a row time: cameras show a place in nearly the same row
 MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
 MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined,
 MAX_INTERVALS = 1.5  # nor a longer one: water does not keep its velocity for so long,
@@ -321,12 +321,17 @@ def delays(
 
 
 def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None:
-    """Weighted mean of several pairs' row times, given in frames."""
+    """Weighted mean of several pairs' row times, given in frames.
+
+    Pairs share a camera, its matches and the water's velocity: their errors do not average out.
+    """
     if not row_times:
         return None
     values, stds = np.array(row_times).T
     weights = 1.0 / np.maximum(stds, 1e-12) ** 2
-    return Delay(float(values @ weights / weights.sum() / rate), float(1.0 / np.sqrt(weights.sum()) / rate))
+    return Delay(
+        float(np.average(values, weights=weights)) / rate, float(np.average(stds, weights=weights)) / rate
+    )
 
 
 def remarks(found: Synchrony) -> Iterator[Remark]:

@@ -1,0 +1,109 @@
+"""What the finite time step leaves out of single steps: groups of waves, long waves, flat orbits."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from wavefield.measurement.step_truncation import elevation_truncation, motion_truncation
+from wavefield.measurement.temporal_truncation import temporal_truncation
+from wavefield.measurement.time_weights import ELEVATION_WEIGHTS
+
+TIMES = np.arange(6) - 2.5
+SHAPE = 18, 24
+EVERYWHERE = np.ones(SHAPE, bool)
+
+
+class Waves:
+    """Waves of random lengths, directions and phases over a field of 18 cm by 24 cm; per frame."""
+
+    def __init__(self, seed, longest, depth):
+        rng = np.random.default_rng(seed)
+        self.rate = rng.uniform(9.0, 16.0)
+        length = np.geomspace(0.15, longest, 14)
+        k, angle = 2 * np.pi / length, rng.uniform(-0.6, 0.6, 14) + rng.uniform(0, 6)
+        x, y = np.meshgrid(np.arange(SHAPE[1]) * 0.01, np.arange(SHAPE[0]) * 0.01)
+        self.direction = np.stack([np.cos(angle), np.sin(angle)])
+        self.omega = np.sqrt(9.81 * k * np.tanh(k * depth)) / self.rate
+        self.flat = 1 / np.tanh(k * depth)
+        self.height = 0.004 * length**1.5 * rng.uniform(0.5, 1.5, 14)
+        self.phase = np.einsum("in,iyx->nyx", k * self.direction, np.stack([x, y]))
+        self.phase += rng.uniform(0, 6, 14)[:, None, None]
+
+    def z(self, t):
+        turned = self.phase - (self.omega * t)[:, None, None]
+        return np.tensordot(self.height, np.cos(turned), 1)
+
+    def motion(self, t):
+        turned = self.phase - (self.omega * t)[:, None, None]
+        size = self.height * self.omega
+        across = np.einsum("in,nyx->iyx", size * self.flat * self.direction, np.cos(turned))
+        return np.stack([*across, np.tensordot(size, np.sin(turned), 1)])
+
+    def displaced(self, t):
+        """Over the step around t."""
+        return np.mean([self.motion(t + s) for s in np.arange(-0.475, 0.5, 0.05)], axis=0)
+
+    def record(self):
+        """As sample steps show it, whose waves are at other places of their groups."""
+        pairs = [(self.z(t), self.z(t + 1)) for t in (3.0, 30.0, 57.0, 84.0)]
+        moved = np.sqrt(
+            np.mean([np.var(self.motion(t), axis=(1, 2)) for t in (3.5, 30.5, 57.5, 84.5)], axis=0)
+        )
+        return SimpleNamespace(temporal_truncation=temporal_truncation(pairs, 0.01), moved=tuple(moved))
+
+    def orders(self, t, most):
+        frames = [self.z(t + s) for s in TIMES]
+        return tuple(np.tensordot(ELEVATION_WEIGHTS[n], frames, 1) for n in (6, 4, 2) if n <= most)
+
+
+def rms(field):
+    return np.sqrt(np.mean(np.square(field)))
+
+
+@pytest.mark.parametrize("frames", [6, 4])
+def test_elevations_of_steps_with_more_fast_waves_than_the_samples_are_stated_more_uncertain(frames):
+    now, record_alone = [], []
+    for seed in range(12):
+        waves = Waves(seed, longest=2.0, depth=np.inf)
+        record = waves.record()
+        for t in np.linspace(10.0, 120.0, 8):
+            orders = waves.orders(t, frames)
+            stated = elevation_truncation(orders, frames, np.ones(SHAPE), EVERYWHERE, record)
+            error = rms(orders[0] - waves.z(t))
+            now.append(error / rms(stated))
+            record_alone.append(error / record.temporal_truncation.of_z(frames))
+    assert np.percentile(now, 95) < min(2.2, 0.8 * np.percentile(record_alone, 95))
+    assert np.median(now) > 0.3, "not more cautious than that"
+
+
+@pytest.mark.parametrize("places", [4, 2])
+def test_motion_is_stated_as_uncertain_as_groups_and_the_depth_make_it(places):
+    now, record_alone = [], []
+    for seed in range(12):
+        waves = Waves(seed, longest=1.5, depth=0.06)
+        record = waves.record()
+        for t in np.linspace(10.0, 120.0, 8):
+            before, chord, after = (waves.displaced(t + s) for s in (-1, 0, 1))
+            d = chord if places == 2 else (26 * chord - before - after) / 24
+            motion = SimpleNamespace(d=d, chord=chord, frames=np.full(SHAPE, places, np.uint8))
+            orders = waves.orders(t, 6 if places == 4 else 4)
+            stated = motion_truncation(motion, orders, EVERYWHERE, EVERYWHERE, record)
+            alone = record.temporal_truncation.of_displacement(places, d, EVERYWHERE)
+            error = d - waves.motion(t)
+            now.append(rms(error[:2]) / rms(stated[:2]))
+            record_alone.append(rms(error[:2]) / rms(alone[:2]))
+    assert np.percentile(now, 95) < min(2.2, 0.8 * np.percentile(record_alone, 95))
+    assert np.median(now) > 0.3, "not more cautious than that"
+
+
+def test_water_at_rest_leaves_nothing_out():
+    still = np.zeros(SHAPE)
+    record = SimpleNamespace(
+        temporal_truncation=temporal_truncation([(still, still)], 0.01), moved=(1e-6,) * 3
+    )
+    assert not elevation_truncation((still,) * 3, 6, still, EVERYWHERE, record).any()
+    motion = SimpleNamespace(
+        d=np.stack([still] * 3), chord=np.stack([still] * 3), frames=np.full(SHAPE, 4, np.uint8)
+    )
+    assert not motion_truncation(motion, (still,) * 3, EVERYWHERE, EVERYWHERE, record).any()

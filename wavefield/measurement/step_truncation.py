@@ -1,0 +1,89 @@
+"""Error of the finite time step in a single step, by how results from more frames depart from those of fewer.
+
+`temporal_truncation` states it for a record from sample steps. Groups of waves pass, depth makes orbits flat,
+and of waves longer than the field samples show little: a step that departs more is stated more uncertain.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.measurement.learned_record import LearnedRecord
+from wavefield.measurement.temporal_truncation import typical_size
+from wavefield.measurement.velocity import Motion
+
+Float = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+_MAX_RATIO = 0.75  # of successive departures: their series is not summed further
+_MARGIN = 1.25  # on the sum of that series: it falls more slowly further on
+
+
+def _rms(field: Float, measured: Mask) -> float:
+    return float(np.sqrt(np.mean(np.square(field[measured]), dtype=np.float64)))
+
+
+def convergence(orders: tuple[Float, ...], measured: Mask, record: LearnedRecord) -> tuple[float, float]:
+    """By how much more than in the record elevations depart from those of two frames, and what is left then.
+
+    Elevations from six, four and two frames depart from each other by parts that fall as a geometric series:
+    the second value is the ratio of two successive ones, that of the record if a step has no six frames.
+    """
+    known = dict(record.temporal_truncation.z)
+    ratio = known[4] / max(known[2], 1e-12)
+    if len(orders) < 2 or not measured.any():
+        return 1.0, min(ratio, _MAX_RATIO)
+    last = _rms(orders[-2] - orders[-1], measured)
+    if len(orders) == 3:
+        ratio = max(ratio, _rms(orders[0] - orders[1], measured) / max(last, 1e-12))
+    return max(last / max(known[2], 1e-12), 1.0), min(ratio, _MAX_RATIO)
+
+
+def elevation_truncation(
+    orders: tuple[Float, ...], frames: int, rise: Float, measured: Mask, record: LearnedRecord
+) -> Float:
+    """Standard uncertainty of z by the finite time step, (ny, nx), metres.
+
+    With the departure D of z from that of fewer frames and the ratio r of successive ones, what is left out
+    has the size D r / (1 - r); of the record it is the least.
+    """
+    least = np.float32(record.temporal_truncation.of_z(frames))
+    size, ratio = convergence(orders, measured, record)
+    if not measured.any() or frames == 2:
+        return np.full(rise.shape, least)
+    if frames == 3:
+        # the error of a parabola is that of the third derivative: large where water rises fast
+        return np.asarray(least * size * typical_size(rise, measured) / max(_rms(rise, measured), 1e-12))
+    departure = _MARGIN * typical_size(orders[0] - orders[1], measured)
+    return np.asarray(np.maximum(least, np.float32(ratio / (1.0 - ratio)) * departure))
+
+
+def motion_truncation(
+    motion: Motion, orders: tuple[Float, ...], seen: Mask, measured: Mask, record: LearnedRecord
+) -> Float:
+    """Standard uncertainty of displacements by the finite time step, (3, ny, nx), metres.
+
+    Paths of four places depart from their chords by what chords leave out: where that is more than the
+    record's waves make of it, more is left out of the path, too. Where paths are chords, or smooth as those
+    of six places, elevations show the size, and the depth how flat the orbits are.
+    """
+    known = record.temporal_truncation
+    size, ratio = convergence(orders, measured, record)
+    faster = max(1.0, ratio / max(min(known.of_z(4) / max(known.of_z(2), 1e-12), _MAX_RATIO), 1e-12))
+    x, y, up = np.square(record.moved)
+    flat = float(np.sqrt(max(1.0, (x + y) / max(up, 1e-30))))
+    scale = np.array([flat, flat, 1.0], np.float32)[:, None, None] * np.float32(size)
+    out = np.zeros_like(motion.d)
+    for frames in np.unique(motion.frames[seen]):
+        here = motion.frames == frames
+        parts = known.of_displacement(int(frames), motion.d, measured)
+        more: Float = scale if frames != 6 else scale * np.float32(faster)
+        if frames == 4 and (here & measured).any():
+            chords = known.of_displacement(2, motion.d, measured)
+            beyond = [typical_size(part, here & measured) for part in motion.chord - motion.d]
+            more = np.fmax(np.stack(beyond) / np.maximum(chords, np.float32(1e-12)), 1.0) * np.float32(faster)
+        out = np.where(here, parts * more, out)
+    return np.asarray(out, np.float32)
