@@ -40,7 +40,7 @@ MAX_RESULTANT = 0.3  # of a ring's directions: of narrower seas a fitted current
 
 
 @dataclass(frozen=True)
-class _Rings:
+class _RidgeRings:
     """Cells of the k plane in rings, and what of the lines near the relation is correlated."""
 
     omega: Array  # (lines,)
@@ -52,7 +52,7 @@ class _Rings:
     gamma: float
 
     @classmethod
-    def of(cls, spectrum: PlaneSpectrum, cells: SpectralCells, fit: Array) -> "_Rings":
+    def of(cls, spectrum: PlaneSpectrum, cells: SpectralCells, fit: Array) -> "_RidgeRings":
         plane = spectrum.plane
         edges = np.arange(FIRST_CELLS, HIGHEST * plane.nyquist / plane.cell, RING_CELLS) * plane.cell
         if edges.size < 2:
@@ -184,7 +184,7 @@ def ridge_broadening(
     water = np.array([*current, gamma])
     plane = PlaneSpectrum.of(whole, depth)
     cells = SpectralCells(plane.omega, whole["ky"].values, whole["kx"].values)
-    rings = _Rings.of(plane, cells, water)
+    rings = _RidgeRings.of(plane, cells, water)
     model = windowed_waves(plane.energy, plane.noise, cells, depth, water)
     noise = rings.sums(plane.noise)
     parts = []
@@ -227,7 +227,7 @@ def _fit(ratio: Array, rest: Array, lags: Array) -> tuple[Array, Array, Array, A
     return width2, shift, 4 * rms[0] / longest**2, 2 * rms[1] / longest
 
 
-def _label(parts: Array, rings: _Rings, plane: PlaneSpectrum, model: Array, noise: Array) -> xr.Dataset:
+def _label(parts: Array, rings: _RidgeRings, plane: PlaneSpectrum, model: Array, noise: Array) -> xr.Dataset:
     # of rings without waves something remains, which is compared with nothing
     of_model, mean = rings.sums(np.maximum(model, WEAKEST * model.max())), parts.mean(axis=0)
     rest = np.abs(of_model) / np.abs(of_model[:, :1])
