@@ -40,8 +40,8 @@ def test_the_terminal_is_told_of_nothing_amiss_in_a_page(cube):
 
 def test_every_variable_and_view_can_be_shown(cube):
     page, document = build(cube)
-    for name in page.session.record.names:
-        for tab in TABS:
+    for k, name in enumerate(page.session.record.names):
+        for tab in ("surface", TABS[k % len(TABS)]):  # what the others show is the same for every variable
             page.change(show=name, tab=tab)
             page.redraw()
         assert page.panels.map.figure.title.text.startswith(f"{name}: ")

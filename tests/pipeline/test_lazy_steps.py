@@ -51,7 +51,7 @@ INDICES = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(chunk=st.integers(1, 50), first=INDICES, rest=st.sampled_from([(), (slice(1, 3),), (..., 2), (0, 1)]))
 def test_any_selection_has_its_values_from_its_own_steps_or_whole_chunks(measured, chunk, first, rest):
     z, _, status = arrays(chunk)

@@ -16,6 +16,11 @@ class Stopped(KeyboardInterrupt):
     """A signal other than Ctrl-C, or the time limit."""
 
 
+def stopped_by(stop: KeyboardInterrupt) -> str:
+    """How a sentence on a stopped run begins."""
+    return f"stopped by {stop}" if isinstance(stop, Stopped) else "stopped"
+
+
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
     """Let SIGTERM, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""

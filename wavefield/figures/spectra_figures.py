@@ -4,7 +4,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.figures.style import (
     CYCLES,
@@ -15,6 +14,7 @@ from wavefield.figures.style import (
     draw_curves,
     edges,
     finish,
+    frequency_axis,
     hertz,
     panels,
     positive,
@@ -176,9 +176,7 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
         ax.set_ylim(peak * 1e-9, peak * 5)
     if (frequency > 0).any():
         ax.set_xlim(frequency[frequency > 0][0], frequency[-1])
-    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    frequency_axis(ax)
     finish(ax, HERTZ, "E$^z$(ω) (m² s rad⁻¹)")
     return figure
 

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.figures.display import POSITIVE, SIGNED, limit
@@ -196,6 +197,19 @@ def finish(
     """Label the axes of a line plot and set other properties; then grid and legend."""
     axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     plain_axes(axes, **(legend or {}))
+
+
+def frequency_axis(axes: Axes) -> None:
+    """Label a logarithmic axis with 1, 2 and 5: powers of ten over a decade or two run into each other."""
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def round_down(value: float) -> float:
+    """Largest of 1, 2, 5 times a power of ten below a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 
 
 def densities(values: ArrayLike, bins: np.ndarray) -> np.ndarray:

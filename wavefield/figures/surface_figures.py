@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from wavefield.figures.display import SIGNED, limit
-from wavefield.figures.style import draw_map, map_panels, moment_title, panels
+from wavefield.figures.style import draw_map, map_panels, moment_title, panels, round_down
 
 MAX_POLYGONS = 70  # per axis in 3D: more takes seconds without a visible difference
 ARROWS_ACROSS = 26
@@ -93,8 +93,7 @@ def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
         width=0.0028,
         color="black",
     )
-    power = 10.0 ** np.floor(np.log10(fastest))
-    key = float(power * max(m for m in (1, 2, 5) if m * power <= fastest * (1 + 1e-9)))
+    key = round_down(fastest)
     axes.quiverkey(arrows, 0.86, 1.04, key, f"{key:g} cm s⁻¹", labelpos="E", coordinates="axes")
 
 

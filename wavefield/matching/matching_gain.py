@@ -12,9 +12,7 @@ FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value is taken to r
 AVERAGED_VARIANCE = 4.0  # px^2: of the area over which blocks and beads' images average displacements
 
 
-def transfer_function(
-    settings: MatchSettings, kx: np.ndarray, ky: np.ndarray, gain: float = 1.0
-) -> np.ndarray:
+def transfer_function(settings: MatchSettings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     """Gain of windows, smoother and steps for waves of displacement, by linear theory.
 
     Parameters
@@ -23,8 +21,6 @@ def transfer_function(
         Those of the match.
     kx, ky : ndarray, shapes that broadcast
         Wavenumbers along columns and rows, rad per block.
-    gain : float
-        Fraction of the distance to the solution that a step covers (1 on clean images, less with noise).
 
     Returns
     -------
@@ -33,7 +29,7 @@ def transfer_function(
 
     Notes
     -----
-    T <- S (T + gain W (1 - T)) for the window W and the smoother S of every step at every level.
+    T <- S (T + W (1 - T)) for the window W and the smoother S of every step at every level.
     """
 
     def response(weights: np.ndarray) -> np.ndarray:
@@ -49,7 +45,7 @@ def transfer_function(
         if sigma > 0:
             smoother = 1 - (1 - response(gaussian(2**level * sigma))) ** settings.smoother_order
         for _ in range(settings.iterations[settings.levels - 1 - level]):
-            total = smoother * (total + gain * window * (1 - total))
+            total = smoother * (total + window * (1 - total))
     return total
 
 

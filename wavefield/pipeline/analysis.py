@@ -13,7 +13,7 @@ from wavefield.atomic_write import write_error
 from wavefield.errors import ExperimentError, RunStopped
 from wavefield.execution.cluster import MapUnordered, open_cluster
 from wavefield.execution.run_log import jobs_folder, log_file
-from wavefield.execution.signals import Stopped, stop_signals
+from wavefield.execution.signals import stop_signals, stopped_by
 from wavefield.execution.workflow import Workflow
 
 if TYPE_CHECKING:
@@ -80,9 +80,8 @@ def analyze_on_workers(
 
                 return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **options)
         except KeyboardInterrupt as stop:
-            why = f" by {stop}" if isinstance(stop, Stopped) else ""
             raise RunStopped(
-                f"stopped{why}; nothing was written, and the same command begins again"
+                f"{stopped_by(stop)}; nothing was written, and the same command begins again"
             ) from None
 
 

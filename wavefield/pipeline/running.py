@@ -19,7 +19,7 @@ from wavefield.errors import RunStopped, StoreError, WavefieldError
 from wavefield.execution.cluster import open_cluster, threads_here
 from wavefield.execution.lock import Lock
 from wavefield.execution.run_log import jobs_folder, log_file, log_path
-from wavefield.execution.signals import Stopped, deferred_signals, stop_signals
+from wavefield.execution.signals import deferred_signals, stop_signals, stopped_by
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.chunk import Chunk, EarlyStep, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work
@@ -161,7 +161,7 @@ def process(
             _go_on(prepared, lock, map_unordered, progress, preview_until)
         except KeyboardInterrupt as stop:
             raise RunStopped(
-                f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
+                f"{stopped_by(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
             ) from None
     with deferred_signals():  # what only the end needs comes when the rest is done
         from wavefield.pipeline.pair_statistics import store_pair_statistics
@@ -209,10 +209,6 @@ def _repair(path: Path) -> None:
         verdict = beside(path, "verdict", ".json")
         check_replaceable(verdict, VERDICT)
         verdict.unlink()  # another comes at the end of the run
-
-
-def _why(stop: KeyboardInterrupt) -> str:
-    return f" by {stop}" if isinstance(stop, Stopped) else ""
 
 
 def _how_far(path: Path) -> str:
@@ -296,8 +292,7 @@ def _work_off(
     path = lock.store
     work = Work(path, prepared.geometry, prepared.model, measured_rate(open_group(path)))
     failures: list[tuple[Chunk, BaseException]] = []
-    message_log = _MessageLog()
-    succeeded = 0
+    succeeded = bad_frames = 0
     tracker.start()
     # closed here and now: what is not done yet is called off before anything else
     with closing(map_unordered(work, todo)) as results:
@@ -317,7 +312,8 @@ def _work_off(
                     break
                 continue
             succeeded += 1
-            message_log.add(result.messages)
+            _log_bad_frames(result.messages, bad_frames)
+            bad_frames += len(result.messages)
             tracker.add(result.stop - result.start)
     if failures:
         chunk, error = failures[0]
@@ -329,19 +325,12 @@ def _work_off(
         ) from error
 
 
-class _MessageLog:
-    """Passes sentences about bad frames on to the log: the first of them, then how many there are."""
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def add(self, messages: Sequence[str]) -> None:
-        for message in messages:
-            self.count += 1
-            if self.count <= _MAX_MESSAGES:
-                log.warning("%s", message)
-            elif self.count == _MAX_MESSAGES + 1:
-                log.warning("more than %d bad frames; `wavefield status` lists them all", _MAX_MESSAGES)
+def _log_bad_frames(messages: Sequence[str], logged: int) -> None:
+    """Log the first sentences about bad frames, of which so many are logged, and that there are more."""
+    for message in messages[: max(_MAX_MESSAGES - logged, 0)]:
+        log.warning("%s", message)
+    if logged <= _MAX_MESSAGES < logged + len(messages):
+        log.warning("more than %d bad frames; `wavefield status` lists them all", _MAX_MESSAGES)
 
 
 class _Tracker:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.numbers import FlatSurface
 from wavefield.calibration.observations import Observations
+from wavefield.figures.style import round_down
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
 
@@ -25,14 +26,6 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _round_down(value: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten below a value."""
-    if not value > 0.0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9)))
-
-
 def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
     axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
     axes.set(xlabel="column (px)", ylabel="row (px)")
@@ -45,7 +38,7 @@ def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width
     arrows = axes.quiver(
         *pixel.T, *residual.T, angles="xy", scale_units="xy", scale=large / length, width=width, color=colour
     )
-    key = _round_down(large)
+    key = round_down(large)
     axes.quiverkey(arrows, 0.93, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 9})
 
 

@@ -9,10 +9,9 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.atomic_write import PAGE, write_text
-from wavefield.figures.style import LINES, RIGHT, panels, plain_axes
+from wavefield.figures.style import LINES, RIGHT, frequency_axis, panels, plain_axes
 from wavefield.pipeline import open_run
 from wavefield.reports.html_page import Head, Picture, ReportSection, Table, render
 from wavefield.reports.number_text import number
@@ -97,8 +96,6 @@ def _figure(spectra: Mapping[str, xr.DataArray]) -> Figure:
         style = {**LINES[k % len(LINES)], "linewidth": 1.0 + 0.8 * (k // len(LINES))}
         ax.loglog(one["omega"].values / (2 * np.pi), one.where(one > 0).values, label=run, **style)
     ax.set(xlabel="ω / 2π (Hz)", ylabel="E(ω) of z (m² s rad⁻¹)")
-    ax.xaxis.set_major_formatter("{x:g}")  # powers of ten over a decade or two run into each other
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    frequency_axis(ax)
     plain_axes(ax, **RIGHT)
     return figure
