@@ -11,6 +11,7 @@ to 4 Hz; bimodal; shallow) with currents to 0.4 m/s in any direction, spreads fr
 60 s. Of the fitted current: the error, mm/s, the same over its standard uncertainty, and what was refused.
 """
 
+import json
 import sys
 import time
 from collections import defaultdict
@@ -40,6 +41,7 @@ HALF_INTERVAL = 1.96  # standard uncertainties
 SPREADS = {"pdf", "static", "triad_coherence", "quartet_coherence", "triad_mismatch", "quartet_mismatch"}
 FEW = 5  # draws: a family with fewer is not named
 Count = tuple[str, str, float]  # kind, product, fraction
+SeaCounts = tuple[int, list[str], list[Count]]  # seed, families
 
 
 def _interval_names(name: str) -> tuple[str, str] | None:
@@ -142,7 +144,7 @@ def _nulls(tree: xr.DataTree, mixed: xr.Dataset) -> Iterator[Count]:
             yield "discovery", f"resonances: {kind}", float(found)
 
 
-def counts_of(seed: int) -> tuple[int, list[str], list[Count]]:
+def counts_of(seed: int) -> SeaCounts:
     """What is counted on two draws of a random sea."""
     sea, families = random_lattice_sea(seed)
     cubes = [sea.cube(10 * seed + i) for i in (1, 2)]
@@ -167,14 +169,28 @@ def counts_of(seed: int) -> tuple[int, list[str], list[Count]]:
     return seed, families, out
 
 
-def products_table(seeds: Sequence[int], processes: int) -> list[list[str]]:
+def counts_of_all(seeds: Sequence[int], processes: int, file: Path | None) -> list[SeaCounts]:
+    """Counts of all seas; those that a file holds are not drawn again, and others are added to it."""
+    lines = file.read_text(encoding="utf-8").splitlines() if file is not None and file.exists() else []
+    out = [found for found in map(json.loads, lines) if found[0] in seeds]
+    left = sorted({*seeds} - {found[0] for found in out})
+    with Pool(processes) as pool:
+        for found in pool.imap_unordered(counts_of, left):
+            out.append(found)
+            if file is not None:
+                with file.open("a", encoding="utf-8") as to:
+                    to.write(json.dumps(found) + "\n")
+            text = f"sea {found[0]}: {', '.join(found[1])} ({len(out)} of {len(seeds)})"
+            print(text, file=sys.stderr, flush=True)
+    return sorted(out, key=lambda found: found[0])
+
+
+def products_table(seeds: Sequence[int], processes: int, file: Path | None = None) -> list[list[str]]:
     """Print and return the table of products."""
     found: dict[tuple[str, str], list[tuple[float, list[str]]]] = defaultdict(list)
-    with Pool(processes) as pool:
-        for done, (seed, families, counts) in enumerate(pool.imap_unordered(counts_of, seeds), 1):
-            for kind, product, fraction in counts:
-                found[kind, product].append((fraction, families))
-            print(f"sea {seed}: {', '.join(families)} ({done} of {len(seeds)})", file=sys.stderr, flush=True)
+    for _, families, counts in counts_of_all(seeds, processes, file):
+        for kind, product, fraction in counts:
+            found[kind, product].append((fraction, families))
     rows = []
     for (kind, product), values in found.items():
         expected = {"interval": 0.95, "truth": 0.95, "null": 0.05}.get(kind, 0.0)
@@ -250,6 +266,9 @@ def main() -> None:
     parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=FAMILIES)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--each", action="store_true", help="print every sea")
+    parser.add_argument(
+        "--counts", type=Path, help="file of the counts of seas, of this run and earlier ones"
+    )
     parser.add_argument("--save", action="store_true", help="write the result for the validation page")
     given = parser.parse_args()
     start = time.perf_counter()
@@ -258,8 +277,10 @@ def main() -> None:
         cases = [(name, seed) for name in given.families for seed in seeds]
         currents_table(cases, given.families, given.processes, given.each)
     else:
-        rows = products_table(range(given.first, given.first + given.draws), given.processes)
+        rows = products_table(range(given.first, given.first + given.draws), given.processes, given.counts)
         if given.save:
+            if given.counts:  # no part of the command that measures it again
+                del sys.argv[(place := sys.argv.index("--counts")) : place + 2]
             save_result("seas", PRODUCT_COLUMNS, rows)
     print(f"\n{time.perf_counter() - start:.0f} s")
 

@@ -21,7 +21,7 @@ MIN_SEGMENTS = 8  # overlapping by half
 # from one segment to the next: products of four windowed waves are hardly correlated at a quarter
 HOPS = 4
 MAX_LAG = 24  # segments over which lines may be autocorrelated
-TESTS_AT_A_TIME, STEPS_AT_A_TIME = 2048, 256
+TESTS_AT_A_TIME, STEPS_AT_A_TIME = 512, 256  # that fit the cache
 
 
 def lines_of(
@@ -86,20 +86,32 @@ def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[A
 
 
 def autocorrelation(lines: Array, ends: list[int]) -> Array:
-    """Autocorrelation within runs of lines (places, segments) at lags from 1 on, (places, lags)."""
+    """Autocorrelation within runs of lines (places, segments) at lags from 1 on, (places, lags), unbiased.
+
+    Sums over a lag have fewer terms than the power: of four waves what that takes off would count four times.
+    """
     lags = min(MAX_LAG, lines.shape[1] // 4)
     correlation = np.zeros((len(lines), lags + 1), np.complex128)
+    pairs = np.zeros(lags + 1)
     for run in np.split(lines, ends[:-1], axis=1):
+        pairs += np.maximum(run.shape[1] - np.arange(lags + 1), 0)
         power = np.abs(fft.fft(run, n=run.shape[1] + lags + 1, axis=1)) ** 2
         correlation += fft.ifft(power, axis=1)[:, : lags + 1]
-    return np.asarray(correlation[:, 1:] / np.maximum(correlation[:, :1].real, 1e-300))
+    mean = correlation / np.maximum(pairs, 1)
+    return np.asarray(mean[:, 1:] / np.maximum(mean[:, :1].real, 1e-300))
+
+
+def _weights(segments: int, lags: int) -> Array:
+    """Twice the pairs of segments at lags from 1 on over all segments, (lags,)."""
+    return 2 * (1 - np.arange(1, lags + 1) / segments)
 
 
 def correlations(x: Array, memory: Array, places: Array) -> tuple[Array, Array]:
     """Squared correlations of lines at places in twos, (places, places), and their means by chance."""
     own, own_memory = scaled(x[places]), memory[places]
     squared = np.abs(own @ own.conj().T / own.shape[1]) ** 2
-    correlated = 1 + 2 * (own_memory @ own_memory.conj().T).real
+    weights = _weights(own.shape[1], own_memory.shape[1])
+    correlated = 1 + ((own_memory * weights) @ own_memory.conj().T).real
     return squared, np.maximum(correlated, 1.0) / own.shape[1]
 
 
@@ -110,52 +122,66 @@ class Coherences:
     squared: Array
     score: Array  # minus the logarithm of the chance of a wave to go as much with the product of the others
     samples: Array  # independent ones
+    excess: Array  # of the squared one over that of waves without relation and of their autocorrelations
 
     def __getitem__(self, chosen: Array) -> "Coherences":
-        return Coherences(self.squared[chosen], self.score[chosen], self.samples[chosen])
+        return Coherences(*(values[chosen] for values in vars(self).values()))
 
 
-def coherences(waves: list[Array], memory: list[Array]) -> Coherences:
+def coherences(waves: list[Array], memory: list[Array], scored: bool = True) -> Coherences:
     """Coherences of groups from the lines (groups, segments) of each wave and their autocorrelations.
 
     A wave without relation to a product of Gaussian ones, of N independent samples, has a larger part 1 - q
-    of its power in common with it in q^(N - 1) of cases: the wave with the largest part gives the score.
+    of its power in common with it in q^(N - 1) of cases: the wave with the largest part gives the score,
+    which is 0 if it is not asked for.
     """
     one, other = waves[0] * waves[1], waves[2]
     memory_of_other = memory[2]
     if len(waves) == 4:
         other, memory_of_other = waves[2] * waves[3], memory[2] * memory[3]
     # products with a long autocorrelation have fewer independent samples
-    correlated = 1 + 2 * (memory[0] * memory[1] * memory_of_other.conj()).sum(axis=1).real
+    weights = _weights(one.shape[1], memory_of_other.shape[1])
+    correlated = 1 + (memory[0] * memory[1] * memory_of_other.conj()).real @ weights
     samples = one.shape[1] / np.maximum(correlated, 1.0)
-    cross = np.abs((one * other.conj()).sum(axis=1)) ** 2
-    powers = [np.abs(wave) ** 2 for wave in waves]
-    norm = (np.abs(one) ** 2).sum(axis=1) * (np.abs(other) ** 2).sum(axis=1)
-    part = np.zeros(len(cross))
-    for i, power in enumerate(powers):
-        product = np.prod([p for j, p in enumerate(powers) if j != i], axis=0)
-        both = product.sum(axis=1) * power.sum(axis=1)
-        if len(waves) == 4 or i < 2:
-            # the other wave of its pair varies with it where both hold the same waves
-            partner = i ^ 1
-            shared = np.abs((waves[i] * waves[partner].conj()).sum(axis=1)) ** 2
-            both = both * (1 + shared / np.maximum(power.sum(axis=1) * powers[partner].sum(axis=1), 1e-300))
-        part = np.maximum(part, np.minimum(cross / np.maximum(both, 1e-300), 1 - 1e-9))
-    score = -np.maximum(samples - 1, 1.0) * np.log1p(-part)
-    return Coherences(cross / np.maximum(norm, 1e-300), score, samples)
+    cross = np.abs(np.einsum("gs,gs->g", one, other.conj())) ** 2
+    pairs = _power(one), _power(other)
+    norm = pairs[0].sum(axis=1) * pairs[1].sum(axis=1)
+    score = np.zeros(len(cross))
+    if scored:
+        part = np.zeros(len(cross))
+        powers = [_power(wave) for wave in waves]
+        means = [power.sum(axis=1) for power in powers]
+        for i, mean in enumerate(means):
+            both = mean * (
+                np.einsum("gs,gs->g", powers[i ^ 1], pairs[1 - i // 2])
+                if len(waves) == 4 or i < 2
+                else pairs[0].sum(axis=1)
+            )
+            if len(waves) == 4 or i < 2:
+                # the other wave of its pair varies with it where both hold the same waves
+                shared = np.abs(np.einsum("gs,gs->g", waves[i], waves[i ^ 1].conj())) ** 2
+                both = both * (1 + shared / np.maximum(mean * means[i ^ 1], 1e-300))
+            part = np.maximum(part, np.minimum(cross / np.maximum(both, 1e-300), 1 - 1e-9))
+        score = -np.maximum(samples - 1, 1.0) * np.log1p(-part)
+    squared = cross / np.maximum(norm, 1e-300)
+    return Coherences(squared, score, samples, squared - correlated / one.shape[1])
 
 
-def coherences_of(x: Array, memory: Array, places: Array) -> Coherences:
+def _power(lines: Array) -> Array:
+    return np.asarray(lines.real**2 + lines.imag**2)
+
+
+def coherences_of(x: Array, memory: Array, places: Array, scored: bool = True) -> Coherences:
     """Coherences of groups whose waves are lines x (places, segments) at places (groups, waves)."""
     parts = []
     for a in range(0, len(places), TESTS_AT_A_TIME):
         some = places[a : a + TESTS_AT_A_TIME].T
-        parts.append(coherences([x[at] for at in some], [memory[at] for at in some]))
+        parts.append(coherences([x[at] for at in some], [memory[at] for at in some], scored))
     columns = zip(*(vars(part).values() for part in parts), strict=True)
     return (
         Coherences(*(np.concatenate(column) for column in columns))
         if parts
-        else Coherences(*np.zeros((3, 0)))
+        else Coherences(*np.zeros((4, 0)))
     )
 
 

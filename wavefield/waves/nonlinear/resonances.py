@@ -111,12 +111,13 @@ def resonances(
         (quartet, wave), k1 + k2 = k3 + k4 to a cell; ``quartet_coherence``, its ``_std``,
         ``quartet_probability``, ``quartet_significant``, ``quartet_mismatch``, rad/s by which the fourth wave
         is off its free frequency, its ``_std``. The same for ``triad``, k1 + k2 = k3. ``power`` over
-        ``share``: the part of quartets that would be found if such a share of the power of their fourth wave
-        were driven by the other three. Over ``mismatch``: ``coherence_excess``, the mean over all quartets of
-        the squared coherence less what the surrogates give, its ``_std``, and ``quartets``, how many. At the
-        fixed k1 and k2 ``map_pair_kx``, ``map_pair_ky`` (map_pair): ``map_coherence`` of their quartets over
-        k3, ``map_mismatch``, 0 on the curve of resonance, and ``map_level``, exceeded by chance in 5 %. Also
-        ``quartet_tests``, ``triad_tests``, ``modes``, ``samples``.
+        ``share``: the part of quartets that would be found if such a share of the power of their fourth
+        wave's line were driven by the lines of the other three; noise and other waves in these lines count as
+        power that is not. Over ``mismatch``: ``coherence_excess``, the mean over all quartets of the squared
+        coherence less what the autocorrelations of its waves lead to, its ``_std``, and ``quartets``, how
+        many. At the fixed k1 and k2 ``map_pair_kx``, ``map_pair_ky`` (map_pair): ``map_coherence`` of their
+        quartets over k3, ``map_mismatch``, 0 on the curve of resonance, and ``map_level``, exceeded by chance
+        in 5 %. Also ``quartet_tests``, ``triad_tests``, ``modes``, ``samples``.
 
     Raises
     ------
@@ -165,43 +166,45 @@ def resonances(
     if density is None:
         density = spectrum(field, record=record)["E"].compute()
     waves, pair = _waves(density, (depth, gamma), current, record, settings)
+    all_quartets = quartets(waves, (settings.mismatch + 0.5) * waves.width)
+    resonant = np.abs(all_quartets.mismatch) <= waves.width
     kinds = {
-        "quartet": quartets(waves, (settings.mismatch + 0.5) * waves.width),
+        "quartet": all_quartets[resonant],
         "triad": triads(waves),
+        "off resonance": all_quartets[~resonant],
         "map": quartets_of_pair(waves, pair),
     }
     x, places, ends = _lines(field, record, waves, kinds, settings.segment)
     memory = rl.autocorrelation(x, ends)
     correlation, by_chance = rl.correlations(x, memory, places.pop("own"))
-    for kind in ("quartet", "triad"):
+    for kind in ("quartet", "triad", "off resonance"):
         apart = _share_no_waves(correlation, by_chance, waves, kinds[kind])
         kinds[kind], places[kind] = kinds[kind][apart], places[kind][apart]
-    measured = {kind: rl.coherences_of(x, memory, at) for kind, at in places.items()}
+    tested = "quartet", "triad"
+    measured = {kind: rl.coherences_of(x, memory, at, kind in tested) for kind, at in places.items()}
     nulls: dict[str, list[rl.Coherences]] = {kind: [] for kind in kinds}
-    resonant = np.abs(kinds["quartet"].mismatch) <= waves.width
-    tried = np.flatnonzero(resonant)
-    tried = places["quartet"][tried[:: max(1, -(-tried.size // TRIED))]]
+    tried = places["quartet"][:: max(1, -(-len(places["quartet"]) // TRIED))]
     planted: list[list[Array]] = []
     for surrogate in rl.surrogates(x, settings.surrogates, np.random.default_rng(0)):
+        own_memory = rl.autocorrelation(surrogate, ends)
         for kind, at in places.items():
-            nulls[kind].append(rl.coherences_of(surrogate, memory, at))
-        own = [memory[at] for at in tried.T]
+            nulls[kind].append(rl.coherences_of(surrogate, own_memory, at, kind in tested))
+        own = [own_memory[at] for at in tried.T]
         planted.append([rl.coherences(rl.driven(surrogate, tried, share), own).score for share in SHARES])
     out: dict[str, Any] = {"modes": ((), waves.modes.size), "samples": ((), x.shape[1])}
     coords = {
         "mismatch": np.arange(-settings.mismatch, settings.mismatch + 1) * waves.width,
         "share": SHARES,
     }
-    out |= _excess_by_mismatch(
-        np.rint(kinds["quartet"].mismatch / waves.width),
-        measured["quartet"],
-        nulls["quartet"],
-        settings.mismatch,
-    )
-    for kind in ("quartet", "triad"):
-        tested = resonant if kind == "quartet" else np.ones(len(places[kind]), bool)
-        chance = np.concatenate([one.score[tested] for one in nulls[kind]] or [np.zeros(0)])
-        groups, coherence = kinds[kind][tested], measured[kind][tested]
+    both = "quartet", "off resonance"
+    of_both = [[measured[kind].excess for kind in both]]
+    of_both += [[nulls[kind][i].excess for kind in both] for i in range(settings.surrogates)]
+    excess = np.array([np.concatenate(parts) for parts in of_both])
+    lines_off = np.rint(np.concatenate([kinds[kind].mismatch for kind in both]) / waves.width)
+    out |= _excess_by_mismatch(lines_off, excess[0], excess[1:], settings.mismatch)
+    for kind in tested:
+        chance = np.concatenate([one.score for one in nulls[kind]] or [np.zeros(0)])
+        groups, coherence = kinds[kind], measured[kind]
         p = np.ones(len(groups.cells))
         if chance.size > LEAST_NULL:
             p = probabilities(coherence.score, chance)
@@ -316,10 +319,8 @@ def _map(
     )
 
 
-def _excess_by_mismatch(
-    lines_off: Array, measured: rl.Coherences, null: list[rl.Coherences], max_mismatch: int
-) -> dict[str, Any]:
-    """Mean squared coherence less that of the surrogates, by mismatch, with its standard uncertainty.
+def _excess_by_mismatch(lines_off: Array, measured: Array, null: Array, max_mismatch: int) -> dict[str, Any]:
+    """Mean excess of quartets (groups,) less that of surrogates (surrogates, groups), by mismatch.
 
     Quartets share waves: their mean varies more than that of as many independent values, by one factor for
     all mismatches, which the surrogates' means at all of them determine.
@@ -332,9 +333,9 @@ def _excess_by_mismatch(
         rows[i, 2] = chosen.sum()
         if not chosen.any():
             continue
-        values = np.array([one.squared[chosen] for one in null])
+        values = null[:, chosen]
         means = values.mean(axis=1)
-        rows[i, 0] = measured.squared[chosen].mean() - means.mean()
+        rows[i, 0] = measured[chosen].mean() - means.mean()
         if len(null) > 1:
             alone[i] = values.var(axis=0, ddof=1).sum() / chosen.sum() ** 2
             varied[i] = means.var(ddof=1)
