@@ -2,6 +2,7 @@
 from wavefield.calibration.images import calibrate_experiment as calibrate
 from wavefield.calibration.level_on_water import level_experiment as level
 from wavefield.calibration.light_sheet import find_sheet
+from wavefield.calibration.platform_motion import level_frames
 from wavefield.calibration.target import Target
 from wavefield.execution.workflow import Workflow
 from wavefield.explorer.notebook import look
@@ -95,6 +96,7 @@ __all__ = [
     "kinematics",
     "komega",
     "level",
+    "level_frames",
     "linear_surface",
     "load_rig",
     "look",

@@ -14,6 +14,7 @@ from wavefield.commands.sources import EXPERIMENT, NEW_RIG, RIG, frames_option
 Examples:
   wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # the level alone
   wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
+  wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml --each-frame level/  # from a ship
 """
 )
 @EXPERIMENT
@@ -25,7 +26,19 @@ Examples:
     help="Between two cameras, m: the second camera's pose is recomputed from features that both see.",
 )
 @frames_option(20, "How many instants to use.")
-def level(experiment: Path, rig: Path | None, output: Path, distance: float | None, frames: int) -> None:
+@click.option(
+    "--each-frame",
+    type=click.Path(path_type=Path),
+    help="New folder for the frames of a platform that rolls and pitches, turned level one by one.",
+)
+def level(
+    experiment: Path,
+    rig: Path | None,
+    output: Path,
+    distance: float | None,
+    frames: int,
+    each_frame: Path | None,
+) -> None:
     """Place and level cameras by the sea that they see.
 
     For moving water of natural texture. Features that the cameras share are triangulated at many instants;
@@ -40,7 +53,15 @@ def level(experiment: Path, rig: Path | None, output: Path, distance: float | No
     click.echo(found.sentence)
     found.rig.save(output)
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
-    print_next("check", experiment, "--rig", output)
+    if each_frame is None:
+        print_next("check", experiment, "--rig", output)
+        return
+    from wavefield.calibration.platform_motion import level_frames
+
+    with Progress("Levelling", "frames") as progress:
+        moved = level_frames(experiment, each_frame, output, progress)
+    click.echo(moved.sentence)
+    print_next("rig level", moved.experiment, "-o", each_frame / "rig.yaml")
 
 
 @click.command(

@@ -19,7 +19,7 @@ from wavefield.tank.beads import BeadField, Population, carry
 from wavefield.tank.frame_history import FrameHistory
 from wavefield.tank.light_sheet_scene import Particles
 from wavefield.tank.scene import Scene
-from wavefield.tank.scene_parts import Fault, SeaSurface, Sheet, Strings, Texture
+from wavefield.tank.scene_parts import Fault, PlatformRig, SeaSurface, Sheet, Strings, Texture
 from wavefield.tank.sea import Sea
 from wavefield.tank.truth import Truth, truth
 
@@ -31,6 +31,7 @@ MARGIN = 0.05  # m, around what the cameras see
 SHEET_MARGIN = 0.01
 DRIFT_STEP = 0.01  # m: lattice on which painted water is followed back, at least
 MAX_DRIFT_STEPS = 300  # along x
+SWAY_PERIODS = np.array([5.7, 8.3])  # s: of pitch and roll
 
 _NO_FAULT = Fault()
 
@@ -60,7 +61,11 @@ class Tank:
         self.sea: Sea = scene.build_sea()
         reach = max(self.sea.reach, MIN_REACH)
         margin = SHEET_MARGIN if isinstance(scene.surface, Sheet) else MARGIN
-        self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin)
+        self._sway = scene.rig.sway if isinstance(scene.rig, PlatformRig) else 0.0
+        s = self._sway
+        ends = [rigs.swayed(self.rig, p, r) for p in (-s, s) for r in (-s, s)] if s else [self.rig]
+        limits = [rigs.bounds(rig, -reach, reach, margin) for rig in ends]
+        self.x, self.y = ((min(v[k][0] for v in limits), max(v[k][1] for v in limits)) for k in (0, 1))
         # what moves between two frames must stay inside the basin
         air = 0.15 + 2.0 * np.hypot(*self.sea.current) / scene.frame_rate
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
@@ -193,7 +198,7 @@ class Tank:
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
         """Light of the open sea and of the sky on the pixels of a camera."""
-        camera = self.rig[name]
+        camera = self.rig_at(frame)[name]
         seen = sea_surface.meet(
             camera, self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y")), self.sea.reach
         )
@@ -205,6 +210,13 @@ class Tank:
         )
         image = sea_surface.light(camera, seen, settings, foam, ripples)
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
+
+    def rig_at(self, frame: int) -> Rig:
+        """The cameras at a frame: those of a platform that sways are turned."""
+        if not self._sway:
+            return self.rig
+        pitch, roll = self._sway * np.sin(2 * np.pi * self.frame_time(frame) / SWAY_PERIODS + [0.4, 1.3])
+        return rigs.swayed(self.rig, pitch, roll)
 
     def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
         """Position at the first frame of the water now at (x, y): followed backwards from a lattice."""
