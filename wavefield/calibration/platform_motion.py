@@ -176,14 +176,14 @@ def _level_turn(tilt: Array) -> Array:
     return rotation_about([*tilt, 0.0])
 
 
-def redrawn(image: NDArray[Any], taken: Camera, wanted: Camera) -> NDArray[Any]:
+def redrawn(image: NDArray[Any], taken: Camera, drawn: Camera) -> NDArray[Any]:
     """An image (row, column) of one camera as another, near it, would have taken it of z = 0 and the sky."""
-    width, height = wanted.size
-    a, b = wanted.tangents(np.arange(float(width)), np.arange(float(height))[:, None])
-    ray = np.stack([a, b, np.ones_like(a)], -1) @ wanted.R
+    width, height = drawn.size
+    a, b = drawn.tangents(np.arange(float(width)), np.arange(float(height))[:, None])
+    ray = np.stack([a, b, np.ones_like(a)], -1) @ drawn.R
     with np.errstate(divide="ignore"):
-        far = np.where(ray[..., 2] < 0.0, np.minimum(-wanted.centre[2] / ray[..., 2], FAR), FAR)
-    x, y, z = np.moveaxis(wanted.centre + far[..., None] * ray, -1, 0)
+        far = np.where(ray[..., 2] < 0.0, np.minimum(-drawn.centre[2] / ray[..., 2], FAR), FAR)
+    x, y, z = np.moveaxis(drawn.centre + far[..., None] * ray, -1, 0)
     X, Y = (np.nan_to_num(v, nan=-1e4).astype(np.float32) for v in taken.project(x, y, z))
     grey = float(np.median(image))
     out = cv2.remap(
