@@ -10,7 +10,10 @@ from wavefield.calibration.target_lattice import cross
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
-MARK_DEVIATIONS = 6.0  # robust deviations by which a mark differs from the usual dot
+MARK_DEVIATIONS = 4.0  # robust deviations by which a mark differs from the usual dot
+MAX_UNUSUAL = 6  # dots that may be marks: some are dusty
+MIN_SKEWNESS = 0.08  # of a triangle; below 0.03 of most dots
+MAX_RATIO = 1.75  # of the differences of square and triangle from a dot: dust makes one of them alone
 PATCH_REACH = 0.19  # of a cell of one level: half the side of the patch around a dot
 PATCH_SAMPLES = 25  # along each side of it
 MAX_OFF_SITE = 0.16  # meshes: a mark between the dots beside its place
@@ -46,20 +49,29 @@ Frame = tuple[Nodes, Nodes, Nodes]
 def marks_in_place(image: Image, level: Level) -> tuple[Frame, Nodes] | None:
     """The frame of a square and a triangle in place of dots of a level, and their nodes (2, 2).
 
-    They are the two dots that differ most from the usual one; x points from the square to the triangle.
+    They are the two dots of a row that differ most from the usual one, of which one is skewed; x points from
+    the square to the triangle.
     """
     patch = _patches(image, level, level.node.astype(float), level.pixel)
     difference = np.abs(patch - np.median(patch, 0)).mean(1)
     middle = np.median(difference)
     spread = robust_std(difference - middle) + 1e-6
-    unusual = np.flatnonzero(difference > middle + MARK_DEVIATIONS * spread)
-    if len(unusual) < 2:
+    edge = PATCH_REACH * level.side  # a patch that the image's edge cuts is no evidence
+    far = ((level.pixel > edge) & (level.pixel < np.array(image.shape[::-1]) - 1 - edge)).all(1)
+    unusual = np.argsort(np.where(far, -difference, 0.0))[:MAX_UNUSUAL]
+    unusual = unusual[difference[unusual] > middle + MARK_DEVIATIONS * spread]
+    skewness = {int(k): _skewness(patch[k]) for k in unusual}
+    pairs = [
+        (float(difference[s] + difference[t]), s, t)
+        for s in skewness
+        for t in skewness
+        if skewness[t] > max(MIN_SKEWNESS, 2.0 * skewness[s])
+        and abs(np.log((difference[s] - middle) / (difference[t] - middle))) < np.log(MAX_RATIO)
+        and (level.node[s] == level.node[t]).any()
+    ]
+    if not pairs:
         return None
-    unusual = unusual[np.argsort(-difference[unusual])][:2]
-    order = _square_first(patch[unusual])
-    if order is None:
-        return None
-    square, triangle = level.node[unusual[order]]
+    square, triangle = level.node[list(max(pairs)[1:])]
     turns = [np.array(t) for t in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     x = turns[int(np.argmax([t @ (triangle - square) for t in turns]))]
     y = np.array([-x[1], x[0]])
