@@ -18,6 +18,7 @@ from wavefield.rig.lens import Array
 
 MIN_DOTS = 12  # of a level
 MIN_FULLNESS = 0.7  # a blob's area over that of an ellipse of its moments; 0.83 for a triangle
+MIN_MARK_WIDTH = 4.7  # px, of a dot in place of which a triangle is recognised: dust passes for smaller ones
 MAX_PARALLAX = 0.4  # of a cell: most that the other level's dots may be off the middles
 DECISIVE_FRACTION = 0.4  # of all blobs: a level that has them is taken without further trials
 
@@ -41,12 +42,14 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
     if best is None:
         raise CalibrationError(
             f"no two levels of at least {MIN_DOTS} dots each were found; the target must be in focus, its "
-            "dots at least four pixels wide"
+            "dots at least five pixels wide"
         )
     _, polarity, one, other, centre = best
     for marked, second in ((one, other), (other, one)):
         between = marks_between(polarity, marked, second, centre)
-        in_place = None if between else marks_in_place(polarity, marked)
+        in_place = None
+        if not between and _width(marked, target) >= MIN_MARK_WIDTH:
+            in_place = marks_in_place(polarity, marked)
         if between:
             return _numbered(polarity, marked, second, (between, np.empty((0, 2), int)), target)
         if in_place:
@@ -55,6 +58,14 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
         "the square that marks the origin and the triangle that marks x are not both in view on one "
         f"level of the target ({len(one.node)} and {len(other.node)} dots were found)"
     )
+
+
+def _width(level: Level, target: Target) -> float:
+    """The smaller axis of a usual dot's image, px; a large one where the target's diameter is not stated."""
+    if not target.diameter:
+        return np.inf
+    sizes = np.linalg.svd(level.smooth.slopes(level.node), compute_uv=False)[:, 1]
+    return float(np.median(sizes)) * target.diameter / (2.0 * target.mesh)
 
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> Level | None:
