@@ -1,5 +1,7 @@
 """Frames of a platform that rolls and pitches, turned level by the horizon."""
 
+import re
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -101,6 +103,13 @@ def test_the_command_writes_a_level_experiment_and_never_over_another(swaying, t
     done = CliRunner().invoke(command, words)
     assert done.exit_code == 0, done.output
     assert "were turned level" in done.output
+    assert re.search(r"the cameras roll and pitch by \d\.\d+ degrees .*--each-frame", done.output)
     assert (tmp_path / "level" / "experiment.yaml").exists()
     again = CliRunner().invoke(command, words)
     assert "is not empty" in str(again.exception)
+
+
+def test_cameras_at_rest_are_not_reported_to_sway():
+    tank = Tank(scene(sway=0.0))
+    images = [tank.draw("left", frame, None) for frame in range(3)]
+    assert platform_motion.sway(images, tank.rig["left"]) < 0.02

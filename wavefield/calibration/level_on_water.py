@@ -1,13 +1,14 @@
 """Placing and levelling the cameras of an experiment by images of moving water."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.horizon import find_horizon
+from wavefield.calibration.platform_motion import sway
 from wavefield.calibration.platform_pose import PlatformFit, fit_platform, leave_out
 from wavefield.calibration.relative_pose import (
     MAX_EPIPOLAR_ERROR,
@@ -30,6 +31,7 @@ from wavefield.series import Experiment, masks
 HORIZON_IMAGES = 12  # of each camera
 MAX_DISAGREEMENT = 4.0  # standard deviations of the mean surface from the vertical of the horizon,
 MIN_DISAGREEMENT = 1.0  # degrees: what is further off is another edge
+MAX_SWAY = 0.05  # degrees: 0.4 px of a surface 36 m away from 12 m up
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class Levelled:
     points: int  # Number of points used
     instants: int
     horizon: str  # What levelled the rig, in words
+    sway: float = float("nan")  # Roll and pitch of the cameras from frame to frame, degrees, rms
 
     @property
     def sentence(self) -> str:
@@ -55,7 +58,18 @@ class Levelled:
             f"{self.points} points of {self.instants} instant{'s' * (self.instants > 1)}: sight lines miss "
             f"each other by {self.epipolar_error:.2f} px (median); {self.horizon}; the frame was turned by "
             f"{_with_std(self.tilt, self.tilt_std, 'degrees')}; {next(iter(self.rig))} is {height} above the "
-            f"mean surface; the water is within {100 * self.rms:.2g} cm (rms) of it{self._unknown}"
+            f"mean surface; the water is within {100 * self.rms:.2g} cm (rms) of it"
+            f"{self._unknown}{self._moving}"
+        )
+
+    @property
+    def _moving(self) -> str:
+        """That one rig does not fit all frames, where the cameras sway."""
+        if not self.sway > MAX_SWAY:
+            return ""
+        return (
+            f"; the cameras roll and pitch by {self.sway:.2f} degrees (rms), so that no single rig fits all "
+            "frames: `wavefield rig level --each-frame FOLDER` turns them level one by one"
         )
 
     @property
@@ -248,4 +262,6 @@ def level_experiment(
         loaded = Rig({first: loaded[first], others[0]: second}, {**loaded.provenance, "placed": note})
     lines = {name: find_horizon(images, loaded[name]) for name, images in seen.items() if images}
     horizons = {name: line for name, line in lines.items() if line is not None}
-    return level_on_water(loaded, matches, horizons, distance)
+    found_level = level_on_water(loaded, matches, horizons, distance)
+    motions = [sway(images, found_level.rig[name]) for name, images in seen.items()]
+    return replace(found_level, sway=float(np.fmin.reduce(motions)))

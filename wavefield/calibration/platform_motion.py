@@ -1,6 +1,6 @@
 """Frames of a platform that rolls and pitches, turned level one by one by the horizon."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from wavefield.series import Experiment, masks
 from wavefield.series.frames import FrameSeries
 
 REFRACTION_STD = 0.07  # of the dip: what air that is warmer or colder than the water bends light by
+MIN_HORIZONS = 3  # images, for how much a camera sways
 FAR = 1e5  # m: what is drawn of the sky, and of water further away
 KEPT = ("name", "frame_rate", "surface", "velocity", "grid", "settings", "water")  # of the lab note
 Progress = Callable[[int, int], None]
@@ -123,6 +124,16 @@ def level_frames(
     of_air = REFRACTION_STD * max(dip(camera.centre[2]) for camera in loaded.cameras.values())
     std = float(np.degrees(np.hypot(of_images, of_air)))
     return PlatformMotion(path, loaded, np.degrees(tilt), std)
+
+
+def sway(images: Sequence[NDArray[Any]], camera: Camera) -> float:
+    """Rms of the roll and pitch of a camera, degrees, from its horizon in images; NaN in fewer than three."""
+    lines = [find_horizon([image], camera) for image in images]
+    rays = [sight_lines(camera, line) @ camera.R for line in lines if line is not None]
+    if len(rays) < MIN_HORIZONS:
+        return float("nan")
+    tilts = [_tilt(one, np.zeros(len(one))) for one in rays]
+    return float(np.degrees(np.sqrt(np.var(tilts, axis=0).max())))
 
 
 def _level_frame(
