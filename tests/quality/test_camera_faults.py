@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.quality.camera_faults import _blurred, find_camera_faults
-from wavefield.quality.patch_matching import PatchMatcher
+from wavefield.quality.camera_faults import _blurred, _nobody, find_camera_faults
+from wavefield.quality.patch_matching import PairConsistency, PatchMatcher
 from wavefield.rig.resolution import pixel_at
 from wavefield.store.verdict import Remark, Verdict, read_verdict
 from wavefield.tank import Scene, Tank
@@ -82,6 +82,19 @@ def test_a_camera_that_lies_is_named_with_its_lie(read, subject, kind, says):
     remarks = found(read).remarks
     assert [(r.subject, r.kind) for r in remarks] == [(subject, kind)]
     assert says in str(remarks[0])
+
+
+@pytest.mark.parametrize(
+    ("fraction", "spread", "says", "and_scatter"),
+    [(0.24, 0.7, "24 % of the patches", True), (0.0, 0.0, "0 %", False)],
+)
+def test_patches_that_are_found_and_scatter_are_not_called_missing(fraction, spread, says, and_scatter):
+    count = 40 if fraction else 0
+    eps_y = spread * np.random.default_rng(0).standard_normal(count)
+    pair = PairConsistency(fraction, eps_y, np.zeros(3), np.arange(count))
+    remark = _nobody(SimpleNamespace(found={("cam1", "cam2"): [pair, pair]}))
+    assert says in remark.sentence
+    assert ("miss each other irregularly" in remark.sentence) == and_scatter
 
 
 def test_a_knocked_camera_is_named_and_the_miss_is_told_in_px():

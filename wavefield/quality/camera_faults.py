@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.pair_consistency import ConsistencyTable, covered, score
+from wavefield.quality.pair_consistency import MAX_SCATTER, ConsistencyTable, covered, score
 from wavefield.quality.patch_matching import FLIPS, Pair, PairConsistency, PatchMatcher, rms_over_field
 from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.rig.resolution import pixel_at
@@ -124,11 +124,17 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 def _nobody(table: ConsistencyTable) -> Remark:
     best = max(score(found) for found in table.found.values())
+    share = max(float(np.mean([one.fraction for one in found])) for found in table.found.values())
+    sentence = (
+        f"no two of them see the same water: at best {100 * share:.0f} % of the patches are found again"
+    )
+    if share > best:  # found, but of no use
+        sentence += f", and their sight lines miss each other irregularly, by {MAX_SCATTER:g} px or more"
     return Remark(
         "cameras",
         "disagree",
         "grave",
-        f"no two of them see the same water: at best {100 * best:.0f} % of the patches are found again",
+        sentence,
         f"more than {100 * CAMERA_LIMITS.agreement:.0f} %",
         "is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
         {"agreement": best},
