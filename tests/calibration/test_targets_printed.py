@@ -21,6 +21,7 @@ from rendering import (
 )
 
 from wavefield.calibration import Target, find_target
+from wavefield.calibration.blobs import centroids
 from wavefield.calibration.pointfile import read_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.smooth_map import SmoothMap
@@ -102,6 +103,20 @@ def test_dots_are_numbered_from_their_rings_also_partly_out_of_view(seed):
     assert len(points) > 50
     assert np.sqrt((error**2).mean()) < 0.02
     assert np.sqrt((error**2).mean()) < 2.0 * np.median(points.std)
+
+
+def test_uneven_paint_and_specks_beside_it_do_not_move_a_dot():
+    node = np.stack(np.meshgrid(np.arange(5), np.arange(5)), -1).reshape(-1, 2)
+    centre = 50.0 * node + 40.3
+    y, x = np.mgrid[:280, :280]
+    image = np.full(x.shape, 10.0, np.float32)
+    for k, (X, Y) in enumerate(centre):
+        cover = np.clip(15.5 - np.hypot(x - X, y - Y), 0, 1)
+        shade = np.clip(1 + 0.02 * ((x - X) if k % 2 else (Y - y)), 0.7, 1.0)  # darker on one side
+        speck = np.hypot(x - X - 21, y - Y - 2) < 2
+        image += (200 if k % 3 else 100) * (cover * shade) + 60 * speck
+    found, _ = centroids(image, node, centre + 0.5)
+    assert np.abs(found - centre).max() < 0.2
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -11,6 +11,7 @@ from wavefield.robust import robust_std
 MIN_AREA = 12  # px^2
 MAX_AREA = 0.02  # of the image
 MIN_CORE = 0.25  # of a dot's contrast: brighter pixels belong to it
+EVEN = 0.8  # of a dot's own brightness: brighter parts of it count alike
 DEFAULT_NOISE = 0.02  # of a dot's contrast, where too little background is in view to estimate it
 
 
@@ -53,7 +54,9 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
         if background.sum() > 20:  # the remaining unevenness around this dot
             plane = np.stack([np.ones(len(gx)), gx - pixel[k, 0], gy - pixel[k, 1]], -1)
             share = share - plane @ np.linalg.lstsq(plane[background], share[background], rcond=None)[0]
-        dot = _dilated(gx, gy, share > MIN_CORE)
+        own = float(np.median(share[share > 0.5 * np.percentile(share, 98)]))
+        dot = _dilated(gx, gy, share > MIN_CORE * own, pixel[k])
+        share = np.minimum(share / own, EVEN)  # paint and light on a dot are seldom even
         grain = robust_std(share[~dot]) if (~dot).sum() > 20 else DEFAULT_NOISE
         x, y, share = gx[dot].astype(float), gy[dot].astype(float), share[dot]
         centre[k] = np.array([x @ share, y @ share]) / share.sum()
@@ -79,11 +82,14 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
     return out
 
 
-def _dilated(x: Nodes, y: Nodes, mask: Mask) -> Mask:
-    """A mask over listed pixels, widened by three pixels."""
+def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
+    """The part of a mask over listed pixels that contains a place, widened by three pixels."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
+    label = cv2.connectedComponents(raster)[1]
+    nearest = np.argmin(np.where(mask, np.hypot(x - at[0], y - at[1]), np.inf))
+    raster = (label == label[row[nearest], column[nearest]]).astype(np.uint8)
     wide: Mask = cv2.dilate(raster, np.ones((7, 7), np.uint8))[row, column] > 0
     return wide
 
