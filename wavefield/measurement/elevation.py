@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.matching import Modes
 from wavefield.measurement.camera_jitter import elevation_variance
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.map_elevation import (
@@ -27,6 +29,8 @@ Float = NDArray[np.floating]
 MatchedPairs = tuple[Blocks, list[PairMatch]]
 
 _MIN_COMMON_BLOCKS = 50  # by which pairs are compared
+_LOCAL_BLOCKS = 8.0  # over which waves are averaged, standard deviation
+_MAX_SHARE = np.float32(6.0)  # of the mean: more is not stated of single places
 _NOISE_ALONG = 1.05  # of z over that across the sight lines: cameras see a bead's light at different places
 
 
@@ -62,6 +66,7 @@ def surface_of(
     estimate = map_elevation(blocks, matches, prepared, model.elevation.modes, geometry.pixel)
     spline = model.elevation.splined(estimate.waves, estimate.slopes)
     (noise,), (missing,) = model.elevation.spread(estimate.information)
+    missing *= local_share(model.elevation.modes, estimate.waves - estimate.mean, estimate.information)
     lattice, centre = geometry.lattice, geometry.rig[matches[0].pair[0]].centre
 
     def read(x: Float, y: Float) -> Float:
@@ -82,6 +87,18 @@ def surface_of(
         inconsistent.ravel()[block],
         read,
     )
+
+
+def local_share(modes: Modes, waves: Float, information: Float) -> Float:
+    """How much stronger waves that the prior removes in part are here than on average, (ny, nx), at least 1.
+
+    Where what is left of them is large, so is what is missing. With waves (1, my, mx): coefficients of the
+    elevation less its prior mean.
+    """
+    lost = modes.inverse / (np.square(modes.foot) * np.float32(modes.prior.information) + modes.inverse)
+    square = cv2.GaussianBlur(np.square(modes.field(lost * waves)[0]), (0, 0), _LOCAL_BLOCKS)
+    mean = float(np.mean(square[information > 0])) if (information > 0).any() else 0.0
+    return np.asarray(np.clip(square / np.float32(max(mean, 1e-30)), np.float32(1.0), _MAX_SHARE))
 
 
 def _jitter_variance(matches: Sequence[PairMatch], geometry: GridGeometry, jitter: float) -> float:
