@@ -8,7 +8,7 @@ import pytest
 
 from wavefield.grid import Grid
 from wavefield.quality.camera_faults import _blurred, _nobody, find_camera_faults
-from wavefield.quality.patch_matching import PairConsistency, PatchMatcher
+from wavefield.quality.patch_matching import REACH, PairConsistency, PatchMatcher
 from wavefield.rig.resolution import pixel_at
 from wavefield.store.verdict import Remark, Verdict, read_verdict
 from wavefield.tank import Scene, Tank
@@ -176,3 +176,25 @@ def test_blur_is_compared_on_the_water(zoom, blurs, named):
         names=list(rig), patch_matcher=matcher, blur={n: [b] for n, b in zip(rig, blurs, strict=True)}
     )
     assert [remark.subject for remark in _blurred(table)] == named
+
+
+@pytest.mark.parametrize("height", [0.16, -0.16])
+def test_waves_higher_than_the_search_reaches_are_no_disagreement(height):
+    wave = {
+        "kind": "single",
+        "wavelength": 12.0,
+        "amplitude": abs(height),
+        "phase": 0.0 if height > 0 else 180.0,
+    }
+    tank = Tank(SOUND.tank.scene.with_(sea=wave))
+    level = float(np.mean(tank.truth(0).z))
+    reach = REACH * pixel_at(tank.rig["cam3"], 0.0, 0.0)
+    assert abs(level) > 1.5 * reach, "of the widest pair"
+    shots = Shots(11)
+    shots.tank = tank
+    assert found(shots, frames=(0, 1)).remarks == ()
+
+    def flipped(name, frame):
+        return shots(name, frame)[:, ::-1] if name == "cam2" else shots(name, frame)
+
+    assert [one.subject for one in found(flipped, frames=(0, 1)).remarks] == ["cam2"]

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.quality.pair_consistency import MAX_SCATTER, ConsistencyTable, covered, score
-from wavefield.quality.patch_matching import FLIPS, Pair, PairConsistency, PatchMatcher, rms_over_field
+from wavefield.quality.patch_matching import (
+    FLIPS,
+    REACH,
+    Pair,
+    PairConsistency,
+    PatchMatcher,
+    rms_over_field,
+)
 from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.rig.resolution import pixel_at
 from wavefield.robust import PER_MEDIAN
@@ -44,6 +51,8 @@ def find_camera_faults(
         return CameraFaults((), {}, {}, complete)
     table = ConsistencyTable(patch_matcher, names, complete, threads)
     remarks = [*_covered(table), *_blurred(table)]
+    if not set(names) <= {name for pair in table.good() for name in pair}:
+        table = _at_other_levels(table, threads)
     inconsistent, explained = _inconsistent(table, count)
     own = {remark.subject: remark for remark in remarks}
     explained = [  # cameras that are too blurred or covered to match are not inconsistent
@@ -53,6 +62,33 @@ def find_camera_faults(
     remarks = [remark for remark in remarks if remark.subject not in inconsistent] + explained
     remarks += _knocked(table, inconsistent) or _uneven(table, inconsistent)
     return CameraFaults(tuple(remarks), table.camera_numbers(), table.pair_numbers(), complete)
+
+
+def _at_other_levels(table: ConsistencyTable, threads: int) -> ConsistencyTable:
+    """The comparison with each instant's patches on the plane where most agree, if more do there.
+
+    Long waves higher than the search reaches from still water take a small field up and down as a whole.
+    """
+    matcher = table.patch_matcher
+    reach = REACH * matcher.pixel / max(float(np.median(matcher.parallax(pair))) for pair in table.pairs)
+
+    def at(levels: Mapping[int, float]) -> ConsistencyTable:
+        shifted = PatchMatcher(matcher.read, matcher.rig, matcher.grid, levels)
+        return ConsistencyTable(shifted, table.names, table.frames, threads)
+
+    def agreeing(other: ConsistencyTable) -> list[float]:
+        return [float(np.mean([one[n].fraction for one in other.found.values()])) for n in range(count)]
+
+    count = len(table.frames)
+    best, levels = np.array(agreeing(table)) + CAMERA_LIMITS.agreement, np.zeros(count)
+    for level in (-1.5 * reach, 1.5 * reach, -3.0 * reach, 3.0 * reach):
+        fractions = np.array(agreeing(at(dict.fromkeys(table.frames, level))))
+        levels = np.where(fractions > best, level, levels)
+        best = np.maximum(fractions, best)
+    if not levels.any():
+        return table
+    other = at(dict(zip(table.frames, levels.tolist(), strict=True)))
+    return other if len(other.good()) > len(table.good()) else table
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:

@@ -48,7 +48,12 @@ class PatchMatcher:
     read: Read  # From camera and frame to the image, or None
     rig: Rig  # The cameras
     grid: Grid  # Area that is compared
-    _maps: dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]] = field(default_factory=dict)
+    levels: Mapping[int, float] = field(
+        default_factory=dict
+    )  # Height of the patches' plane at some frames, m
+    _maps: dict[tuple[str, float], tuple[NDArray[np.float32], NDArray[np.float32]]] = field(
+        default_factory=dict
+    )
     _patches: dict[tuple[str, int, str, str], NDArray[np.float32] | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,18 +74,18 @@ class PatchMatcher:
         chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(MAX_PATCHES, len(chosen))).astype(int)]
         return X[chosen], Y[chosen]
 
-    def _map(self, name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        if name not in self._maps:
+    def _map(self, name: str, level: float = 0.0) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        if (name, level) not in self._maps:
             offset = (np.arange(SIDE + 2 * REACH) - (SIDE + 2 * REACH - 1) / 2) * self.pixel
             column, row = self.rig[name].project(
-                self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None], 0.0
+                self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None], level
             )
             shape = (-1, offset.size)
-            self._maps[name] = (
+            self._maps[name, level] = (
                 column.reshape(shape).astype(np.float32),
                 row.reshape(shape).astype(np.float32),
             )
-        return self._maps[name]
+        return self._maps[name, level]
 
     def patches(
         self, name: str, frame: int, change: str = "", through: str = ""
@@ -94,7 +99,10 @@ class PatchMatcher:
             image = self.read(name, frame)
             if image is not None and change:
                 image = np.asarray(image)[FLIPS[change]]
-            self._patches[key] = _sampled(image, *self._map(through or name), SIDE + 2 * REACH)
+            nearest = min(self.levels, key=lambda known: abs(known - frame), default=None)
+            level = 0.0 if nearest is None else self.levels[nearest]
+            places = self._map(through or name, level)
+            self._patches[key] = _sampled(image, *places, SIDE + 2 * REACH)
         return self._patches[key]
 
     def around(
