@@ -1,6 +1,7 @@
 """Errors of camera pairs, stored when a run ends."""
 
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from cube_cases import FOURS, write_tank
 
 import wavefield as wf
 from wavefield.pipeline import pair_statistics as module
+from wavefield.store import camera_pairs
 from wavefield.store.camera_pairs import GROUP
+from wavefield.store.layout import gather_metadata
 from wavefield.store.metadata import keep_metadata
 
 
@@ -58,6 +61,21 @@ def test_a_run_that_has_nothing_to_do_leaves_them(measured, tmp_path, monkeypatc
     monkeypatch.setattr(module, "pair_statistics", lambda prepared: pytest.fail("computed again"))
     wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
     assert files(tmp_path / "cube.zarr") == files(measured / "cube.zarr")
+
+
+def test_a_run_killed_while_it_writes_them_writes_them_again(measured, tmp_path, monkeypatch):
+    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
+    store = tmp_path / "cube.zarr"
+    shutil.rmtree(store / GROUP)
+    gather_metadata(store)
+    keep_metadata(store)
+    with monkeypatch.context() as patch:
+        patch.setattr(camera_pairs, "keep_metadata", lambda path: sys.exit("killed"))
+        with pytest.raises(SystemExit):
+            wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
+    wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
+    assert GROUP in zarr.open_group(store, mode="r").metadata.consolidated_metadata.metadata
+    assert files(store) == files(measured / "cube.zarr")
 
 
 def test_they_follow_frames_that_are_repaired(tmp_path):

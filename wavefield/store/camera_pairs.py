@@ -55,8 +55,9 @@ def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
     """
     path = Path(store)
     open_group(path)  # compares all small files with their copies
-    if not (path / GROUP / "zarr.json").is_file():
-        return None
+    gathered = zarr.open_group(path, mode="r").metadata.consolidated_metadata
+    if gathered is None or GROUP not in gathered.metadata or not (path / GROUP).is_dir():
+        return None  # none, or a run was killed while it wrote them
     try:
         out = xr.open_zarr(path / GROUP, consolidated=False, chunks=None).load()
     except Exception as error:  # whatever a library makes of damaged bytes
