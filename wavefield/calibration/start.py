@@ -21,7 +21,7 @@ SUSPICIOUS_MISFIT = 0.05  # px, rms: beyond it the lens may be a fisheye
 MAX_VIEW_MISFIT = 8.0, 6.0  # px, and times the median view's: a view beyond both is no plane grid
 FEW_TERMS = ("f", "c", "k1")
 FULL_TERMS = ("f", "aspect", "c", "k1", "k2", "p", "k3")  # of both kinds of lens
-FISHEYE_RATIOS = 0.6, 1.2  # of the sums of squares to a perspective lens's, by few and by all terms
+FISHEYE_RATIOS = 0.2, 0.95  # of the sums of squares to a perspective lens's, by few and by all terms
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,10 @@ def calibrate_single(observations: Observations, lens: str = "auto") -> SingleCa
 
 
 def _fit_of_likely_lens(o: Observations) -> tuple[Fit, list[int]]:
-    """A perspective lens, but a fisheye where that has more of the views, or fits them better by few terms.
+    """A perspective lens, but a fisheye where that fits clearly better by few terms, and by all terms too.
 
-    With all its terms a perspective lens follows a fisheye's images as well, and is wrong between them.
+    With all its terms a perspective lens follows a fisheye's images nearly as well, and is wrong between
+    them.
     """
     refused: CalibrationError | None = None
     try:
@@ -117,7 +118,7 @@ def _fit_of_likely_lens(o: Observations) -> tuple[Fit, list[int]]:
         if refused is not None:
             raise refused from None
         return plain, poses
-    if refused is not None or len(all_poses) > len(poses):
+    if refused is not None:
         return wide, all_poses
     used = o.only(np.isin(o.pose, poses))
     for terms, ratio in zip((FEW_TERMS, FULL_TERMS), FISHEYE_RATIOS, strict=True):
@@ -157,6 +158,8 @@ def _fisheye_fit(o: Observations) -> tuple[Fit, list[int]]:
     if plane.all():
         return result, poses
     poses = [p for p, good in zip(poses, plane, strict=True) if good]
+    if not poses:
+        raise CalibrationError(f"the views of {name} fit no fisheye lens")
     return _first_fit(o, _of_poses(o, lens, {p: views[p] for p in poses}), poses), poses
 
 
