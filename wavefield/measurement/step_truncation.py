@@ -82,8 +82,11 @@ def motion_truncation(
         parts = known.of_displacement(int(frames), motion.d, measured)
         more: Float = scale if frames != 6 else scale * np.float32(faster)
         if frames == 4 and (here & measured).any():
-            chords = known.of_displacement(2, motion.d, measured)
-            beyond = [typical_size(part, here & measured) for part in motion.chord - motion.d]
-            more = np.fmax(np.stack(beyond) / np.maximum(chords, np.float32(1e-12)), 1.0) * np.float32(faster)
-        out = np.where(here, parts * more, out)
+            chords = np.maximum(known.of_displacement(2, motion.d, measured), np.float32(1e-12))
+            square = np.square(motion.chord - motion.d)
+            counted = (here & measured).astype(np.float32)
+            mean = np.nansum(square * counted, axis=(1, 2)) / counted.sum()
+            beyond = np.sqrt(np.float32(0.5) * (square + mean[:, None, None].astype(np.float32))) / chords
+            more = np.fmax(beyond, np.float32(1.0)) * np.float32(faster)
+        out = parts * more if here.all() else np.where(here, parts * more, out)
     return np.asarray(out, np.float32)
