@@ -67,8 +67,8 @@ def motion_truncation(
     """Standard uncertainty of displacements by the finite time step, (3, ny, nx), metres.
 
     Paths of four places depart from their chords by what chords leave out: where that is more than the
-    record's waves make of it, more is left out of the path, too. Where paths are chords, or smooth as those
-    of six places, elevations show the size, and the depth how flat the orbits are.
+    record's waves make of it, more is left out of the path, too. Where paths are chords, elevations show the
+    size, and the depth how flat the orbits are; of six places, the size: waves then turn slowly.
     """
     known = record.temporal_truncation
     size, ratio = convergence(orders, measured, record)
@@ -80,7 +80,7 @@ def motion_truncation(
     for frames in np.unique(motion.frames[seen]):
         here = motion.frames == frames
         parts = known.of_displacement(int(frames), motion.d, measured)
-        more: Float = scale if frames != 6 else scale * np.float32(faster)
+        more: Float | np.float32 = np.float32(size) if frames == 6 else scale
         if frames == 4 and (here & measured).any():
             chords = np.maximum(known.of_displacement(2, motion.d, measured), np.float32(1e-12))
             square = np.square(motion.chord - motion.d)
