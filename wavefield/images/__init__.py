@@ -31,17 +31,7 @@ TAIL_BYTES = 4096  # at the end of a complete file, which contain these
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
     """Read one grey image, (row, column), as stored: TIFF, PNG, BMP, JPEG, DNG, LaVision's IM7.
-
-    Of a file of several images the page has to be named.
-
-    Examples
-    --------
-    >>> import numpy as np, tempfile, pathlib
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "img_00000.tif"
-    >>> write_image(path, np.arange(6, dtype="uint16").reshape(2, 3))
-    >>> read_image(path)
-    array([[0, 1, 2],
-           [3, 4, 5]], dtype=uint16)
+    Of a file of several images the page has to be named; raises `FrameError`.
     """
     with accessing(path, FrameError):
         return _read(path, page)
@@ -157,16 +147,14 @@ def _is_complete(path: str | Path, end: bytes) -> bool:
 
 
 def _read_file(path: str | Path) -> np.ndarray | None:
-    """Read an image with OpenCV; None if it is damaged or of another kind.
-
-    OpenCV decodes the rest of a truncated JPEG unless it reads from memory, and libpng and libjpeg print
-    their complaints: truncated files are therefore found beforehand.
-    """
+    """Read an image with OpenCV; None if it is damaged or of another kind."""
     ending = Path(path).suffix.lower()
     try:
+        # found beforehand: libpng and libjpeg print their complaints about truncated files
         if ending in FILE_ENDS and not _is_complete(path, FILE_ENDS[ending]):
             return None
         if ending in JPEG_ENDINGS:
+            # from memory: OpenCV decodes the rest of a truncated file otherwise
             return _decoded(Path(path).read_bytes(), str(path))
         return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     except (cv2.error, OSError):
@@ -213,13 +201,7 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
 
 
 def made_even(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """A copy of an image, (row, column), with an even grey where it is covered.
-
-    Examples
-    --------
-    >>> made_even(np.array([[1, 1, 9, 9]]), np.array([[False, False, True, True]]))
-    array([[1, 1, 1, 1]])
-    """
+    """A copy of an image, (row, column), with its median grey where it is covered (0 if it all is)."""
     free = image[::8, ::8][~covered[::8, ::8]]
     out = image.copy()
     out[covered] = np.partition(free, free.size // 2)[free.size // 2] if free.size else 0

@@ -85,14 +85,8 @@ def _lookup(counts: bytes, symbols: bytes) -> NDArray[np.uint16]:
 
 
 def is_damaged(data: bytes) -> bool:
-    """Whether the codes of a JPEG file do not end where they should; False of what is not followed.
-
-    Examples
-    --------
-    >>> import cv2
-    >>> whole = cv2.imencode(".jpg", np.random.default_rng(1).integers(0, 255, (64, 64), dtype="u1"))[1]
-    >>> is_damaged(whole.tobytes()), is_damaged(whole.tobytes()[:-200] + bytes(198) + b"\\xff\\xd9")
-    (False, True)
+    """Whether the codes of a JPEG file do not end where they should.
+    False of what is not followed: progressive files, several scans, tables kept elsewhere.
     """
     try:
         head = _Headers(data)
