@@ -72,11 +72,9 @@ def _correlation(last: LastStep) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _own_scores(last: LastStep, correlation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Score (2, ny, nx) and Hessian (3, ny, nx) of every block after the step.
-
-    The Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
-    the gradients is ratio / (2 - ratio), and 0 where their correlation is too low.
-    """
+    """Score (2, ny, nx) and Hessian (3, ny, nx) of every block after the step."""
+    # the Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
+    # the gradients is ratio / (2 - ratio), and 0 where their correlation is too low
     shared, of_mean = last.windowed[10:12]
     ratio = np.clip(shared / np.maximum(of_mean, F(1e-12)), F(0), F(1))
     ratio[correlation <= F(MIN_CORRELATION)] = 0

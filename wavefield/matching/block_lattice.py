@@ -45,7 +45,6 @@ def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
     """A field (ny, nx) after the flat smoother 1 - (1 - G)^order, G a Gaussian of `sigma` blocks.
-
     `weighting`, as given by `smoother_weights`, replaces G f by G(w f) / G(w).
     """
     if sigma == 0:
@@ -96,9 +95,8 @@ def _slopes(field: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> None
 
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
-    """Turn sums made with a displacement constant per block into those of one linear inside the block.
-
-    sums (2, ny, nx) are changed in place; moments (9, ny, nx) are those of `gradient_moments`.
+    """Turn sums (2, ny, nx) made with a displacement constant per block into those of one linear inside it.
+    In place; moments (9, ny, nx) are those of `gradient_moments`.
     """
     _, ny, nx = sums.shape
     for j in range(ny):
@@ -114,10 +112,8 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Subtract what sampling b at a displacement with slopes adds where images are not strained.
-
-    sums (2, ny, nx) of usable blocks (1 in count, else 0) are changed in place; moments (8, ny, nx) are those
-    of `strain_moments`. Returns the factors c and s^2 of `reevaluate`, by least squares of the sums.
+    """Subtract, in place, what slopes of the displacement add to sums (2, ny, nx) of images without strain.
+    Moments (8, ny, nx) of `strain_moments`; returns c and s^2 of `reevaluate`, by least squares of the sums.
     """
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
@@ -197,7 +193,6 @@ def step(
 
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
     """Replace vectors further than `limit` px from the median of their 5 x 5 neighbours by it, in place.
-
     Returns a mask (ny, nx), True where vectors were replaced.
     """
     median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
@@ -242,9 +237,7 @@ def block_weights(
     block: int = BLOCK,
 ) -> None:
     """Write weight 1 for blocks inside b without masked pixels, 0 for the others, into `out`.
-
-    mask_a, mask_b (h, w) uint8 are 1 where all of the block around the pixel is usable; of size 0 where
-    nothing is masked.
+    Masks (h, w) uint8: 1 where all of the block around the pixel is usable; of size 0 if nothing is masked.
     """
     ny, nx = u.shape
     for j in range(ny):

@@ -32,16 +32,7 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
 
 
 class Cosines:
-    """Transforms between fields on a lattice and the coefficients of their first cosines.
-
-    Examples
-    --------
-    >>> waves = np.zeros((1, 4, 6), np.float32)
-    >>> waves[0, 1, 2] = 1.0
-    >>> transforms = Cosines((7, 10), (4, 6))
-    >>> bool(np.allclose(transforms.waves(transforms.field(waves)), waves, atol=1e-6))
-    True
-    """
+    """Transforms between fields on a lattice and the coefficients of their first cosines (orthonormal)."""
 
     def __init__(self, lattice: tuple[int, int], shape: tuple[int, int]) -> None:
         self.lattice, self.shape = lattice, shape
@@ -86,11 +77,9 @@ class Cosines:
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """A field (c, ny, nx) at the four mirrored positions, (2, 2, c, hy, hx).
-
-        The middle of an odd number of blocks is its own mirror image and is counted once.
-        """
+        """A field (c, ny, nx) at the four mirrored positions, (2, 2, c, hy, hx)."""
         (ny, nx), (hy, hx) = self.lattice, self._half
+        # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
         out[0, 0] = field[:, :hy, :hx]
         out[0, 1, ..., : nx - hx] = field[:, :hy, : hx - 1 : -1]

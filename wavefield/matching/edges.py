@@ -31,13 +31,11 @@ class Edge:
         self.smooth_y, self.smooth_x = (_smoother(n) for n in shape)
 
     def slopes(self, field: Float) -> Slopes:
-        """Slopes of fields (c, ny, nx) at the first and last column (c, ny), the first and last row (c, nx).
-
-        Those of the rows are fitted after the field of the columns' slopes is subtracted.
-        """
+        """Slopes of fields (c, ny, nx) at the first, last column (c, ny) and the first, last row (c, nx)."""
         width, (ny, nx) = self.width, field.shape[-2:]
         left = field[..., :width] @ self.slope @ self.smooth_y
         right = field[..., nx - width :] @ self.slope @ self.smooth_y
+        # slopes of the rows are fitted after the field of the columns' slopes is subtracted
         out = _along_x(left, right, self.profiles[1])
         first, last = field[:, :width] - out[:, :width], field[:, ny - width :] - out[:, ny - width :]
         low = np.einsum("cyx,y->cx", first, self.slope) @ self.smooth_x
@@ -55,7 +53,6 @@ class Edge:
 
     def truncated_profiles(self, counts: tuple[int, int], gains: Profiles) -> Profiles:
         """Part of the profiles that the first `counts` cosines along y and x do not represent, for `field`.
-
         `gains` (ny,) and (nx,) multiply the cosines.
         """
         out = []

@@ -245,16 +245,14 @@ class _LevelPair:
         self._hessian: np.ndarray | None = None
 
     def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update `count` (1 for usable blocks, else 0), `coverage` (usable fraction of windows) and weights.
-
-        With masks the smoother is weighted, so that large holes do not change their surroundings.
-        """
+        """Update `count` (1 for usable blocks, else 0), `coverage` (usable part of windows) and weights."""
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
             return
         self.count, self.coverage, self._hessian = count, filtered(count, self.weights), None
         if self.masked and self.sigma > 0:
+            # so that large holes do not change their surroundings
             self.weighting = smoother_weights(np.maximum(self.coverage, F(1e-3)), self.sigma)
 
     @property

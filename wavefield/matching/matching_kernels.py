@@ -48,11 +48,9 @@ class WorkSpace(NamedTuple):
 
 
 def work_space(nx: int) -> WorkSpace:
-    """Work space for `nx` blocks in a row.
-
-    Rows begin three cache lines beyond a multiple of sixteen apart: those of an image of 1024 px would else
-    begin a page apart, evict each other from the cache and seem to the processor to overlap.
-    """
+    """Work space for `nx` blocks in a row."""
+    # rows begin three cache lines beyond a multiple of sixteen apart: those of an image of 1024 px would else
+    # begin a page apart, evict each other from the cache and seem to the processor to overlap
     width = nx * BLOCK + 8
     width += (48 - width) % 256
     lines = np.empty((BLOCK + 19 + 12, width), np.float32)
@@ -69,7 +67,6 @@ def work_space(nx: int) -> WorkSpace:
 @njit
 def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
     """Row y of an image smoothed with the quintic B-spline along y, and its exact derivative along y.
-
     image (h + 2 PAD, w + 2 PAD) has its border; s and d (w + 4) begin two pixels before the image.
     """
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
@@ -218,15 +215,13 @@ def _block_reader(
     along_y: types.Type,
 ) -> tuple[Signature, Callable[..., ir.Value]]:
     """Sample BLOCK rows of LANES pixels of `image` between its pixels: TAPS taps along x, then TAPS along y.
-
-    image is read from its element `start` on, its rows `stride` apart; `strip` is written from its element
-    `to` on, its rows `width` apart. Written in vectors, because plain loops over so few pixels do not become
-    vector code: with them a step takes 11 % longer.
+    It reads from the element `start` on, rows `stride` apart, and writes from `to` on, rows `width` apart.
     """
 
     def build(
         context: BaseContext, builder: ir.IRBuilder, signature: Signature, arguments: Sequence[ir.Value]
     ) -> ir.Value:
+        # plain loops over so few pixels do not become vector code: with them a step takes 11 % longer
         vector = ir.VectorType(ir.FloatType(), LANES)
         _, at, stride, _, to, width, along_x, along_y = arguments
         source, target = (
@@ -341,7 +336,6 @@ def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
 @njit
 def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
     """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block: (2, ny, nx).
-
     first, second (h + 2 PAD, w + 2 PAD) have their border; u, v (ny, nx) are the displacement, px.
     """
     n = u.shape[1] * BLOCK
@@ -402,10 +396,8 @@ def robust_sums(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Sums per block with a weight w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel: (6, ny, nx).
-
-    They are those of w gx r, w gy r, w gx gx, w gx gy, w gy gy and r^2. slopes (4, ny, nx) are those of the
-    displacement; c2 (ny, nx) is 1 / (c s)^2, c2b2 is (c beta)^2 / 4.
+    """Sums per block of w gx r, w gy r, w gx gx, w gx gy, w gy gy, r^2: (6, ny, nx); slopes (4, ny, nx).
+    w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel; c2 (ny, nx) = 1 / (c s)^2, c2b2 = (c beta)^2 / 4.
     """
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
@@ -471,10 +463,8 @@ def final_sums(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """The sums of `robust_sums` and those from which correlation and uncertainty follow: (12, ny, nx).
-
-    The others are those of a, a^2, r, a r, psi ga gb and w ((ga + gb) / 2)^2, with ga, gb the gradients along
-    x of the two images and psi the derivative of w r.
+    """The sums of `robust_sums` and those of a, a^2, r, a r, psi ga gb, w ((ga + gb) / 2)^2: (12, ny, nx).
+    ga, gb are the gradients along x of the two images, psi the derivative of w r.
     """
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
@@ -516,7 +506,6 @@ def _unweighted_row(
 @njit
 def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
     """Sums of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip.
-
     a, r (BLOCK, n + 4) begin one pixel before the sums (n).
     """
     s5, s6, s7, s8, s9, s10, s11 = totals
@@ -570,9 +559,7 @@ def unweighted_sums(
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
     """Sums per block of a b for b shifted by dy rows and by `first`, `first` + 1, ... columns.
-
-    a (h, w); b (h + 2 margin, w + 2 margin); row (nx BLOCK,) is work space; out (ny, shifts, nx + 2 border),
-    its border replicated.
+    b (h + 2 margin, w + 2 margin); row (nx BLOCK,); out (ny, shifts, nx + 2 border), its border replicated.
     """
     ny, n, width = out.shape
     nx = len(row) // BLOCK

@@ -15,17 +15,8 @@ _state: dict[str, Any] = {"depth": 0, "limits": None}
 
 @contextmanager
 def one_thread() -> Generator[None]:
-    """Keep BLAS to one thread while inside; also a decorator.
-
-    The limit holds for the whole process: it is set by the first that enters and taken back by the last that
-    leaves, whichever threads they are.
-
-    Examples
-    --------
-    >>> with one_thread():
-    ...     pools = threadpoolctl.threadpool_info()
-    >>> {pool["num_threads"] for pool in pools if pool["user_api"] == "blas"} <= {1}
-    True
+    """Keep BLAS to one thread while inside, in the whole process; also a decorator.
+    The first thread that enters sets the limit, the last that leaves takes it back.
     """
     with _lock:
         if not _state["depth"]:

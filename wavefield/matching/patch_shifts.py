@@ -26,13 +26,8 @@ def widened(ends: tuple[float, float]) -> tuple[float, float]:
 def shifts(
     a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
-    """Whole-pixel displacement of patches of one image to the next.
-
-    Normalised correlation of the patches within the reach around their place. A patch counts if its best
-    correlation exceeds 0.25 (0.4 where images are too small for patches of 64 px) and all others further than
-    3 px from it are less than 0.85 of that. Large patches are searched for in images of half the size, and
-    then within a few pixels of where they were found. Returns (n, 5): displacement along x and y, px, NaN
-    where not found, correlation, and middle (x, y) of every patch with contrast.
+    """Whole-pixel displacement of patches of one image to the next, by normalised correlation in the reach.
+    (n, 5) of patches with contrast: displacement x, y, px (NaN where not found), correlation, middle x, y.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape
@@ -42,6 +37,7 @@ def shifts(
     rows = np.linspace(0, height - size, PATCHES_ACROSS).astype(int)
     columns = np.linspace(0, width - size, PATCHES_ACROSS).astype(int)
     contrast = float(a.std())
+    # large patches are searched for in images of half the size, then within a few pixels of that place
     small_a, small_b = _half(a), _half(b)
     out = []
     for y in rows.tolist():

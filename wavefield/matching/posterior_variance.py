@@ -109,7 +109,6 @@ class PosteriorVariance:
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
     """Variances at the level whose information equals that of the surroundings, x per level.
-
     log (levels,) and variance (n, levels) are logarithms, the richest level first.
     """
     for j in range(x.shape[1]):
@@ -128,8 +127,7 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
 
 def _impulse(gain: Float) -> Float:
     """Response to a single block, (ny + 1, nx + 1), from a filter's response to cosines (ny, nx).
-
-    Of one quarter: it is even in both, and the response to the wave of two blocks is taken for zero.
+    One quarter of it, even along both axes; the response to the wave of two blocks is taken for zero.
     """
     out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
     return out

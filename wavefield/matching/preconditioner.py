@@ -23,8 +23,7 @@ reassociating = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 class Preconditioner:
     """Tables of the exact block, the same for all components of a field on a lattice (ny, nx).
-
-    ratio, inverse and foot (my, mx) are signal over noise, inverse spectrum and footprint of the modes.
+    ratio, inverse and foot (my, mx): signal over noise, inverse spectrum and footprint of the modes.
     """
 
     def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:

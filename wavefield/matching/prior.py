@@ -311,7 +311,6 @@ def better_prior(
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
     """Sectors over their rings, (c, sectors, rings), averaged over neighbouring rings and shrunk to 1.
-
     Constant beyond the last significant ring of each component.
     """
     for one, last in zip(weight, lasts):
@@ -394,15 +393,12 @@ class _Rings:
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
-        """Rings (rings,) with a significant signal over noise.
-
-        Waves beyond the first ring without any have to exceed the noise by more, together with both
-        neighbouring rings.
-        """
+        """Rings (rings,) with a significant signal over noise; beyond a gap it has to be larger."""
         contiguous = np.arange(RINGS) < self.count_until_false(
             (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
         )
         count = self.count * samples
+        # waves beyond the first ring without any have to exceed the noise by more, with both neighbours
         sum_of_three = np.convolve(ratio * count, np.ones(3), mode="same")
         count_of_three = np.convolve(count, np.ones(3), mode="same")
         mean = sum_of_three / np.maximum(count_of_three, 1)

@@ -21,8 +21,7 @@ def search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of every block to the best of all whole-pixel shifts, refined by parabolas.
-
-    With x_range, y_range (int, int); returns u, v (ny, nx): Displacement, px of this level.
+    Returns u, v (ny, nx), px of this level.
     """
     ny, nx = a.blocks
     w = nx * BLOCK
@@ -77,7 +76,6 @@ def _largest(score: np.ndarray, border: int, best: np.ndarray) -> None:
 
 def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
     """Shift of the largest score of each block, (ny, nx), with parabolas through its neighbours.
-
     score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y.
     """
     rows, ny, n, width = score.shape
