@@ -101,8 +101,7 @@ def sample(
     geometry: "GridGeometry", patch_matcher: PatchMatcher, pair: Pair, frame: int, flat: Mapping[str, Any]
 ) -> Sample | None:
     """Miss and velocity all over what two cameras share at an instant.
-
-    With pair (str, str).
+    None where too little of it is known.
     """
     from wavefield.measurement import pair_surface
 
@@ -202,10 +201,8 @@ def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequ
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """The delay of the second camera behind the first, in frames.
-
-    Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own. The uncertainty
-    is that of the quarters of the field at each instant, not of patches: near ones depend on each other.
+    """The delay of the second camera behind the first and its standard uncertainty, in frames.
+    Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own.
     """
     if len(samples) < 2:
         return None
@@ -220,6 +217,7 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
         left = [y - delay * v for y, v in cleared]
         scale = PER_MEDIAN * float(np.median(np.abs(np.concatenate(left)))) + 1e-9
         weights = [np.minimum(1.0, 2.5 * scale / np.maximum(np.abs(r), 1e-12)) for r in left]
+    # the uncertainty is that of quarters of the field at each instant: near patches depend on each other
     scores = np.concatenate(
         [np.bincount(_quarters(s), w * v * r, 4) for s, w, (_, v), r in zip(samples, weights, cleared, left)]
     )
@@ -321,14 +319,12 @@ def delays(
 
 
 def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None:
-    """Weighted mean of several pairs' row times, given in frames.
-
-    Pairs share a camera, its matches and the water's velocity: their errors do not average out.
-    """
+    """Weighted mean of several pairs' row times and standard uncertainties, given in frames."""
     if not row_times:
         return None
     values, stds = np.array(row_times).T
     weights = 1.0 / np.maximum(stds, 1e-12) ** 2
+    # pairs share a camera, its matches and the water's velocity: their errors do not average out
     return Delay(
         float(np.average(values, weights=weights)) / rate, float(np.average(stds, weights=weights)) / rate
     )
@@ -378,14 +374,8 @@ def _on_delays(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
 
 
 def sentence(found: Mapping[str, Delay], interval: float = np.inf) -> str:
-    """Delays of all cameras in a line; those less certain than half the interval of frames (s) are left out.
-
-    Examples
-    --------
-    >>> sentence({"cam1": Delay(0.0, 0.0), "cam2": Delay(2e-4, 1e-5)})
-    'cam2 is later than cam1 by 0.200 +- 0.010 ms'
-    >>> sentence({"cam1": Delay(0.0, 0.0), "cam2": Delay(3.6, 3.7)}, 0.05)
-    'not determined: too little moves or matches'
+    """Delays of all cameras, ms, in a line.
+    Those less certain than half the interval of frames (s) are left out.
     """
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = [

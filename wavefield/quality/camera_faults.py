@@ -66,8 +66,7 @@ def find_camera_faults(
 
 def _at_other_levels(table: ConsistencyTable, threads: int) -> ConsistencyTable:
     """The comparison with each instant's patches on the plane where most agree, if more do there.
-
-    Long waves higher than the search reaches from still water take a small field up and down as a whole.
+    Long waves higher than the search reaches take a small field up and down as a whole.
     """
     matcher = table.patch_matcher
     reach = REACH * matcher.pixel / max(float(np.median(matcher.parallax(pair))) for pair in table.pairs)
@@ -108,10 +107,7 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
-    """Cameras whose images are wider than those of the others in pixels and on the water.
-
-    Beads have a size: a camera of smaller pixels has wider images of them without being blurred.
-    """
+    """Cameras whose images are wider than those of the others both in pixels and on the water."""
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
     rig, grid = table.patch_matcher.rig, table.patch_matcher.grid
     centre = float(np.mean(grid.x)), float(np.mean(grid.y))
@@ -120,6 +116,7 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
         others = [other for other in table.names if other != name]
         usual = float(np.median([widths[other] for other in others]))
         on_water = float(np.median([widths[other] * pixels[other] for other in others]))
+        # beads have a size: a camera of smaller pixels has wider images of them without being blurred
         wider = min(width / max(usual, 1e-9), width * pixels[name] / max(on_water, 1e-12))
         if wider > CAMERA_LIMITS.blur_ratio and width > 1.0:
             yield Remark(
@@ -311,7 +308,6 @@ def _moved(subject: str, off: float, sentence: str, values: Mapping[str, float])
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
-
     Which one cannot be determined: two pairs give one height more than there are unknowns.
     """
     worst, sure = 0.0, 0.0

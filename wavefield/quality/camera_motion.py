@@ -92,18 +92,7 @@ def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
 
 
 def jump(low: Array) -> int | None:
-    """Where a series jumps, if it does.
-
-    With low (n, 3), px.
-
-    Examples
-    --------
-    >>> quiet = np.zeros((12, 3))
-    >>> jump(quiet) is None
-    True
-    >>> jump(np.vstack([quiet, quiet + [0.4, 0.0, 0.0]]))
-    12
-    """
+    """The first step after a jump of a series (n, 3), px; None if it does not jump."""
     n = len(low)
     if n < 2 * MIN_STEPS_PER_SIDE:
         return None
@@ -157,9 +146,8 @@ def shaking(found: CameraMotion, cuts: Sequence[int]) -> tuple[float, float]:
 
 
 def who(geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, count: int) -> tuple[str, float]:
-    """The camera that a knock moved: its picture alone has moved since.
-
-    Returns size By how much its sight lines miss the others' more, px.
+    """The camera that a knock moved (its picture alone has moved since), else `rig`.
+    With how much its picture has moved, rms over the field, px.
     """
     sides = []
     for frames in (
@@ -225,7 +213,6 @@ def remarks(
 
 def camera_jitter(record: "LearnedRecord | None") -> Iterator[Remark]:
     """Remarks on cameras that move against each other along the line on which they are placed.
-
     eps_y does not show this; the displacements of three cameras do.
     """
     along = record.camera_jitter[0] if record else 0.0

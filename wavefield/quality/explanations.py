@@ -211,11 +211,5 @@ EXPLANATIONS = {
 
 
 def first_sentence(text: str) -> str:
-    """The first sentence of an explanation.
-
-    Examples
-    --------
-    >>> first_sentence("It is blurred. Focus it.")
-    'It is blurred.'
-    """
+    """The first sentence of an explanation, with its full stop."""
     return text.partition(". ")[0].rstrip(".") + "."

@@ -64,10 +64,8 @@ def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) ->
 def remark_on_unresolved_waves(
     unresolved: float, wavelength: float, w: float, w_std: float
 ) -> Iterator[Remark]:
-    """Report waves that the images do not resolve.
-
-    With the standard deviation of the vertical velocity by them, m/s, their wavelength, metres, the rms of
-    the w that was measured and its standard uncertainty, which contains them, m/s.
+    """Report waves of a wavelength (m) that the images do not resolve, by the standard deviation of their w.
+    w is the rms that was measured, w_std its standard uncertainty, which contains them, m/s all.
     """
     share = unresolved**2 / (unresolved**2 + w**2) if unresolved else 0.0
     others = max(w_std**2 - unresolved**2, 0.0)

@@ -37,8 +37,7 @@ class FrameJitter:
 
 def step_factor(velocity: Sequence[Array], measured: Sequence[Mask]) -> tuple[float, float] | None:
     """Factor of a step beside its neighbours, and its variance by what differs within the field.
-
-    With (3, ny, nx) velocities and (ny, nx) masks of five steps; None where too little is measured.
+    Velocities (3, ny, nx) and masks (ny, nx) of five steps; None where too little is measured.
     """
     there = np.logical_and.reduce(measured)
     size = max(min(there.shape) // _PATCHES, 1)

@@ -41,14 +41,12 @@ class FrameInspection:
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Indices of the frames to be read: all of a short record, else those of some steps drawn at random.
-
-    Evenly spaced ones would all be good, or all be bad, where every second frame is.
-    """
+    """Indices of the frames to be read: all of a short record, else those of some steps drawn at random."""
     present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
     if len(present) <= MAX_FRAMES_READ_ALL:
         return tuple(range(len(present)))
     steps = np.flatnonzero(present[:-1] & present[1:])
+    # evenly spaced ones would all be good, or all be bad, where every second frame is
     drawn = np.random.default_rng(0).permutation(steps)[:SAMPLED_STEPS]
     return tuple(sorted({int(frame) for step in drawn for frame in (step, step + 1)}))
 

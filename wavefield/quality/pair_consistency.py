@@ -102,7 +102,6 @@ def score(found: Sequence[PairConsistency]) -> float:
 
 def blur(image: NDArray[np.generic] | None) -> float:
     """Standard deviation of the finest details of an image, px, from the correlation of neighbouring pixels.
-
     Unlike `bead_width`, also of images without beads and of any width.
     """
     if image is None:

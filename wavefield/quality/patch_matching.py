@@ -91,7 +91,6 @@ class PatchMatcher:
         self, name: str, frame: int, change: str = "", through: str = ""
     ) -> NDArray[np.float32] | None:
         """Patches of one image with their surroundings, (n, SIDE + 2 REACH, SIDE + 2 REACH) grey levels.
-
         The image may be flipped (`change`) and taken `through` the lens of another camera.
         """
         key = (name, frame, change, through)
@@ -142,13 +141,11 @@ class PatchMatcher:
 def _sampled(
     image: NDArray[np.generic] | None, column: NDArray[np.float32], row: NDArray[np.float32], side: int
 ) -> NDArray[np.float32] | None:
-    """Squares (n, side, side) of an image at pixels (n side, side); NaN outside of it.
-
-    Real numbers, which often are from 0 to 1, are scaled to 255, as other grey levels.
-    """
+    """Squares (n, side, side) of an image at pixels (n side, side); NaN outside of it."""
     if image is None:
         return None
     flat = np.ascontiguousarray(image, np.float32)
+    # real numbers, which often are from 0 to 1, are scaled to 255, as other grey levels
     largest = float(np.abs(flat).max()) if image.dtype.kind == "f" else 0.0
     if largest > 0:
         flat = flat * np.float32(255.0 / largest)
@@ -239,13 +236,7 @@ def scaled(v: Array) -> Array:
 
 
 def rms_over_field(smooth: Array) -> float:
-    """Rms over the field of an eps_y that is constant and linear along x and y, (3,).
-
-    Examples
-    --------
-    >>> rms_over_field(np.array([0.3, 0.0, 0.0]))
-    0.3
-    """
+    """Rms over the field of an eps_y that is constant and linear along x and y, (3,)."""
     return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 

@@ -90,10 +90,7 @@ class StabilizedFrames(Sequence[Image | None]):
 def corrected(
     images: Mapping[str, Image | None], geometry: "GridGeometry"
 ) -> tuple[dict[str, Image | None], dict[str, Array]]:
-    """Images of one moment turned back, and by how much.
-
-    Returns shifts (3,): As from `shifts`..
-    """
+    """Images of one moment turned back, and by how much, as from `shifts`."""
     found = shifts(images, geometry)
     out: dict[str, Image | None] = dict(images)
     for name, low in found.items():
@@ -105,9 +102,7 @@ def corrected(
 
 def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict[str, Array]:
     """By how much each camera's picture has moved across the sight lines, in one frame.
-
-    Returns (3,): px on the water: in the middle of the lattice, and what is added at its right and upper
-    edge.
+    (3,), px on the water: in the middle of the lattice, and what is added at its right and upper edge.
     """
     from wavefield.measurement import pair_surface
     from wavefield.measurement.frame import ready, usable
@@ -167,10 +162,7 @@ def _across(parallax: Array) -> Array:
 
 
 def moved(image: Image, low: Array, name: str, geometry: "GridGeometry") -> NDArray[np.float32]:
-    """A raw image moved back by what its camera has moved.
-
-    With image (row, column); low (3,); returns (row, column).
-    """
+    """A raw image (row, column) moved back by what its camera has moved, `low` (3,) as from `shifts`."""
     centre, other = geometry.rig[geometry.pairs[0][0]].centre, geometry.rig[geometry.pairs[0][1]].centre
     x, y = (v[::8, ::8].ravel() for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
     design = np.stack([part[::8, ::8].ravel() for part in _scaled(geometry)], axis=-1)

@@ -39,9 +39,7 @@ USABLE_CONTINUITY = (
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float) -> Array:
     """Robust rms of z_t - w + u z_x + v z_y over its standard uncertainty, per step (n,).
-
-    With fields z, z_t, u, v, w, u_std, v_std, w_std and measured (n, ny, nx), the grid step in metres.
-    About 1 where the uncertainties hold; NaN for steps with few measured nodes.
+    Fields and mask (n, ny, nx), `step` in metres; about 1 if uncertainties hold, NaN with few measured nodes.
     """
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = slopes(z, step, step)
@@ -62,12 +60,8 @@ def _robust_rms(squares: Array) -> float:
 
 
 def continuity(rise: Sequence[Array], measured: Sequence[Mask], std: Sequence[Array]) -> float:
-    """Regression of a step's rise on the cubic through those of its four neighbours; NaN with few nodes.
-
-    With the rises, masks and standard uncertainties (ny, nx) of the steps k - 2 to k + 2. NaN where rises are
-    noise in good part, which lowers the regression. It is near 1 where waves turn slowly from
-    step to step, and the same for all steps of a sound record. The least noise of the neighbours counts: that
-    of steps beside a lost frame contains the contradiction.
+    """Regression of a step's rise on the cubic through those of its four neighbours, near 1 for slow waves.
+    Of the steps k - 2 to k + 2, (ny, nx) each; NaN with few nodes or where rises are noise in good part.
     """
     everywhere = np.logical_and.reduce(measured)
     if everywhere.sum() < MIN_NODES:
@@ -75,6 +69,7 @@ def continuity(rise: Sequence[Array], measured: Sequence[Mask], std: Sequence[Ar
     before2, before, here, after, after2 = (np.asarray(one[everywhere], np.float64) for one in rise)
     expected = NEIGHBOURS @ np.stack([before2, before, after, after2])
     square = float(expected @ expected)
+    # the least noise of the neighbours: that of steps beside a lost frame contains the contradiction
     least = min(float(np.sum(np.square(std[k][everywhere]))) for k in (0, 1, 3, 4))
     noise = float(NEIGHBOURS @ NEIGHBOURS) * least
     return float(here @ expected) / square if noise < MAX_NOISE * square else np.nan
@@ -106,9 +101,7 @@ def continuities_of(cube: xr.Dataset) -> Array:
 
 def jitter_of(cube: xr.Dataset, continuities: Array) -> tuple[FrameJitter, float] | None:
     """Jitter of a cube's frame times, and the largest error by it over its standard uncertainty.
-
-    Of some steps in a row in the middle of the record, without those around discontinuous
-    ones; None where no jitter shows. That velocities are of another moment is a part of their relative error.
+    Of steps in the middle of the record, without those around discontinuous ones; None if no jitter shows.
     """
     count = cube.sizes["time"]
     first = max((count - JITTER_STEPS) // 2, 0)
@@ -130,6 +123,7 @@ def jitter_of(cube: xr.Dataset, continuities: Array) -> tuple[FrameJitter, float
     sizes = [float(np.sqrt(np.mean(np.square(one[measured])))) for one in np.moveaxis(velocity, 1, 0)]
     stds = [float(np.median(part[f"{name}_std"].values[measured])) for name in (*names, "z")]
     late = ELEVATION_NOISE * jitter.intervals
+    # that velocities are of another moment is a part of their relative error
     jitter = replace(jitter, velocity=float(np.hypot(jitter.velocity, late * _turn(velocity, measured))))
     errors = [jitter.velocity * size for size in sizes]
     errors.append(late / float(cube.attrs["frame_rate"]) * sizes[2])
@@ -146,8 +140,7 @@ def _turn(velocity: Array, measured: Mask) -> float:
 
 def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> Iterator[Remark]:
     """Compare the stored fields of a cube with each other: kinematics at some steps, continuity at all.
-
-    ``first`` is the number of the first frame.
+    `first` is the number of the first frame.
     """
     cube = open_without_jitter(store)
     names = ["z", "z_t", "u", "v", "w", "u_std", "v_std", "w_std"]
