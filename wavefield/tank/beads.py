@@ -34,12 +34,12 @@ def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, en
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
     """Move points of any shape with the surface water from one time to another, either way, s.
-
-    NaN for points that leave the basin. Sub-steps of at most 25 ms: over a step of 50 ms of a random sea with
-    waves down to 5 cm a bead is misplaced by less than 0.1 um, in a steep one by 0.4 um.
+    NaN for points that leave the basin.
     """
     sea = basin.sea
     period = 2 * np.pi / float(sea.sigma.max(initial=1e-9))
+    # over 50 ms of a random sea with waves down to 5 cm, sub-steps of 25 ms misplace a bead by less than
+    # 0.1 um, in a steep one by 0.4 um
     longest = max(MAX_SUBSTEP_S, MAX_SUBSTEP_PERIODS * period if sea.k.size > 1 else 0.0)
     steps = max(1, int(np.ceil(abs(end - start) / longest - 1e-9)))
     h = (end - start) / steps
@@ -55,11 +55,10 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
     """Start and end, (2, 2 or more, ...), of the paths from -half to +half whose mid-points are (x, y).
-
-    ``carried(x, y, t)`` gives where the water at (x, y) is after a time t; its place at mid-time is corrected
-    until the mean of both ends is the point.
+    `carried(x, y, t)` gives where the water at (x, y) is after a time t.
     """
     px, py = x, y
+    # the place at mid-time is corrected until the mean of both ends is the point
     for _ in range(3):
         start, end = carried(px, py, -half), carried(px, py, half)
         px, py = px + x - (start[0] + end[0]) / 2, py + y - (start[1] + end[1]) / 2
@@ -77,11 +76,8 @@ class BeadField:
 
 
 class Population:
-    """Beads on a rectangle of water, frame after frame.
-
-    A bead that leaves the rectangle, which is larger than the cameras' view, comes back on the other side.
-    Each second a small share of the beads is laid anew somewhere, as in a tank that is seeded continuously,
-    so that the density stays even over long records.
+    """Beads on a rectangle of water, larger than the cameras' view, frame after frame.
+    A bead that leaves it comes back on the other side; each second a small share is laid anew somewhere.
     """
 
     def __init__(
@@ -91,6 +87,7 @@ class Population:
             raise ValueError("this scene has a painted surface, no beads")
         settings = scene.surface
         self._scene, self._basin, self._x, self._y = scene, basin, x, y
+        # as in a tank that is seeded continuously: the density stays even over long records
         self._renewal = settings.renewal / scene.frame_rate  # share per frame
         rng = np.random.default_rng([scene.seed, 1])
         number = round(settings.density * (x[1] - x[0]) * (y[1] - y[0]))

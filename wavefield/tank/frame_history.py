@@ -10,8 +10,7 @@ REMEMBERED_FRAMES = 8  # before the latest one
 
 class FrameHistory(Generic[T]):
     """The state at any frame, advanced from the last one before it; the first and the latest are remembered.
-
-    ``advance(state, frame)`` gives the state of the frame after one.
+    `advance(state, frame)` gives the state of the frame after one.
     """
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:

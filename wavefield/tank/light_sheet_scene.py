@@ -88,10 +88,8 @@ def _velocity(
 
 
 class Particles:
-    """Particles in a light sheet and next to it, frame after frame.
-
-    They fill a layer twice as thick as the sheet evenly. What leaves the layer comes back on the other side,
-    where it is dark, so that particles enter the light and leave it as they do in a flow.
+    """Particles in a light sheet and next to it, frame after frame: evenly in a layer twice as thick.
+    What leaves the layer comes back on the other side, where it is dark, and enters the light as in a flow.
     """
 
     def __init__(

@@ -38,7 +38,6 @@ def draw(
     camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float, offsets: Array | None = None
 ) -> NDArray[np.float32]:
     """Light of a target on a camera's pixels, grey levels of 255, before background, lighting and noise.
-
     The blur is in px; offsets are the errors of the crossings of strings, (n, n, 3), m.
     """
     # the target's own plane is z = 0 of a camera that moves with it

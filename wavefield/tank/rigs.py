@@ -64,7 +64,6 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
     """Exact cameras around a light sheet, those at an angle (degrees) with tilted sensors (Scheimpflug).
-
     The distance and the size of a pixel on the sheet are in metres.
     """
     made = {}

@@ -124,9 +124,7 @@ class RandomSea(_SeaSettings):
 
     def build(self, seed: int) -> Sea:
         """Draw a Gaussian sea on a square lattice of wave vectors.
-
-        The density over wave vectors is S(f) (df/dk) D(theta) / k; amplitudes are complex Gaussian, so that
-        the elevation is Gaussian and spectra fluctuate as in nature.
+        The density over wave vectors is S(f) (df/dk) D(theta) / k; amplitudes are complex Gaussian.
         """
         dk = 2 * np.pi / self.period
         n = int(self.period / self.shortest)
@@ -142,6 +140,7 @@ class RandomSea(_SeaSettings):
         angle = np.arctan2(ky, kx) - np.radians(self.direction)
         directional = np.cos(angle / 2) ** (2 * self.spread)
         density = self.spectrum(frequency) * (slope / nudge) / k * directional
+        # so that the elevation is Gaussian and spectra fluctuate as in nature
         real, imaginary = np.random.default_rng([seed, 4]).standard_normal((2, k.size))
         amplitude = np.sqrt(density) * (real + 1j * imaginary)
         amplitude *= self.rms / np.sqrt(0.5 * np.sum(np.abs(amplitude) ** 2))

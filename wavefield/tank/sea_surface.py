@@ -44,13 +44,12 @@ def horizon_dip(height: float) -> float:
 
 def meet(camera: Camera, snapshot: Snapshot, reach: float) -> Seen:
     """The first water that each pixel's sight line meets, waves that hide others included.
-
-    With a snapshot of z, z_x and z_y and a bound on the elevation, m. Every few pixels the sight line is
-    followed down from the bound; from there Newton's steps of Z(x_a + D z) - z.
+    `snapshot` gives z, z_x and z_y; `reach` bounds the elevation, m.
     """
     width, height = camera.size
     x, y = camera.unproject(np.arange(float(width)), np.arange(float(height))[:, None])
     rows, columns = np.arange(0, height, COARSE), np.arange(0, width, COARSE)
+    # every few pixels the sight line is followed down; from there Newton's steps of Z(x_a + D z) - z
     start = _first_crossing(camera, snapshot, reach, x[rows[:, None], columns], y[rows[:, None], columns])
     z = np.full(x.shape, np.nan)
     nearest = (np.arange(height) // COARSE)[:, None], np.arange(width) // COARSE
@@ -80,11 +79,8 @@ def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, 
 
 
 def light(camera: Camera, seen: Seen, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
-    """Grey levels of a pixel each, (row, column), of what it shows, without the camera's own noise.
-
-    The sky is brighter towards the horizon; a facet of slope (z_x, z_y) reflects the part of it that mirror
-    reflection shows, weighted by Fresnel's reflectance, and the dark of the water for the rest. Foam covers
-    it where its texture is above a threshold.
+    """Grey levels, (row, column), of what each pixel shows, without the camera's own noise.
+    Sky, its mirror reflection by facets of slope (z_x, z_y) with Fresnel's reflectance, dark water, foam.
     """
     width, height = camera.size
     a, b = camera.tangents(np.arange(float(width)), np.arange(float(height))[:, None])
@@ -101,6 +97,7 @@ def light(camera: Camera, seen: Seen, settings: SeaSurface, foam: Image, ripples
     upward = ray[..., 2] + 2.0 * facing * normal[..., 2]
     reflectance = REFRACTIVE + (1.0 - REFRACTIVE) * (1.0 - facing) ** 5
     water = settings.water + reflectance * settings.sky * _radiance(np.abs(upward))
+    # foam covers the water where its texture is above a threshold
     cover = np.clip(foam - settings.foam_threshold, 0.0, 1.0)
     water += (settings.foam - water) * cover
     # the horizon crosses pixels: what of each is below it
@@ -119,9 +116,7 @@ def texture_at(
     seen: Seen, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
     """Sum of paints, mean over each pixel, (row, column), carried by the water since the first frame.
-
-    With splines of (y, x) that give where the water was minus where it is, and the distance at which waves
-    end, m.
+    `drift`, of (y, x), gives where the water was minus where it is, m; waves end at the distance `far`, m.
     """
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []

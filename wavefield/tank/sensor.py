@@ -38,7 +38,6 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
     """Factor of the light over an image of a size in px, (row, column), with a mean of about 1.
-
     A slope and a fall towards the edges, which differ from camera to camera.
     """
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)

@@ -50,9 +50,9 @@ def _rotation(axis: int, angle: float) -> Array:
 
 def brought_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
     """A pose moved towards the middle of the field, (3,), until every camera sees the whole board.
-
-    A chessboard of which a part is missing cannot be numbered. One too large for the field stays as it is.
+    A board too large for the field stays as it is.
     """
+    # a chessboard of which a part is missing cannot be numbered
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
     half = ((np.array(board.shape) - 1) / 2 + around) * board.mesh
     corners = np.array([(sx, sy, 0.0) for sx in (-1, 1) for sy in (-1, 1)]) * (*half, 0.0)

@@ -13,7 +13,6 @@ Array = NDArray[np.float64]
 
 class Paint:
     """Band-limited white noise as a function of position: a cubic B-spline with random coefficients.
-
     On a rectangle x, y with grains of a mesh, metres; it is mirrored beyond.
     """
 
@@ -35,11 +34,10 @@ class Paint:
 
 def cast(camera: Camera, snapshot: Snapshot) -> tuple[Array, Array]:
     """Horizontal position x, y (row, column), m, where the sight line of every pixel meets the water.
-
-    Fixed point of z = Z(x_a + D z) with x_a the apparent position: first on every sixth pixel, then from a
-    spline through these on every pixel, to a tenth of a micrometre.
+    Fixed point of z = Z(x_a + D z) with x_a the apparent position, to a tenth of a micrometre.
     """
     width, height = camera.size
+    # first on every sixth pixel, then from a spline through these on every pixel
     columns, rows = (np.append(np.arange(0, n - 1, 6.0), n - 1.0) for n in (width, height))
     coarse = _meet(camera, snapshot, columns, rows, np.zeros((rows.size, columns.size)))[2]
     start = np.zeros((height, width))
