@@ -21,20 +21,8 @@ HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
-    """Motion of beads per step along x and y in excess of the water's, and its std, (2, ny, nx), metres.
-
-    A point at height h above the water along its normal is displaced by -h grad z, so that it moves by
-    -h d(grad z)/dt more: of a wave, (1 - h k) of the horizontal motion is measured. With the rise per step
-    (ny, nx), the step of the grid and the height, all in metres.
-
-    Examples
-    --------
-    A surface that tilts by 0.1 about the y axis in a step:
-
-    >>> rise = 0.1 * np.tile(np.arange(4) * 0.01, (3, 1))
-    >>> along_x, along_y = bead_tilt(rise, 0.01, 4e-4)[0][:, 1, 1]
-    >>> f"{1e6 * along_x:.0f} um along x, {abs(along_y):.0f} along y"
-    '-40 um along x, 0 along y'
+    """Excess motion of beads per step along x and y, and its std, (2, ny, nx), by the rise (ny, nx), metres.
+    A point at a height h above the water along its normal moves by -h d(grad z)/dt more than the water.
     """
     along_y, along_x = np.gradient(rise, step)
     moved = np.nan_to_num(-height * np.stack([along_x, along_y]))
@@ -42,12 +30,7 @@ def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN where nothing was learned.
-
-    A rig that is levelled on still water includes the height of the beads. Otherwise z is too high by it: by
-    the stated `bead_height`, or by about a fifth of the width of the beads' images on the water, which is
-    taken from the camera with the finest pixels.
-    """
+    """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN where nothing was learned."""
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
         return 0.0  # that of z contains it
@@ -61,4 +44,5 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
         return float("nan")
     x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
     widths = [width * pixel_at(geometry.rig[name], x, y) for name, width in record.beads]
+    # z is too high by the height of the beads unless the rig was levelled on still water, which includes it
     return HEIGHT_PER_WIDTH * min(widths)

@@ -74,8 +74,7 @@ class CameraDisplacements:
     @property
     def variance(self) -> Float:
         """Inverse weight of every component, (2N, ny, nx): the mean of the variances of its camera's two.
-
-        Without the factors on the noise: those are for the stated uncertainty.
+        The factors on the noise are left out: they are for the stated uncertainty.
         """
         both = 0.5 * (self.noise[::2] + self.noise[1::2] + self.missing[::2] + self.missing[1::2])
         return np.repeat(both, 2, axis=0)
@@ -91,8 +90,7 @@ def displacements_at_nodes(
     every: int = 1,
 ) -> CameraDisplacements:
     """Displacements of the named cameras at every n-th node along x and y on the surface z, metres.
-
-    With z at all nodes; the times of six frames, intervals from mid-time, where they are uneven.
+    z is at all nodes. Uneven times of the six frames are in intervals from mid-time.
     """
     z = z[::every, ::every]
     count, shape = len(names), z.shape
@@ -169,9 +167,8 @@ def _along_path(
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
-    """Fill out (c, n): noise (c, blocks) of five steps at the blocks read (5, n), -1 where none was.
-
-    With the weights (3, 3) of the step, its neighbours and theirs, for paths of two, four and six places.
+    """Fill out (c, n) with the noise (c, blocks) of five steps at the blocks read (5, n), -1 where none was.
+    The weights (3, 3) of the step, its neighbours and theirs are for paths of two, four and six places.
     """
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):

@@ -22,13 +22,7 @@ _MIN_NODES = 50  # for a mean over the field
 
 
 def row_direction(centres: Sequence[Float]) -> Float:
-    """Horizontal unit vector (2,) along a row of cameras with these centres (3,), metres.
-
-    Examples
-    --------
-    >>> row_direction([np.array([-2.0, 0, 4]), np.array([2.0, 0.0, 4]), np.array([0.0, 0, 4])]).tolist()
-    [1.0, 0.0]
-    """
+    """Horizontal unit vector (2,), not towards negative x, along a row of cameras with these centres (3,)."""
     place = np.array([c[:2] for c in centres])
     x, y = np.linalg.svd(place - place.mean(axis=0))[2][0]
     sign = 1.0 if (x, y) > (0.0, 0.0) else -1.0
@@ -38,14 +32,8 @@ def row_direction(centres: Sequence[Float]) -> Float:
 def mean_residuals(
     jacobian: Float, moved: Float, weight: Float, measured: NDArray[np.bool_], line: Float
 ) -> tuple[Float, tuple[float, float]]:
-    """Mean residuals of the cameras' displacements over the field, and the camera motion that explains them.
-
-    A motion m of the pictures leaves M m, M = 1 - J (J^T W J)^-1 J^T W. Of motions of variance s^2 along one
-    direction e of each picture, E|e^T M m|^2 = s^2 tr(P P^T) with P = e^T M e: s^2 follows from one step, and
-    where a direction leaves nothing (two cameras, along the line) from the other.
-
-    With jacobian (2N, 3, ny, nx), px per metre; moved, px, and its weight (2N, ny, nx); measured (ny, nx);
-    line (2,). Returns the median residuals (2N,), px, and the motion along the line and across it, px.
+    """Median residuals (2N,) over the field, px, and the motion along and across the line that explains them.
+    With jacobian (2N, 3, ny, nx), px per metre; moved, px, and its weight (2N, ny, nx); line (2,).
     """
     rows = len(moved)
     places = np.flatnonzero(measured.ravel())
@@ -54,6 +42,8 @@ def mean_residuals(
     sample = places[:: max(1, len(places) // _SAMPLED_NODES)]
     J = np.moveaxis(jacobian.reshape(rows, 3, -1)[:, :, sample], -1, 0)
     back = np.swapaxes(J, 1, 2) * weight.reshape(rows, -1)[:, sample].T[:, None, :]
+    # a motion m of the pictures leaves M m, M = 1 - J (J^T W J)^-1 J^T W; with variance s^2 along a direction
+    # e of each picture E|e^T M m|^2 = s^2 tr(P P^T), P = e^T M e, from which s^2 follows
     leaves = np.eye(rows) - J @ np.linalg.solve(back @ J, back)
     left = np.median(np.einsum("nij,nj->ni", leaves, moved.reshape(rows, -1)[:, sample].T), axis=0)
     M = leaves.mean(axis=0)
@@ -72,8 +62,7 @@ def displacement_variance(
     jacobian: Float, weight: Float, measured: NDArray[np.bool_], line: Float, size: tuple[float, float]
 ) -> Float:
     """Variance of dx, dy, dz of the water, (3,), square metres, from pictures that move by size, px.
-
-    In the middle of the measured nodes; other arguments as in `mean_residuals`.
+    It is that in the middle of the measured nodes; other arguments are as in `mean_residuals`.
     """
     places = np.flatnonzero(measured.ravel())
     if not len(places) or not any(size):
@@ -87,16 +76,8 @@ def displacement_variance(
 
 
 def elevation_variance(heights: Float, lengths: Float, least: float = 0.0) -> float:
-    """Variance of the elevation of all pairs of cameras, from how it differs between them over the field.
-
-    With the pictures of P + 1 cameras moved alike along the line, pair p is off by (m_p - m_0) / L_p; all
-    pairs together, weighted by L^2, by sum h_p (m_p - m_0) / L_p. With heights (P,), metres; lengths of the
-    parallax (P,); the least variance of the motion, square metres.
-
-    Examples
-    --------
-    >>> elevation_variance(np.array([6.0, 0.0]), np.array([1.0, -1.0]))
-    3.0
+    """Variance, m^2, of the elevation of all pairs from its differences between pairs: heights (P,), metres.
+    Pair p is off by (m_p - m_0) / L_p, with lengths L (P,) of the parallax; least is the least variance of m.
     """
     by_pair, by_all = _elevation_errors(lengths)
     rest = np.eye(len(by_pair)) - by_all
@@ -111,30 +92,14 @@ def _elevation_errors(lengths: Float) -> tuple[Float, Float]:
 
 
 def motion_for_level(level: float, lengths: Float) -> float:
-    """Std of each camera's picture on the water along the line that gives the level of z this std; metres.
-
-    Examples
-    --------
-    >>> round(motion_for_level(1.0, np.array([1.0, -1.0])), 3)
-    1.414
-    """
+    """Std of each camera's picture on the water along the line that gives the level of z this std; metres."""
     by_pair, by_all = _elevation_errors(lengths)
     return level / float(np.sqrt(np.sum(np.square(by_all @ by_pair))))
 
 
 def level_jitter(levels: Sequence[float], phase: float, times: Float | None = None) -> float:
-    """Std of six mean levels of the water that no wave explains, metres.
-
-    With levels that have an error of s each, the fifth difference has one of sqrt(252) s; of a wave whose
-    phase per frame is p it keeps (2 sin(p/2))^5, a hundredth at p = 0.4: so much of the levels' own amplitude
-    is subtracted. Levels at uneven times, intervals, have divided differences.
-
-    Examples
-    --------
-    >>> level_jitter([0, 1, 4, 9, 16, 25], 0.5)
-    0.0
-    >>> round(level_jitter([0, 0, 1, 0, 0, 0], 0.5), 2)
-    0.63
+    """Std of six mean levels of the water that no wave explains, metres; uneven times are in intervals.
+    The fifth difference of errors s is sqrt(252) s; of a wave of phase p per frame it keeps (2 sin(p/2))^5.
     """
     waves = 2.0 * float(np.var(levels)) * (2.0 * np.sin(0.5 * min(phase, np.pi))) ** 10
     if times is None:

@@ -32,8 +32,7 @@ class Convergence:
 
     def next(self, modes: Modes, waves: Float, solved: Float, seen: Float | None) -> tuple[Float, Float]:
         """Coefficients to continue with and the field that blocks see: half way where solutions oscillate.
-
-        Those before, if the solution is no displacement of an image.
+        They are those before, if the solution is no displacement of an image.
         """
         after = modes.seen(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # NaN is none either

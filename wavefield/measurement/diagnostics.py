@@ -149,13 +149,7 @@ def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
 
 
 def joined(cameras: Sequence[str]) -> str:
-    """Name of a pair, or of several cameras.
-
-    Examples
-    --------
-    >>> joined(("cam3", "cam1"))
-    'cam3-cam1'
-    """
+    """Name of a pair, or of several cameras: their names joined by hyphens."""
     return "-".join(cameras)
 
 

@@ -18,28 +18,16 @@ MIN_FACTOR = 0.2  # of the common one
 
 
 def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) -> Float:
-    """Factor on the noise of each camera, (N,), from the residuals of its displacements.
-
-    The residual is r = M dX with M = 1 - J (J^T W J)^-1 J^T W, of variance sum_j M_ij^2 f_j noise_j in row i:
-    linear equations for the factors f of the cameras (variance components; Helmert 1907), row by row, the
-    median of r^2 in place of its mean. Two cameras have only one redundant combination, and then both have
-    the same factor; three have the rows across the line between them, whose differences determine all three.
-
+    """Factor on the noise of each camera, (N,), from the residuals of its displacements (Helmert 1907).
     With jacobian (n, 2N, 3), px per metre; moved (n, 2N), px; noise (n, 2N), px^2; weight (n, 2N), px^-2.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> J = np.tile([[1.0, 0, 1], [0, 1, 0], [1, 0, -1], [0, 1, 0], [1, 0, 0], [0, 1, 0]], (40000, 1, 1))
-    >>> noise = np.full((40000, 6), 1e-4)
-    >>> moved = rng.normal(0, np.sqrt(noise * [2, 2, 2, 2, 0.5, 0.5]))
-    >>> noise_of_each(J, moved, noise, 1 / noise).round(1).tolist()
-    [2.0, 2.0, 0.5]
     """
     count, rows, _ = jacobian.shape
     if rows < 4 or not count:
         raise ValueError(f"noise needs two cameras and a node; got {rows // 2} cameras and {count} nodes")
     back = np.swapaxes(jacobian, 1, 2) * weight[:, None, :]
+    # r = M dX has the variance sum_j M_ij^2 f_j noise_j in row i, M = 1 - J (J^T W J)^-1 J^T W: linear
+    # equations for the factors f, with the median of r^2 in place of its mean; two cameras have one redundant
+    # combination, and then one factor
     left = np.eye(rows) - jacobian @ np.linalg.solve(back @ jacobian, back)
     parts = np.square(left) * noise[:, None, :]
     expected = parts.sum(axis=2)
@@ -59,12 +47,6 @@ def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) ->
 
 
 def own_noise(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Factor on the noise of each camera relative to that of all, from several steps; at least 1.
-
-    Examples
-    --------
-    >>> own_noise([{"cam1": 1.2, "cam3": 0.7}, {"cam1": 1.4, "cam3": 0.8}, {"cam1": 1.1}])
-    {'cam1': 1.2, 'cam3': 1.0}
-    """
+    """Factor on the noise of each camera relative to that of all: the median over steps, at least 1."""
     names = sorted({name for step in steps for name in step})
     return {name: max(1.0, float(np.median([s[name] for s in steps if name in s]))) for name in names}

@@ -91,9 +91,7 @@ def surface_of(
 
 def local_share(modes: Modes, waves: Float, information: Float) -> Float:
     """How much stronger waves that the prior removes in part are here than on average, (ny, nx), at least 1.
-
-    Where what is left of them is large, so is what is missing. With waves (1, my, mx): coefficients of the
-    elevation less its prior mean.
+    Where what is left of them is large, so is what is missing. waves (1, my, mx): less the prior mean.
     """
     lost = modes.inverse / (np.square(modes.foot) * np.float32(modes.prior.information) + modes.inverse)
     square = cv2.GaussianBlur(np.square(modes.field(lost * waves)[0]), (0, 0), _LOCAL_BLOCKS)

@@ -32,10 +32,8 @@ _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, abou
 
 
 class FieldSample(Protocol):
-    """One field: as windows give it, and as a prior makes it.
-
-    `information` is the mean of the blocks that are not masked, `bare` their fraction: the water below a mask
-    is assumed to be as rough and as visible as elsewhere.
+    """One field: as windows give it, and as a prior makes it; `bare` is the fraction of blocks not masked.
+    `information` is the mean of these: below a mask the water is assumed to be as rough and as visible.
     """
 
     field: Float
@@ -71,10 +69,8 @@ class ElevationSample:
         self.information = first_information(blocks, matches, pixel, _FREEDOM) / bare
 
     def estimate(self, modes: Modes) -> ElevationEstimate:
-        """The MAP elevation.
-
-        Noise is taken from the same scores as the field: with that across, an excess along would count as
-        waves.
+        """The MAP elevation, with the noise from the same scores as the field.
+        With the noise across, an excess along would count as waves.
         """
         return map_elevation(self.blocks, self.matches, self.prepared, modes, self.pixel, noise_across=False)
 

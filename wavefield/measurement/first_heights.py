@@ -64,10 +64,8 @@ class FirstHeights:
 
 
 def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
-    """Range of the elevations in some frames of a record.
-
-    Patches of one camera's image rectified to z = 0 are searched for in another's; their parallax is that of
-    `match_pair`.
+    """Range of the elevations in some frames of a record, from patches of images rectified to z = 0.
+    A patch is searched for in another camera's image; the parallax is that of `match_pair`.
     """
     kept: list[NDArray[np.float64]] = []
     tried = 0

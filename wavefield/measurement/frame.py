@@ -33,8 +33,7 @@ def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
     """A usable frame as it is matched: the floor subtracted, brightness evened out, pixels binned.
-
-    With the width of its beads, px (found if None), and the mask of pixels that do not count.
+    The width of its beads, px, is found if None; covered pixels do not count.
     """
     if covered is not None:
         image = made_even(image, covered)
@@ -49,16 +48,7 @@ def ready(
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
     """An image with its short waves raised, so that beads do not reach into each other.
-
-    Two cameras see a bead differently bright, and where it reaches into its neighbour it pulls at the match.
-    That error has the spectrum of the beads themselves: weighed by it, short waves count as long ones do.
-
-    With image (row, column); returns (row, column).
-
-    Examples
-    --------
-    >>> sharpened(np.eye(5, dtype=np.float32)[2:3] * np.ones((5, 1), np.float32), 0.5)[2].tolist()
-    [0.0, -0.5, 2.0, -0.5, 0.0]
+    Where one does, brightness that differs between cameras pulls at the match, with the spectrum of beads.
     """
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
@@ -68,20 +58,8 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def even_out(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Logarithm of the brightness above the background.
-
-    log(1 + (I - B) / (0.5 (I_99 - B))), with B the black level and I_99 the image's brightness at 99 %. Two
-    cameras see a bead differently bright, and where the images of beads overlap the brighter one pulls the
-    match: the logarithm turns factors into additions, which have no gradient, and lets faint beads count
-    nearly as much as bright ones. Gains and offsets of a camera drop out.
-
-    With image (row, column); covered (row, column); returns (row, column).
-
-    Examples
-    --------
-    >>> image = np.tile(np.arange(0, 256, dtype=np.uint8), (64, 1))
-    >>> np.array_equal(even_out(image), even_out((100 + 40 * image.astype(np.uint16))))
-    True
+    """Logarithm of the brightness above the black level B: log(1 + (I - B) / (0.5 (I_99 - B))).
+    Beads bright in one camera would pull the match; factors become additions, and gain and offset drop out.
     """
     low, _, high = _levels(image, covered)
     low = low if black is None else black

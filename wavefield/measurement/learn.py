@@ -256,9 +256,7 @@ def _elevations(
     geometry: GridGeometry, model: Model, current: bool, step: _SampleStep
 ) -> tuple[Float, Float, Float] | None:
     """Elevation at the nodes at two frames, and at the second where a current has taken them, metres.
-
-    z and velocities follow the water: beside nodes that stand still, waves on a current would seem to turn as
-    fast as they pass.
+    z and velocities follow the water: at nodes that stand still, waves on a current seem to turn too fast.
     """
     if step.pairs is None:
         first = elevation.surface(step.first.flat, geometry, model)

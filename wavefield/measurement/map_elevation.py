@@ -40,10 +40,8 @@ class Blocks:
 
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:
-    """Least squares over all pairs.
-
-    z = -sum dD . d / sum |dD|^2 over the pairs that count. eps_Y is the like sum across the sight line,
-    sum (dD_y d_x - dD_x d_y) / sum |dD|.
+    """Least squares over the pairs that count: z = -sum dD . d / sum |dD|^2.
+    Across the sight line likewise eps_Y = sum (dD_y d_x - dD_x d_y) / sum |dD|.
     """
     shape = matches[0].eps_y.shape
     along, across, square, length = np.zeros((4, *shape), np.float32)
@@ -86,13 +84,8 @@ def map_elevation(
     pixel: float,
     noise_across: bool = True,
 ) -> ElevationEstimate:
-    """Elevation by the blocks of all pairs together; pixel in metres.
-
-    A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD. Pairs of one
-    reference share its noise, which cancels between opposite sides; so scores are summed over the pairs
-    before their noise is measured. Across the sight lines there is nothing but noise, once the smooth part,
-    an error of the calibration, is subtracted: no wave is hidden in it, and no fit has reduced it. Without
-    `noise_across` the noise is that of the scores along the sight lines.
+    """MAP elevation by the blocks of all pairs together; pixel in metres.
+    A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD.
     """
     z = blocks.filled
     waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
@@ -109,6 +102,9 @@ def map_elevation(
         scores = [one.score(z[0]) for one in pairs]
         score = np.sum(scores, axis=0)
         hessian = np.sum([one.hessian for one in pairs], axis=0)
+        # scores are summed over the pairs first: they share the reference's noise, which cancels between
+        # opposite sides; across the sight lines there is only noise, once the smooth part, an error of the
+        # calibration, is subtracted
         nu = _noise_across(pairs, smooth) if noise_across else _noise(score, hessian, modes.freedom)
         if not noise_across:  # waves that a field loses add to its scores, and more noise takes more of them
             level = float(nu.mean())

@@ -76,7 +76,6 @@ def masked_nodes(
     geometry: GridGeometry,
 ) -> Pixels:
     """Nodes (ny, nx) masked by an outline on the water, or for too many cameras, on the surface z, metres.
-
     True where no pair of the surface's cameras, or fewer than two of the velocity's, are left.
     """
     hidden = {}

@@ -37,23 +37,13 @@ def z_at_mid_time(
     times: Float | None = None,
     late: Float | None = None,
 ) -> Float:
-    """Elevation at mid-time at nodes x, y (ny, nx), metres, from six frames.
-
-    A current carries short waves past a node faster than frames can follow; in water that moves with it their
-    phase turns no faster than on still water. So z is interpolated in time in a frame that moves with the
-    mean flow U, the median of the displacements over the field, and coincides with the grid at mid-time: with
-    z_n = z(x + t_n U) in frame n, t_n = -5/2 ... 5/2,
-
-        z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256,
-
-    a polynomial of fifth degree through six frames; without one of the outermost (9 (z_0 + z_1) - z_-1 - z_2)
-    / 16, a cubic through four. Where one neighbour is missing it is a parabola, (3 z_0 + 6 z_1 - z_2) / 8;
-    where both are, the mean. Where the times t_n of the frames are uneven, given in intervals from mid-time,
-    it is the polynomial of the same degree through the same frames. Where frames show the nodes later than at
-    their own times, by `late` (ny, nx), intervals, it is taken so much before mid-time.
-
-    The same beads in the same places have the same errors in all frames, so these do not average out.
+    """Elevation at mid-time at nodes x, y (ny, nx), metres, from six frames, following the mean flow.
+    Times of frames, and by how much later than at these each node is seen (late, ny, nx), are in intervals.
     """
+    # a current carries short waves past a node faster than frames follow: in water that moves with it (U, the
+    # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
+    # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
+    # frames are missing; beads repeat their errors in all frames, so these do not average out
     return z_by_orders(surfaces, flow, x, y, times, late)[0]
 
 
@@ -92,14 +82,11 @@ def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
     """Rise per step of the surface at the water that is at nodes x, y (ny, nx) at mid-time, metres.
-
-    With c the water's displacement over the step and b the bend of its path, it is at x_0 = x - c/2 + b in
-    the first frame and at x_1 = x + c/2 + b in the second, and stays on the surface: z_1(x_1) - z_0(x_0) is
-    c_z, for any size of displacements. The excess of the displacement at mid-time over c_z is added, so that
-    the rise changes with w. Where no motion was measured it is that of the mean flow.
+    z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z: c displacement over the step, b bend, d at mid-time.
     """
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
+    # without a measured motion it is that of the mean flow
     elsewhere = *flow, 0.0, 0.0, 0.0
     cx, cy, bx, by, excess = (np.where(measured, part, mean) for part, mean in zip(parts, elsewhere))
     rise = second.read(x + 0.5 * cx + bx, y + 0.5 * cy + by)

@@ -19,8 +19,7 @@ Float = NDArray[np.floating]
 
 class FieldModel:
     """A field that is estimated with a prior spectrum: cosines, variance and spline, computed on first use.
-
-    With shape of its lattice of blocks; inner (ny, nx): the blocks whose fit counts, all by default.
+    shape is that of its lattice of blocks; inner (ny, nx) are the blocks whose fit counts, all by default.
     """
 
     def __init__(

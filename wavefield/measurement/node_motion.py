@@ -57,8 +57,7 @@ def _add_right(jacobian: tuple[Float, ...], w: Float, observed: Float, sums: tup
 @njit
 def _factor(sums: tuple[Float, ...]) -> None:
     """Replace a normal matrix [[a, b, c], [b, d, e], [c, e, f]] by 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1.
-
-    NaN where the cameras do not determine a direction.
+    The result is NaN where the cameras do not determine a direction.
     """
     a, b, c, d, e, f = sums
     for k in range(len(a)):
@@ -164,11 +163,8 @@ def solve_nodes(
     axes: Float,
     out: Float,
 ) -> None:
-    """Solve J x = moved, chord and bend at n nodes, weighed by the inverse mean variance of each camera.
-
-    With float32 fields of N cameras: jacobian (2N, 3, n), the others (2N, n); factors on the noise along and
-    own (2N,); parts (3,) and axes (N, 3) of float64. Fills out (14, n): d, chord and bend (3 each), the
-    variance of d, eps = |J d - moved| / sqrt(2N), and chi^2 of the misfit per degree of freedom.
+    """Fill out (14, n): d, chord, bend (3 each), variance of d, eps = |J d - moved| / sqrt(2N), chi^2 / dof.
+    Float32 (2N, 3, n) jacobian, (2N, n) others; noise factors (2N,); float64 parts (3,) and axes (N, 3).
     """
     rows, n = moved.shape
     work = np.empty((24, NODES_AT_ONCE))

@@ -27,17 +27,8 @@ _MIN_MISFIT_FRACTION = 0.5  # of the nodes around that must contradict
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
-    """The camera without which the others agree.
-
-    Along the line of three cameras there is only one redundant displacement: whichever is left out, the other
-    two agree, and which of them moves that way cannot be determined.
-
-    Examples
-    --------
-    >>> outlier_camera(3, 500.0, lambda n: 1.0 if n == 1 else 400.0)
-    1
-    >>> outlier_camera(3, 500.0, lambda n: 400.0 if n == 1 else 1.0) is None
-    True
+    """The camera without which the others agree; None if all agree, or not exactly one camera explains it.
+    Whichever of three cameras in a line is left out, the other two agree along the line.
     """
     if n_cameras < 3 or not misfit > MAX_MISFIT:
         return None
@@ -56,8 +47,7 @@ def outlier_regions(
     misfit: Float, measured: Mask, n_cameras: int, misfit_without: Callable[[int], Float], reach: int
 ) -> dict[int, Mask]:
     """Where one camera contradicts the others, which agree there without it, (ny, nx), by its number.
-
-    With the misfit (ny, nx) of all cameras and without each; reach, nodes.
+    The misfit (ny, nx) is that of all cameras, then without each; reach is in nodes.
     """
     side = (2 * reach + 1, 2 * reach + 1)
     bad = (measured & (misfit > MAX_MISFIT)).astype(np.float32)
@@ -82,9 +72,7 @@ def outlier_regions(
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
     """Blocks at which pairs of cameras see different surfaces, (ny, nx); pixel in metres.
-
-    Where their elevations differ by more than 1.5 px of parallax, on the mean of 5 x 5 blocks, and two blocks
-    around.
+    Elevations differ by over 1.5 px of parallax on the mean of 5 x 5 blocks; two blocks around count as well.
     """
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
@@ -98,17 +86,15 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
-    """Blocks around which the scores of pairs at one surface move it to different heights, (ny, nx).
-
-    Complete matches may differ by much more and yet a bead's width hides it; at the surface to which both
-    have been brought, only noise should be left: 0.02 to 0.07 px (standard deviation) on bright and on dark
-    images, 0.36 px at most. Here sum s / sum H over 9 x 9 blocks differs by more than 0.75 px of parallax, or
-    does so two blocks away. With scores, hessians (ny, nx); lengths of the parallax (ny, nx), px per metre.
+    """Blocks (ny, nx), and two around, where sum s / sum H over 9 x 9 differs by over 0.75 px of parallax.
+    Scores s and hessians H of pairs are (ny, nx), the lengths of their parallax (ny, nx), px per metre.
     """
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)
     ]
+    # at the surface to which both are brought only noise is left: a std of 0.02 to 0.07 px on bright and on
+    # dark images, 0.36 px at most; complete matches may differ by much more and yet a bead's width hides it
     out = np.zeros(scores[0].shape, bool)
     for ((s, h), a), ((t, g), b) in pairwise(zip(means, lengths, strict=True)):
         least = np.float32(_MIN_RELATIVE_HESSIAN)

@@ -67,10 +67,8 @@ def prepare(
 def match_pair(
     a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
-    """Match two rectified images of one instant.
-
-    With apparent positions x_a, x_b: d = x_b - x_a = -(D_b - D_a) z, so z = -(dD . d) / |dD|^2 and
-    eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
+    """Match two rectified images of one instant: d = x_b - x_a = -(D_b - D_a) z in apparent positions.
+    So z = -(dD . d) / |dD|^2 and eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
     """
     found = matching.match(a, b, geometry.stereo_settings(pair))
     d = np.stack([found.u, found.v]) * np.float32(geometry.pixel)

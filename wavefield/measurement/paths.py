@@ -73,7 +73,6 @@ def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
     """Solve p = x - part f(p) by one Newton step from p = x - part (u, v), all in blocks.
-
     Returns p, f there, and how p follows a shift of x: (1 + part G)^-1, row by row.
     """
     px, py = x - part * u, y - part * v
@@ -193,32 +192,8 @@ def read_path(
     X: Float,
     Y: Float,
 ) -> tuple[Float, NDArray[np.int64]]:
-    """Displacement per step, at mid-time, of what is then at given pixels, and its path around.
-
-    With d01 the displacement of the step, d-10 and d12 of its neighbours along the path,
-
-        X0 = X - d01/2 + (d12 - d-10)/16,    dX/dt dt = (26 d01 - d-10 - d12)/24.
-
-    The particle is at X at mid-time, the middle of its chord (d12 - d-10)/16 (the bend) from there. What is
-    missing at one end is extrapolated: the path is then a parabola, and a straight line if both ends are
-    missing. Where the steps beyond were measured as well,
-
-        dX/dt dt = (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48:
-
-    as exact for a cubic path, with 0.4 of the variance by noise and a smaller error for fast waves.
-
-    With splines (ny, nx, 2), px, and valid (ny, nx) of an odd number of steps; lattice, px; X, Y S, px.
-    Returns (6,) + S: dX/dt dt at mid-time, displacement over the step, bend, px; and (5,) + S: flat index of
-    the block read in each of five steps, -1 where none was.
-
-    Examples
-    --------
-    >>> lattice = BlockLattice(2.0, 2.0, 5.0, (8, 8))
-    >>> same = np.full((8, 8, 2), 1.5, np.float32)
-    >>> at = np.array([20.0])
-    >>> d, block = read_path((None, same, None), (None, None, None), lattice, at, at)
-    >>> d[:, 0].tolist()
-    [1.5, 1.5, 1.5, 1.5, 0.0, 0.0]
+    """dX/dt dt at mid-time at pixels X, Y, displacement over the step, and bend, px, (6,) + the shape of X.
+    Splines (ny, nx, 2), px, of an odd number of steps. Also returns the blocks read, 5 per X, or -1.
     """
     nodes = np.shape(X)
     xs, ys = (np.ascontiguousarray(v, dtype=np.float32).ravel() for v in (X, Y))
@@ -229,6 +204,9 @@ def read_path(
     )
     has = [nothing if f is None else np.ascontiguousarray(f).ravel() for f in five(valid)]
     place = F(lattice.x0), F(lattice.y0), F(lattice.step)
+    # X0 = X - d01/2 + (d12 - d-10)/16, the bend being (d12 - d-10)/16; dX/dt dt = (26 d01 - d-10 - d12)/24 of
+    # four frames, (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48 of six, with 0.4 of the variance by noise;
+    # paths are parabolas if one end is missing, straight if both are
     near, far = (F(weight) for weight in PATH_WEIGHTS[6][1:])
     measured = has[0], has[1], has[3], has[4]
     _read_path((bb, b, c, a, aa), measured, lattice.shape, place, xs, ys, (near, far), out, block)

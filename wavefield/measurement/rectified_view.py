@@ -66,10 +66,8 @@ class RectifiedView:
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
-    """The part of the plane where the nodes appear at any height to the reference and to one of its partners.
-
-    Cameras on opposite sides see a node displaced to opposite sides, and one of them is enough for what is
-    high or low at the very edge. With cameras, the reference first; x, y (ny, nx), metres.
+    """The part of the plane where nodes x, y (ny, nx) appear at any height to the reference and a partner.
+    The reference comes first. One partner is enough: a node moves to opposite sides in opposite cameras.
     """
     lo, hi = np.full(2, np.inf), np.full(2, -np.inf)
     edge_x = np.concatenate([x[0], x[-1], x[:, 0], x[:, -1]])
@@ -94,9 +92,7 @@ def fit_plane(
 
 def _reach(camera: Camera, edge: Float) -> Float:
     """Places that bound what a camera sees of the plane, (n, 2), metres.
-
-    Where the horizon is in view, these are nodes of the grid's edge (m, 2), too: they may be further than
-    the bound of `view_on_water`.
+    Where the horizon is in view, visible nodes of the edge (m, 2) are added: `view_on_water` bounds less.
     """
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
@@ -123,9 +119,7 @@ def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
     """Standard deviations along x and y, px, that make a bead as wide in every rectified image.
-
-    Left alone, an oblique camera's beads are wider across its view, and what is left of a bead after matching
-    pulls at the surface as the window passes over it.
+    Beads of an oblique camera are wider across its view, which would pull at the surface.
     """
     variances = {}
     for name, sight in sights.items():

@@ -79,13 +79,8 @@ def _double(image: NDArray[Any], scale: np.float32, rows: NDArray[Any], out: NDA
 
 
 def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
-    """Weighted means of squares of pixels, for a camera that resolves more than its partners.
-
-    A Gaussian of half a square's side goes before the means: a bead that is sharp in the image is far
-    narrower than a square, and means of squares alone show it the same wherever in a square it lies.
-
-    With image (row, column); count, px; returns (row // count, column // count): 8 bit become 16 (times 64),
-    so that means are not rounded.
+    """Weighted means of squares of count x count pixels, for a camera that resolves more than its partners.
+    Returns (row // count, column // count); 8 bit become 16 (times 64), so that means are not rounded.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
@@ -95,6 +90,8 @@ def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
     image = image[: h * count, : w * count]
     scale = np.float32(64 if image.dtype == np.uint8 else 1)
     out = np.empty((h, w), np.float32 if image.dtype == np.float32 else np.uint16)
+    # a Gaussian of half a square's side goes first: means alone show a sharp bead the same wherever it lies
+    # in a square
     _bin(
         np.ascontiguousarray(image),
         _weights(count) * np.sqrt(scale),
@@ -147,10 +144,7 @@ def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float3
 
 
 def binned(camera: Camera, count: int) -> Camera:
-    """The camera of the images that `bin_pixels` makes.
-
-    With count, px.
-    """
+    """The camera of the images that `bin_pixels` makes, with count in px."""
     width, height = camera.size
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
@@ -158,12 +152,8 @@ def binned(camera: Camera, count: int) -> Camera:
 def double(
     image: NDArray[Any], space: Callable[[tuple[int, int], np.typing.DTypeLike], NDArray[Any]] = np.empty
 ) -> NDArray[Any]:
-    """Sample an image on a grid twice as fine, both images of a match equally smoothed.
-
-    Quintic B-spline without prefilter, weights 66, 26, 1 over 120 at whole and 1682, 237, 1 over 3840 at half
-    pixels.
-
-    With image (row, column); returns (2 row, 2 column): Element (2 r, 2 c) lies on pixel (r, c).
+    """Sample an image on a grid twice as fine, whose element (2 r, 2 c) lies on pixel (r, c).
+    Quintic B-spline, no prefilter: 66, 26, 1 over 120 at whole, 1682, 237, 1 over 3840 at half pixels.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
@@ -193,11 +183,8 @@ _space = _Space()
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Where a camera sees the points of a lattice on the water at rest.
-
-    With x, y (nx,), metres; returns X, Y (ny, nx): Places on the grid of `double`: twice the pixel
-    coordinates; seen (ny, nx): True where the camera sees the point, three pixels (the reach of the spline)
-    from its edge.
+    """Where a camera sees points x (nx,), y (ny,) of the water at rest, on the grid of `double`, (ny, nx).
+    The third result is True where it sees the point three pixels (the reach of the spline) from its edge.
     """
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
@@ -209,20 +196,14 @@ def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, 
 
 
 def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
-    """Image in apparent coordinates.
-
-    With image (row, column); X, Y (ny, nx); returns (ny, nx): Brightness.
-    """
+    """Image in apparent coordinates, (ny, nx), read at X, Y (ny, nx) on the grid of `double`."""
     return cv2.remap(
         double(image, _space), X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
     )
 
 
 def widen(image: NDArray[Any], x: float, y: float) -> NDArray[Any]:
-    """Blur an image by a Gaussian, differently along its axes.
-
-    With image (ny, nx); x, y, px; returns (ny, nx).
-    """
+    """Blur an image by a Gaussian whose standard deviations along its axes are x and y, px."""
     sides = tuple(2 * int(np.ceil(2.5 * sigma)) + 1 if sigma >= 0.3 else 1 for sigma in (x, y))
     if sides == (1, 1):
         return image

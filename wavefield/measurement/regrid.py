@@ -84,7 +84,6 @@ def push_pull(fields: Float, valid: Mask) -> Float:
 
 def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
     """Gain of the smoothing thin plate and of the spline prefilter for each cosine, (ny, nx).
-
     1 / ((1 + smoothing k^4) b_x b_y), with b the sampled cubic B-spline.
     """
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
@@ -204,12 +203,8 @@ def _read_surface(
 def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> tuple[Float, NDArray[np.int64]]:
-    """Fields at physical positions, from a lattice in a camera's apparent coordinates.
-
-    Solves x = x_a + D_a(x_a) z(x_a) by fixed point: with straight rays, x_a = c + (x - c) / (1 - z / c_z).
-
-    With spline (ny, nx, F); lattice, metres; centre of the camera (3,), metres; x, y S, metres. Returns the
-    fields at (x, y), (F,) + S, and the flat index of the block read, S.
+    """Fields (F, ...) at physical positions x, y, metres, of a spline (ny, nx, F), and indices of the blocks.
+    Solves x = x_a + D_a(x_a) z(x_a) by fixed point: with straight rays x_a = c + (x - c) / (1 - z / c_z).
     """
     nodes = np.broadcast_shapes(np.shape(x), np.shape(y))
     xs, ys = (np.ascontiguousarray(np.broadcast_to(v, nodes), dtype=np.float64).ravel() for v in (x, y))

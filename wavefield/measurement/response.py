@@ -23,10 +23,7 @@ WAVENUMBERS = 200  # up to the corner of those that the grid resolves
 
 
 def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
-    """Gains as they are stored with a cube.
-
-    Returns ``direction`` (8,), rad, over half a turn.
-    """
+    """Gains of z, u, v, w as they are stored with a cube, with ``direction`` (8,), rad, over half a turn."""
     k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, WAVENUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     unknown = np.full((DIRECTIONS, WAVENUMBERS), np.nan)
@@ -94,7 +91,6 @@ def shortest_carried(
 
 def in_focus(record: LearnedRecord) -> dict[str, float]:
     """Factor on each camera's information if its beads' images were two pixels wide.
-
     The same light in a spot of width s has gradients whose squares sum up to s^-4.
     """
     return {name: max(record.width(name) / FOCUSED_WIDTH_PX, 1.0) ** 4 for name, _ in record.beads}

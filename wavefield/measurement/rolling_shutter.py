@@ -45,12 +45,8 @@ def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
 
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
-    """What differences of lateness between cameras make of a surface at the nodes, metres.
-
-    Returns the error of the elevation (ny, nx), and by how far from the node it is (2, ny, nx). Camera n
-    shows a particle tau_n later than most, when it has moved by tau_n d; with D_n the slope of the sight line
-    its apparent position is then off by tau_n (d_xy - D_n d_z), and what differs of that between the cameras
-    of a pair is taken for an elevation. With displacements d (3, ny, nx) per interval.
+    """Error of the elevation (ny, nx) and its offset from the node (2, ny, nx) by cameras' lateness; metres.
+    What camera n shows tau_n late is off by tau_n (d_xy - D_n d_z), D its sight line, d (3, ny, nx) a motion.
     """
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)
@@ -58,6 +54,7 @@ def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float,
     for name, tau in late.items():
         slope[name] = np.stack(geometry.rig[name].sight_line(geometry.x, geometry.y, z))
         shift[name] = (tau - mean) * (d[:2] - slope[name] * d[2])
+    # what differs between the cameras of a pair is taken for an elevation
     along = square = np.float32(0.0)
     for a, b in geometry.pairs:
         parallax = slope[b] - slope[a]

@@ -18,10 +18,8 @@ _ORDER = 4
 
 
 class Sight:
-    """Where one camera sees the nodes at any height, as polynomials in z, and the blocks of its image.
-
-    `binning` is the side, px, of the squares of its raw pixels that are averaged before anything else;
-    `camera` is that of the binned image, `lattice` the blocks of that image, px.
+    """Where one camera sees the nodes at any height, as polynomials in z, and the blocks of its image, px.
+    `binning`: side of the squares of raw pixels averaged first, px; `camera` is that of the binned image.
     """
 
     def __init__(
@@ -44,10 +42,8 @@ class Sight:
         self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
-        """Image position and Jacobian of every n-th node along x and y at heights z (ny, nx), metres.
-
-        Returns (8, ny, nx): X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz
-        (px per metre).
+        """Image position and Jacobian of every n-th node along x and y at heights z, metres: (8, ny, nx).
+        X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz (px per metre).
         """
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 

@@ -47,16 +47,14 @@ def estimate_step(
     times: Float | None = None,
 ) -> StepEstimate | None:
     """Surfaces and motion of a step; None if nothing can be measured.
-
-    A knock between two frames spoils one displacement, and in part every path that contains it: where cameras
-    contradict each other along paths of six frames, those of four are used. Times of the six frames,
-    intervals from mid-time, are given where they are uneven.
+    Uneven times of the six frames are in intervals from mid-time.
     """
     surfaces: Surfaces = [instant.surface for instant in window]
     estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate, times)
     if estimate is None:
         return None
     motion = estimate.motion
+    # a knock between two frames spoils every path that contains it: those of four frames are used instead
     if motion.inconsistent and len(moves) > 3:
         return estimate_step(window, moves[1:-1], geometry, model, frame_rate, times)
     if not (motion.left_out or motion.regions):

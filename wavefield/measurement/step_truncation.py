@@ -28,9 +28,7 @@ def _rms(field: Float, measured: Mask) -> float:
 
 def convergence(orders: tuple[Float, ...], measured: Mask, record: LearnedRecord) -> tuple[float, float]:
     """By how much more than in the record elevations depart from those of two frames, and what is left then.
-
-    Elevations from six, four and two frames depart from each other by parts that fall as a geometric series:
-    the second value is the ratio of two successive ones, that of the record if a step has no six frames.
+    What is left is the ratio of successive departures (six, four, two frames), a geometric series.
     """
     known = dict(record.temporal_truncation.z)
     ratio = known[4] / max(known[2], 1e-12)
@@ -45,10 +43,8 @@ def convergence(orders: tuple[Float, ...], measured: Mask, record: LearnedRecord
 def elevation_truncation(
     orders: tuple[Float, ...], frames: int, rise: Float, measured: Mask, record: LearnedRecord
 ) -> Float:
-    """Standard uncertainty of z by the finite time step, (ny, nx), metres.
-
-    With the departure D of z from that of fewer frames and the ratio r of successive ones, what is left out
-    has the size D r / (1 - r); of the record it is the least.
+    """Standard uncertainty of z by the finite time step, (ny, nx), metres; at least that of the record.
+    D r / (1 - r), with the departure D of z from that of fewer frames and the ratio r of successive ones.
     """
     least = np.float32(record.temporal_truncation.of_z(frames))
     size, ratio = convergence(orders, measured, record)
@@ -65,14 +61,13 @@ def motion_truncation(
     motion: Motion, orders: tuple[Float, ...], seen: Mask, measured: Mask, record: LearnedRecord
 ) -> Float:
     """Standard uncertainty of displacements by the finite time step, (3, ny, nx), metres.
-
-    Paths of four places depart from their chords by what chords leave out: where that is more than the
-    record's waves make of it, more is left out of the path, too. Where paths are chords, elevations show the
-    size, and the depth how flat the orbits are; of six places, the size: waves then turn slowly.
+    Paths of four places depart from chords by what chords leave out; beyond the record's, more is left out.
     """
     known = record.temporal_truncation
     size, ratio = convergence(orders, measured, record)
     faster = max(1.0, ratio / max(min(known.of_z(4) / max(known.of_z(2), 1e-12), _MAX_RATIO), 1e-12))
+    # where paths are chords, or as smooth as those of six places, elevations show the size, and this how flat
+    # orbits are
     x, y, up = np.square(record.moved)
     flat = float(np.sqrt(max(1.0, (x + y) / max(up, 1e-30))))
     scale = np.array([flat, flat, 1.0], np.float32)[:, None, None] * np.float32(size)

@@ -48,9 +48,7 @@ class TemporalTruncation:
 
     def of_displacement(self, frames: int, d: Float, measured: NDArray[np.bool_]) -> Float:
         """Of displacements per step from so many frames, (3, ny, nx), metres, as d.
-
-        Half of the error along the axes is shared as the motion itself, half evenly: short waves come from
-        more sides than long ones.
+        Half of the error along the axes is shared as the motion, half evenly: short waves spread more.
         """
         still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
         if not measured.any():
@@ -72,7 +70,6 @@ class TemporalTruncation:
 
     def best_frames(self, rise: float, noise_variance: float) -> int:
         """Number of frames, 4 or 6, with the smallest error, for the rms rise and the noise of displacements.
-
         Four where few waves determine the phase; six have to be better by more than its uncertainty.
         """
 
@@ -112,32 +109,15 @@ def temporal_truncation(
     noise: Callable[[Float], Float] | None = None,
     matching_gain: Callable[[Float], tuple[Float, Float]] | None = None,
 ) -> TemporalTruncation:
-    """Error of the finite time step, from elevations at two consecutive frames (ny, nx), metres.
-
-    In every ring of wavenumber the power of the difference over that of the sum is tan^2(p/2), with p = omega
-    dt the phase per step of its waves; the power P of the waves is the sum of both, over four. The phase of a
-    ring of few waves is shrunk to c times that of the dispersion relation, with c the mean of all rings,
-    weighted by their waves. A window in space keeps the long waves out of the rings of the short ones, except
-    for what falls off with the sixth power of the distance: rings that this may fill are replaced completely.
-    All this is computed of the curvature of z: waves as long as the field and longer would fill the first
-    rings with their own slow phase. The part of z beyond its curvature is theirs, as a ring of its own; the
-    rise of the mean level is another, with the phase of the shortest waves that move it. Of z,
-    sum P (1 - K)^2 is left out (`elevation_gain`); three frames leave out p^3/16.
-
-    A path sees a wave with phase q = p - k d cos(theta) per step, where d is the motion of the water in it
-    and theta the direction of the wave relative to that; along the path its rise is q of the amplitude, its
-    motion along the wave p of it. Matching leaves B G of its displacement, the path K(q) of that
-    (`path_gain`); what the prior removes, (1 - G)^2, is stated separately. So half of sum P p^2 L of the
-    motion along either axis is left out, L = (1 - B G K(q))^2 - (1 - G)^2, averaged over theta. Of the rise,
-    sum P q^2 L is, except for the bend of the path: its places are Gaussian, given d, and the expectation of
-    the squared error follows from their covariances. Both grow nearly with d^2. d is that of deep water: as
-    far as it rises.
-
-    With step, metres; noise variance and matching_gain (G, B) as functions of wavenumber, rad per node.
+    """Error of the finite time step, metres, from elevations at two consecutive frames (ny, nx).
+    Noise variance and matching_gain (G, B) are functions of wavenumber, rad per node; step is in metres.
     """
     if not pairs or min(pairs[0][0].shape) < _MIN_NODES:
         return NOTHING
+    # in each ring the power of the difference over that of the sum is tan^2(p/2), p = omega dt; P is both
+    # over four
     k, power, phase, waves = _wave_rings(pairs, step, noise)
+    # z leaves out sum P (1 - K)^2 (`elevation_gain`), three frames p^3/16
     z = {n: float(np.sqrt(np.sum(power * (1.0 - elevation_gain(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
     gains = (np.ones_like(k), np.ones_like(k)) if matching_gain is None else matching_gain(k * step)
@@ -168,6 +148,7 @@ def _wave_rings(
         powers = [np.bincount(ring, weight * _power(filtered(a + sign * b))) for a, b in pairs]
         return np.asarray(np.maximum(np.mean(powers, axis=0) - noise_power, 0.0))
 
+    # of the curvature: waves as long as the field would fill the first rings with their own slow phase
     curved = [ring_power(_curvature, sign, 1.0 / square) for sign in (1.0, -1.0)]
     total = [ring_power(_inner, sign, np.ones_like(k)) for sign in (1.0, -1.0)]
     plus, minus = np.minimum(curved, total)
@@ -201,7 +182,10 @@ def _left_out_of_paths(
     theta = np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
     moved = far * k * np.cos(theta)[:, None]
     gain, raised = gains
+    # a wave along theta has phase q = p - k d cos(theta) where the water moves by d; matching leaves B G, the
+    # path K(q)
     q = phase - moved
+    # what the prior removes, (1 - G)^2, is stated separately
     lost = np.square(1.0 - raised * gain * path_gain(q, frames)) - np.square(1.0 - gain)
     along = 0.5 * np.sum(power * phase**2 * np.maximum(lost, 0.0))
     rise = _rise_error(power, phase, k, moved, raised * gain, frames) - np.square((1.0 - gain) * q)
@@ -210,9 +194,7 @@ def _left_out_of_paths(
 
 def _rise_error(power: Float, phase: Float, k: Float, moved: Float, gain: Float, frames: int) -> Float:
     """Squared error of the rise along a path, over the power of each wave, (directions, rings).
-
-    The path is a Gaussian process: its motion per step at mid-time is given, the rest of it turns the wave
-    too.
+    The path is a Gaussian process with given motion per step at mid-time; the rest of it turns the wave too.
     """
     t, weights = place_weights(frames)
     apart, each = np.subtract.outer(t, t)[..., None], np.multiply.outer(t, phase)
@@ -240,8 +222,7 @@ def _leaked(power: Float) -> Float:
 
 def _shrunk_phases(own: Float, waves: Float, shape: Float) -> Float:
     """Phases of rings, shrunk by their number of waves to a common multiple of a shape.
-
-    Phases beyond pi were taken for as much below it: where those of all longer waves predict more than pi.
+    Phases beyond pi were measured as much below it: they are turned back where longer waves predict so.
     """
     if not waves.any():
         return np.zeros_like(own)
@@ -256,9 +237,8 @@ def _shrunk_phases(own: Float, waves: Float, shape: Float) -> Float:
 
 
 def _rings(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], Float, Float]:
-    """Ring of every line of the discrete Fourier transform, its wavenumber, rad per node.
-
-    And the square of its curvature (`_curvature`) over its height; 1 where it has none.
+    """Ring of every line of the discrete Fourier transform, its wavenumber, rad per node,
+    and the square of its curvature (`_curvature`) over its height; 1 where it has none.
     """
     ky, kx = (scipy.fft.fftfreq(n) for n in shape)
     k = np.hypot(kx, ky[:, None]).ravel()

@@ -24,13 +24,7 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Fraction of a wave's elevation that 2, 4 or 6 frames give at mid-time; phase per step, rad.
-
-    Examples
-    --------
-    >>> [elevation_gain(np.array([1.0]), frames).round(4).tolist() for frames in (6, 4)]
-    [[0.9958], [0.9784]]
-    """
+    """Fraction of a wave's elevation that 2, 4 or 6 frames give at mid-time; phase per step, rad."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
@@ -43,13 +37,7 @@ def path_gain(phase: Float, frames: int) -> Float:
 
 
 def noise_weights(frames: int) -> tuple[float, ...]:
-    """Weights of the noise variances of displacements in that at mid-time: its step, then neighbours.
-
-    Examples
-    --------
-    >>> [round(a + 2 * sum(b), 2) for a, *b in map(noise_weights, (2, 4, 6))]
-    [1.0, 1.21, 0.49]
-    """
+    """Weights of the noise variances of displacements in that at mid-time: its step, then neighbours."""
     half = PATH_WEIGHTS[frames]
     w = np.array([0.0, *half[:0:-1], *half, 0.0])
     out = w[1:-1] * (w[1:-1] + _NOISE_CORRELATION * (w[:-2] + w[2:]))
@@ -59,18 +47,8 @@ def noise_weights(frames: int) -> tuple[float, ...]:
 def uneven_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Weights of six frames in a value at a time and in its rate, each (6,), by those of ``frames`` alone.
-
-    Of the polynomial through these frames, with times (6,), intervals from mid-time. The value is that at
-    mid-time or at other times S, intervals: weights are then (6,) + S. With ``smooth`` the rate
-    is exact for the fourth degree only, by the weights next to those of evenly spaced paths, which let less
-    noise pass.
-
-    Examples
-    --------
-    >>> value, rate = uneven_weights(np.array([-2.5, -1.5, -0.5, 0.7, 1.5, 2.5]), (2, 3))
-    >>> value.round(3).tolist(), rate.round(3).tolist()
-    ([0.0, 0.0, 0.583, 0.417, 0.0, 0.0], [0.0, 0.0, -0.833, 0.833, 0.0, 0.0])
+    """Weights (6, ...) of six frames in a value and in its rate, by the polynomial through ``frames`` alone.
+    Times (6,) and at are intervals from mid-time. A smooth rate is exact to degree four only, but less noisy.
     """
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T

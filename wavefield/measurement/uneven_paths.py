@@ -22,11 +22,8 @@ _ITERATIONS = 6  # each leaves the gradient of the displacement, at most a third
 def displacement_weights(
     times: Float, block: NDArray[np.int64], at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Weights of five displacements along a path, each (5,) + S.
-
-    Their sums are the way from the first frame of the step to the place at mid-time, and the displacement per
-    interval at mid-time. With the times of six frames, intervals from mid-time, and the blocks read (5,) + S.
-    In place of mid-time another time may be given for all or each of S, intervals.
+    """Weights of five displacements, (5, ...), in the way from the step's first frame to the place at a time,
+    and in the displacement per interval then; times (6,) and at: intervals from mid-time, block (5, ...).
     """
     before, after = block[1] >= 0, block[3] >= 0
     case = before + 2 * after + ((block[0] >= 0) & (block[4] >= 0))
@@ -54,10 +51,8 @@ def read_uneven_path(
     times: Float,
     at_time: Float | float = 0.0,
 ) -> tuple[Float, NDArray[np.int64]]:
-    """As `read_path`, with the times (6,) of the six frames, intervals from mid-time.
-
-    The path is the polynomial through the same places; displacements are per interval, that over the step is
-    the step's own. What is at X, Y is so at mid-time, or at a time for all or each of S, intervals.
+    """As `read_path`, by the polynomial through the same places, with times (6,) and at_time in intervals.
+    Displacements are per interval, that over the step is the step's own; X, Y are places at at_time.
     """
     first, block = read_path(splines, valid, lattice, X, Y)
     way, weights = displacement_weights(times, block, at_time)

@@ -32,12 +32,8 @@ _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 def unresolved_rise(
     found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry
 ) -> tuple[float, float]:
-    """Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and wavelength.
-
-    What single blocks move beside the MAP field is noise, and waves that are as short as blocks: those move
-    the beads in the images of all cameras. Of short waves of any direction, with variance c of their rise,
-    two cameras have the covariance J_a diag(1/2, 1/2, 1) J_b^T c, with which the products of their blocks are
-    compared by least squares. With the surface z (ny, nx), metres; returns metres.
+    """Std of the rise per frame by waves that blocks do not resolve, and their wavelength, metres.
+    Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
     """
     motions, jacobians, scales = {}, {}, []
     for name, one in found.items():
@@ -79,7 +75,6 @@ def _covariance(J: Float, K: Float) -> Float:
 
 def _block_motion(found: Displacement | Evaluation) -> Float:
     """Displacement of every block beside the field at which it was evaluated, (2, ny, nx), px.
-
     NaN where a block has little texture in either direction.
     """
     xx, xy, yy = found.hessian
@@ -99,19 +94,8 @@ def _limited(values: Float) -> Float:
 
 
 def unresolved_std(rise: float, wavelength: float, frame_rate: float) -> tuple[float, float]:
-    """Standard deviations of z and of the rise per step at mid-time by waves that blocks do not resolve.
-
-    All metres, Hz; from their rise between two frames. With a the standard deviation of their elevation and p
-    their phase per frame, the rise between two frames has the variance 2 a^2 (1 - cos p), or 2 a^2 where
-    phases are distributed evenly; that at mid-time has the variance (a p)^2.
-
-    Examples
-    --------
-    >>> for rate in (10.0, 100.0):
-    ...     z, rise = unresolved_std(1e-4, 0.02, rate)
-    ...     print(f"{1e3 * z:.2f} mm, {1e3 * rise:.2f} mm")
-    0.07 mm, 0.52 mm
-    0.14 mm, 0.10 mm
+    """Std of z and of the rise per step at mid-time by unresolved waves, metres, from their rise per frame.
+    With the std a and the phase p per frame of waves: 2 a^2 (1 - cos p), or 2 a^2 for even phases; (a p)^2.
     """
     phase = float(dispersion(2.0 * np.pi / wavelength)) / frame_rate
     z = rise / np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi))))

@@ -132,7 +132,6 @@ def mean_flow(
     times: Float | None = None,
 ) -> tuple[float, float] | None:
     """Median displacement of the water over the step, (dx, dy), metres, by all cameras at some nodes.
-
     None if fewer than two cameras have displacements.
     """
     names = _cameras(steps)
@@ -201,9 +200,8 @@ def shares(settings: Settings, record: LearnedRecord) -> Float:
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Variance in each camera's image, mean of both components, of motion with variances parts.
-
-    Returns (N, ny, nx): px^2 for square metres.
+    """Variance in each camera's image, (N, ny, nx), px^2, of motion whose components vary by parts, m^2.
+    It is the mean of both components of the image.
     """
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
