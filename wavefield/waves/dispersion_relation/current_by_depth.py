@@ -138,13 +138,12 @@ def _powers(z: Array, degree: int) -> Array:
 
 def _doppler(points: xr.Dataset, gamma: float, bands: int, profile: Array) -> tuple[Array, Array, Array]:
     """Wavenumbers (bands,), Doppler velocity of each band and its standard uncertainty, (bands, 2).
-
-    `profile`, (degree + 1, 2), are the coefficients of the Doppler velocity over -1 / 2k by which each point
-    is moved to the centre of its band: the variation within a band would otherwise count as error.
+    `profile` (degree + 1, 2), coefficients over -1 / 2k, moves each point to the centre of its band.
     """
     k, angle, omega, weight = (
         points[f"ridge_{name}"].values.astype(float) for name in ("k", "angle", "omega", "weight")
     )
+    # the variation within a band would otherwise count as error
     current_along = (omega - dispersion(k, float(points["depth"]), gamma)) / k
     # each line on its own scale: energy falls by decades
     lines, line = np.unique(omega, return_inverse=True)
@@ -180,7 +179,6 @@ def _polynomials(
     z: Array, values: Array, std: Array, highest: int
 ) -> tuple[list[tuple[Array, list[Array]]], int]:
     """Coefficients (degree + 1, 2) and covariances of all degrees to one above the highest, and the best.
-
     The best degree is that of the least Akaike criterion for the given errors.
     """
     fits: list[tuple[Array, list[Array]]] = []

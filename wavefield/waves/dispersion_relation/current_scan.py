@@ -18,11 +18,7 @@ SECTORS = 48
 
 def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
     """Current along x and y, (2,), to 0.02 m/s, whose dispersion relation holds most energy.
-
-    Each cell gives a current (omega - sigma(k)) / k along its direction, and (omega + sigma(k)) / k for waves
-    that a current carries backwards. The histogram of these is weighted by the energy above the noise, each
-    line over its total, and by k, since short waves determine the current better. A current U appears in the
-    sector theta at U cos(theta - phi).
+    Cells give (omega -+ sigma(k)) / k along k; a current U appears in the sector theta at U cos(theta - phi).
     """
     plane, omega = spectrum.plane, spectrum.omega
     used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
@@ -31,7 +27,9 @@ def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
     sector = np.rint(plane.angle[used] / (2 * np.pi) * SECTORS).astype(int) % SECTORS
     bins = round(2 * MAX_SPEED / SPEED_STEP) + 1
     histogram = np.zeros(SECTORS * bins)
+    # omega + sigma: waves that a current carries backwards
     sigma = dispersion(k, spectrum.depth, gamma)
+    # energy above the noise, each line over its total, and times k: short waves determine the current better
     for line_omega, energy, noise in zip(omega, spectrum.energy, spectrum.noise):
         weight = np.maximum(energy[used] - 3 * noise[used], 0.0)
         total = weight.sum() + noise[used].sum()

@@ -33,8 +33,7 @@ UNIFORM_STD = np.pi / np.sqrt(3)  # rad, of a direction of which nothing is know
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
     """E(k, omega + k . U) on some lines of E(omega, ky, kx), (lines, ky, kx): in the frame of the water.
-
-    Between lines by linear interpolation; current U in m/s.
+    Values between lines are interpolated linearly; the current U is in m/s.
     """
     values = density.values
     if not any(current):

@@ -32,15 +32,7 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """Frequency omega - k . U in the frame of the water, kept off zero and within reach of free waves.
-
-    With all frequencies in rad/s; doppler_shift k . U.
-
-    Examples
-    --------
-    >>> intrinsic_frequency(10.0, np.array([0.0, 2.0, 10.0, -20.0]), np.full(4, 8.0), 0.05)
-    array([10.,  8.,  4., 12.])
-    """
+    """Frequency omega - k . U in the frame of the water, rad/s, kept off zero and in reach of free waves."""
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, SLOWEST * sigma)
     most = np.maximum(omega, np.minimum(FASTEST * sigma, np.pi / dt))
@@ -126,12 +118,7 @@ def blend(
     frames: int,
 ) -> Array:
     """Best elevation from the transforms of z and w in time, (omega, ny, nx), on a current, m/s.
-
-    In every cell (k, omega) the two are weighted inversely to the noise that they have there: the integrated
-    w has that of the displacement over 4 sin^2((omega - k . U) dt / 2). Waves that pass faster than frames
-    resolve are folded back: of omega + 2 pi n / dt the one nearest to their free frequency is taken. Beyond
-    the edges the fields are mirrored and fade; nearer to the edge than the water moves in 0.4 s the result
-    becomes z alone.
+    In every cell z and the integrated w are weighted inversely to the noise that they have there.
     """
     dt, dy, dx = distances
     margin = min(MARGIN, *(n - 1 for n in w.shape[1:]))
@@ -141,6 +128,8 @@ def blend(
     sigma = dispersion(np.hypot(ky[:, None], kx), *water)
     # numpy's k points where waves come from
     doppler_shift = -(kx * current[0] + ky[:, None] * current[1])
+    # waves that pass faster than frames resolve: of omega + 2 pi n / dt the one nearest to their free
+    # frequency is taken
     folded = sigma + np.abs(doppler_shift) > RESOLVED * np.pi / dt
     inside = slice(margin, -margin)
     # what a current carries in from outside is not measured: the edges are left to stereo
@@ -153,6 +142,7 @@ def blend(
         half = 2j * np.sin(intrinsic * dt / 2)
         weight = 1 / (1 + 1 / (noise * noise_of_displacement(intrinsic, dt, frames)))
         to_z = dt / (half * path_factor(intrinsic, dt, frames))
+        # beyond the edges the fields are mirrored and fade
         planes = fft.fft2(np.pad([z[i], w[i]], ((0, 0), *[(margin, margin)] * 2), mode="reflect") * fade)
         sign = np.where(turns % 2 == 0, 1.0, -1.0)  # half a step of another turn has the other sign
         best = weight * planes[1] * to_z + (1 - weight) * sign * planes[0]

@@ -64,11 +64,8 @@ class PlaneSpectrum:
 
 
 def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
-    """Level of the noise, (lines, cells): a function of the frequency times a function of the wavenumber.
-
-    Along frequency: the median over the shortest waves. Along k: the mean, over all lines, of a ring's energy
-    in units of that; free waves are on few lines of a ring. Errors of measured displacements are independent
-    from step to step and smooth over a matching window, so that their spectrum is such a product.
+    """Level of the noise, (lines, cells): a function of the frequency times one of the wavenumber.
+    Errors are independent from step to step and smooth over a matching window: their spectrum is a product.
     """
     outer = plane.k > NOISE_ONLY * plane.nyquist
     if not outer.any():
@@ -76,6 +73,7 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
     along_omega = np.median(energy[:, outer], axis=1)
     ring = np.floor(plane.k / (RING_CELLS * plane.cell)).astype(int)
     ring = np.minimum(ring, ring[outer].min())  # the shortest waves are one ring
+    # the mean of a ring in units of that, over all lines, of which free waves are on few
     units = np.where(along_omega > 0, along_omega, np.inf)[:, None]
     order = np.argsort(ring, kind="stable")
     edges = np.searchsorted(ring[order], np.arange(ring.max() + 2))
@@ -86,9 +84,8 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
 
 
 def _mean_of_noise(values: Array) -> float:
-    """Mean of values distributed as chi-squared but for some larger ones.
-
-    It is median + variance / (3 mean), the variance from the lower quartile, which waves do not change.
+    """Mean of values distributed as chi-squared but for some larger ones: median + variance / (3 mean).
+    The variance is from the lower quartile, which waves do not change.
     """
     low, middle = np.quantile(values, [0.25, 0.5])
     std = (middle - low) / 0.6745

@@ -128,9 +128,7 @@ def centroids(
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
     """Wavenumber of each line from the table k -> free + k * along; NaN for waves that the current blocks.
-
-    With the group velocity of free waves, `speed`. Against a current omega rises with k only as long as the
-    group velocity exceeds it.
+    Against a current omega rises with k only as long as the group velocity `speed` of free waves exceeds it.
     """
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
@@ -168,9 +166,7 @@ class WindowDisplacement:
         settings: FitSettings,
     ) -> "WindowDisplacement":
         """Displacements of the centroids of free waves on the relation `fit`, as the windows show them.
-
-        With the spectrum on all lines; band (lines,). Points that the windows displace far are left out:
-        beyond the end of a sea all energy is leakage.
+        Points displaced far are left out: beyond the end of a sea all energy is leakage. band is (lines,).
         """
         free_waves = windowed_waves(spectrum.energy, spectrum.noise, cells, spectrum.depth, fit)[band]
         simulated = replace(

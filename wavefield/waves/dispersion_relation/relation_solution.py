@@ -29,7 +29,6 @@ _UNITS = np.array([1, 1, 1e5])  # the solver's unit of surface tension is 1e-5 m
 
 def _misfit(points: RelationPoints, depth: float, around: Array) -> Callable[[Array], Array]:
     """Misfit of a scaled fit in standard deviations of the points, (points,).
-
     The slope of the relation, which turns an error in k into one in omega, is that of the fit `around`.
     """
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
@@ -75,10 +74,8 @@ def _information(points: RelationPoints, depth: float, fit: Array) -> Array:
 
 
 def jackknife(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Standard uncertainty of the current, (2,), from fits without one block of lines each.
-
-    The blocks are bands of frequency that determine the current equally well. Raises CubeError where the
-    current changes much without one of them.
+    """Standard uncertainty of the current, (2,), from fits without one band of frequency each.
+    Bands determine the current equally well. Raises CubeError where it changes much without one.
     """
     order = np.argsort(points.omega, kind="stable")
     share = np.cumsum(_information(points[order], depth, fit))
@@ -104,10 +101,8 @@ def jackknife(points: RelationPoints, depth: float, fit: Array) -> Array:
 
 
 def covariance_of(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Covariance of the fit, (3, 3), of least squares, from the misfit of all points.
-
-    Points of one direction or frequency are too few for an estimate of their own where a sea is narrow. Times
-    Student's variance; NaN where there are too few points.
+    """Covariance of the fit, (3, 3), of least squares, from the misfit of all points; NaN if there are few.
+    Times Student's variance. Narrow seas have too few points of one direction for an estimate of its own.
     """
     misfit, scaled = _misfit(points, depth, fit), fit * _UNITS
     steps = np.diag([1e-4, 1e-4, 1e-2])
@@ -124,7 +119,6 @@ def covariance_of(points: RelationPoints, depth: float, fit: Array) -> Array:
 
 def with_surface_tension(fit: Array, covariance: Array, gamma: float) -> tuple[Array, Array]:
     """The fit and its covariance, given that the surface tension is near `gamma`.
-
     On a fast current the measured waves are too long to determine it.
     """
     if not np.isfinite(covariance).all():
@@ -142,7 +136,6 @@ def fast_waves(points: RelationPoints, depth: float, fit: Array) -> RelationPoin
 
 def distance_from_relation(points: RelationPoints, depth: float, fit: Array, least_k: float) -> float:
     """Rms distance of the points from the fitted relation in k over their wavenumber, weighted as in the fit.
-
     Shorter wavenumbers than `least_k`, rad/m, count as that.
     """
     model = dispersion(points.k, depth, fit[2]) + points.k * points.along(fit)

@@ -203,10 +203,8 @@ def ridge_broadening(
 
 
 def _fit(ratio: Array, rest: Array, lags: Array) -> tuple[Array, Array, Array, Array]:
-    """Squared width and shift, (..., rings), from correlations over those of the windows, (..., rings, lags).
-
-    `rest`, (rings, lags), is what the windows leave, 0 where it is too little to be used. The last two are
-    the errors of both that the misfit would be explained by.
+    """Squared width and shift, (..., rings), from correlations over those of the windows, (..., rings, lags),
+    and their errors by the misfit; `rest` (rings, lags), what windows leave, is 0 where it is too little.
     """
     weight = rest**2
     with np.errstate(all="ignore"):

@@ -27,9 +27,7 @@ def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
     """Variance of a mean of segments over that of independent ones, of free waves in each cell, (ky, kx).
-
-    Water is its depth, m, and surface tension over density, m3/s2; the current is in m/s. White segments, of
-    which ``dof`` degrees of freedom make account, have 1.
+    Water is depth, m, and surface tension over density, m3/s2; current is m/s. White segments have 1.
     """
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
@@ -47,17 +45,14 @@ def _white(count: float) -> float:
 def sector_covariances(
     shares: Array, around: Array, inside: NDArray[np.bool_], off: Array, packets: Array, dof: float
 ) -> Array:
-    """Covariances of the energies of sectors, (sectors, sectors).
-
-    Neighbouring cells and lines are correlated, sectors share cells, and segments share the waves that are
-    still in the window (``packets``, (ky, kx), of `packet_correlation`) and those that keep their phase, as
-    at the end of a sea. With the shares of cells (sectors, cells), the energy around a band (lines, ky, kx),
-    which lines are inside, and the distance of their cells from the relation, (lines inside, cells), in
-    cells. What chance adds to a squared energy, 2 / dof, is taken off.
+    """Covariances of the energies of sectors from shares of cells, (sectors, cells), and the energy around.
+    That is (lines, ky, kx); `off` (lines inside, cells) is in cells. Chance, 2 / dof, is taken off.
     """
     ring, energy = shares.sum(axis=0), around[inside]
     weight = ring * energy.reshape(len(energy), -1)
     count = segments_of(dof)
+    # neighbouring cells and lines are correlated, sectors share cells, and segments share waves that keep
+    # their phase, as at the end of a sea
     line = expected_segment_correlation((around.reshape(len(around), -1) @ ring)[None], round(count))[0]
     share = weight.sum(axis=1) ** 2
     kept = (line[inside] * share).sum() / max(share.sum(), 1e-300) / _white(count)
@@ -85,17 +80,16 @@ def _covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 
 def _correlation_across(weight: Array, off: Array) -> float:
-    """By what factor waves across the relation are fewer than the windows' correlation gives.
-
-    With the energy of the cells of a ring as `weight`, (lines, cells), and their distance from the relation
-    in cells. Cells count as correlated for even energy; where the relation is narrower than the window all
-    cells across it are one sample: for Gaussian shapes the number is that of the width without the window's.
+    """By what factor waves (lines, cells) across the relation are fewer than by the windows' correlation.
+    `off` is the distance from the relation in cells. Cells count as correlated for even energy.
     """
     total = weight.sum()
     if not total > 0:
         return 1.0
     mean = (weight * off).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     measured = 2 * float((weight * (off - mean) ** 2).sum() / total)
+    # where the relation is narrower than the window all cells across it are one sample: for Gaussian shapes
+    # the number is that of the width without the window's
     own = max(measured - 2 * _LINE_VARIANCE, 0.0)
     return float(np.sqrt((measured + _HANN_VARIANCE) / (own + _HANN_VARIANCE)))
 

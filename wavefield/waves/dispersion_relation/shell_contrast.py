@@ -45,7 +45,6 @@ def fraction(spectrum: PlaneSpectrum, fit: Array) -> float:
 
 def explained(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
     """Fraction of the energy above the noise near the relation, of waves carried backwards as well.
-
     Waves that a current carries backwards appear at the opposite wave vector: omega = k.U - sigma(k).
     """
     counted = spectrum.plane.k > MIN_CELLS_FROM_ZERO * spectrum.plane.cell

@@ -17,7 +17,6 @@ _NEWTON_ROUNDS = 20
 
 def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
     """Variables ``ridge_error`` and ``band_frequency``, Hz, (band,): points against theory by bands.
-
     The error is the energy-weighted mean of k over the theory's k for that omega and direction, less 1.
     """
     along = points.along(fit)

@@ -190,7 +190,6 @@ def _tiles(values: Array) -> Array:
 
 def _pair(plane: Array, shift: tuple[int, int], margin: tuple[int, int]) -> Array:
     """Sums over tiles, (3, tiles), of the product of nodes a shift apart, and of the powers of both.
-
     Each node inside the margin is paired with those on both of its sides: all shifts see the same waves.
     """
 

@@ -19,25 +19,14 @@ NOISE_LINES = 0.75  # of the Nyquist frequency: what is above counts as noise
 
 
 def hann_autocorrelation(lag: Array) -> Array:
-    """Autocorrelation of a Hann window of length 1.
-
-    Examples
-    --------
-    >>> hann_autocorrelation(np.array([0.0, 0.5, 0.75])).round(3).tolist()
-    [1.0, 0.167, 0.008]
-    """
+    """Autocorrelation of a Hann window of length 1."""
     x = np.minimum(np.abs(lag), 1.0)
     return np.asarray(((1 - x) * (2 + np.cos(2 * np.pi * x)) + 1.5 / np.pi * np.sin(2 * np.pi * x)) / 3)
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
     """Variance of a mean of segments over that of independent ones, of packets of velocities (x and y), m/s.
-
-    Segments last T = ``duration``, s, and overlap by half; the window is ``lengths`` L along x and y, m. A
-    cell holds a wave packet while it is within the windows in space and in time: with the velocity v of the
-    packet, lines that are dt apart have the correlation c(dt) = int a(s / T) a(v (dt - s) / L) ds, a the
-    autocorrelation of the Hann window, and powers c^2. The ratio is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 /
-    c(0)^2.
+    1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, T the duration, s; the window is lengths, m, along x and y.
     """
     s = np.linspace(-1, 1, LAGS)
     in_time = hann_autocorrelation(s)
@@ -47,6 +36,8 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
         in_space = [
             hann_autocorrelation(v[..., None] * apart / length) for v, length in zip(velocity, lengths)
         ]
+        # c(dt) = int a(s / T) a(v (dt - s) / L) ds for lines dt apart, a the autocorrelation of the Hann
+        # window: a cell holds a packet while it is within the windows in space and in time
         power = (in_space[0] * in_space[1] * in_time).sum(axis=-1) ** 2
         if lag:
             out += 2 * (1 - lag / count) * power / alone
@@ -57,9 +48,7 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 def crossing_correlation(welch: Welch) -> Array:
     """Variance of a mean of segments over that of independent segments, of free waves, (rings, lines).
-
-    That of `correlation_at`, packets having v = c_g + U on a current U; the direction of the waves of a ring
-    follows from the line, omega = sigma(k) + k . U, or without a current is any.
+    That of `correlation_at` of packets with v = c_g + U; the direction follows from omega = sigma(k) + k . U.
     """
     record, table = welch.record, welch.table
     duration = welch.segment * record.dt

@@ -15,10 +15,8 @@ def richardson_lucy(
     corrected: Callable[[Array, Array], Array],
     rounds: int,
 ) -> Array:
-    """Non-negative estimate that a window turns into what was measured.
-
-    In each round ``corrected(estimate, ratio)`` multiplies the estimate by the ratio of the measured values
-    to ``through_window(estimate)``, averaged with the window's weights.
+    """Non-negative estimate that a window turns into what was measured, after some rounds.
+    ``corrected(estimate, ratio)`` multiplies it by measured / ``through_window(estimate)``, window-averaged.
     """
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))

@@ -23,18 +23,8 @@ def hann_correlation(lines: int) -> Array:
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Degrees of freedom of sums of powers, as their spread lets expect.
-
-    With power (parts, n); dof (parts, n); overlap (parts, parts); returns (n,): (sum P)^2 / sum_ij rho_ij^2
-    P_i P_j / sqrt(nu_i nu_j).
-
-    Examples
-    --------
-    Four parts of ten degrees of freedom each, as strong as each other and independent; then the first alone.
-
-    >>> power = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    >>> sum_freedom(power, np.full((4, 2), 10.0), np.eye(4))
-    array([40., 10.])
+    """Degrees of freedom of sums of powers (parts, n), as expected from their spread, (n,).
+    (sum P)^2 / sum_ij rho_ij^2 P_i P_j / sqrt(nu_i nu_j), nu ``dof``, rho^2 the normalised ``overlap``.
     """
     size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
     share = power / np.sqrt(dof)
@@ -67,10 +57,7 @@ def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
 
 
 def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray | float = 1.0) -> xr.DataArray:
-    """Effective number of independent samples of a record in time, (sum S)^2 / sum S^2.
-
-    With energy (omega, ...); cells (omega, ...).
-    """
+    """Effective number of independent samples of a record in time, (sum S)^2 / sum S^2, from (omega, ...)."""
     step = float(energy["omega"][1] - energy["omega"][0])
     squares = (energy**2 / cells).sum("omega")
     return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * squares.where(squares > 0))

@@ -24,10 +24,7 @@ _PLATE_ERROR = (1.0, -4.0, 6.0, -4.0, 1.0)  # grows with k^4 as the error of the
 
 def fill_nodes(block: Array, missing: NDArray[np.bool_]) -> Array:
     """Fill the missing nodes of the steps (steps, ny, nx) that are not missing as a whole.
-
-    At first each step alone is made smooth; then what follows from the steps before and after is taken off,
-    and the rest is made smooth: the errors in space and in time multiply. Where a hole stays, both are the
-    same.
+    Steps are made smooth, then what the steps around leave: errors in space and in time multiply.
     """
     holes = ~np.isfinite(block) & ~missing[:, None, None]
     out = block.copy()
@@ -50,8 +47,7 @@ def fill_nodes(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 def fill_error(block: Array) -> float:
     """Standard deviation of `fill_nodes` at the middle of 2 `IN_TIME` + 1 steps; NaN where it has no holes.
-
-    Measured on nodes that are there, in holes of the same shapes half a field away.
+    It is measured on nodes that are there, in holes of the same shapes half a field away.
     """
     hole = ~np.isfinite(block[IN_TIME])
     ny, nx = hole.shape
@@ -82,9 +78,7 @@ def _agreement(field: Array, guess: Array) -> float:
 
 def smoothest(field: Array, hole: NDArray[np.bool_]) -> Array:
     """Values of the missing nodes (hole.sum(),) of a field (ny, nx): least squares of second differences.
-
-    A thin plate through the nodes around a hole: waves of length L leave (2 pi r / L)^4 / 64 of their
-    amplitude in the middle of one of radius r, while the nearest node leaves 2 pi r / L.
+    A thin plate through the nodes around: waves of length L leave (2 pi r / L)^4 / 64 amid holes of radius r.
     """
     number = np.full(hole.shape, -1)
     number[hole] = np.arange(hole.sum())

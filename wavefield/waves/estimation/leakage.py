@@ -37,24 +37,13 @@ class Leakage:
 
 
 def leakage(energy: Array, dt: float, frames: int) -> Leakage:
-    """Leakage into the lines of a spectrum of w, (n // 2 + 1,).
-
-    The spectrum before the window, on four frequencies to a line, comes from 60 rounds of `richardson_lucy`;
-    times the elevation's factor, and through the window again, it gives the elevation's. The two lowest
-    lines, from which mean and trend are removed, are left as they are.
-
-    Examples
-    --------
-    The lines next to a single wave at 1 Hz hold that wave alone: their factor is that of 1 Hz.
-
-    >>> energy = np.zeros(65)
-    >>> energy[5:8] = 1, 4, 1  # 6.4 s: the wave has 0.94 Hz
-    >>> leakage(energy, 0.05, 2).w[5:8].round(2)
-    array([0.72, 1.  , 1.32])
+    """Leakage into the lines of a spectrum of w, (n // 2 + 1,), by 60 rounds of `richardson_lucy`.
+    That spectrum times the elevation's factor, through the window again, is the spectrum of the elevation.
     """
     half = energy.size - 1
     lines = np.pi * np.arange(half + 1) / (half * dt)
     ones = np.ones(half + 1)
+    # the two lowest lines, from which mean and trend are removed, are left as they are
     strongest = float(energy[LOWEST:].max(initial=0.0))
     if not strongest > 0:
         return Leakage(ones, ones, ones)

@@ -17,11 +17,8 @@ _PARTS = 16  # of the record, whose means show the uncertainty
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Mean of u, v over the measured nodes of evenly spread steps, and its standard uncertainty; delayed.
-
-    Nodes are weighted by a Hann window: even weights leave a hundredth of the waves in the mean, and what
-    they move the frame by is coherent with z_t. Returns mean (2,) and standard uncertainty (2,), m/s, along x
-    and y.
+    """Mean (2,) of u, v over the measured nodes of evenly spread steps, and uncertainty (2,), m/s; delayed.
+    Even weights in place of a Hann window's would leave a hundredth of the waves, coherent with z_t.
     """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]

@@ -61,12 +61,8 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float, dk: float | None = None) -> Rings:
-    """Cut the k plane into rings.
-
-    Every cell is split into 8 x 8 parts and each part given to the ring of its centre: energy is conserved to
-    rounding. The corners beyond the Nyquist wavenumber of the axes are kept.
-
-    With dk, rad/m.
+    """Cut the k plane into rings of width dk, rad/m; the corners beyond the Nyquist wavenumber are kept.
+    Every cell is split into 8 x 8 parts, each in the ring of its centre: energy is conserved to rounding.
     """
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x) if dk is None else float(dk)

@@ -18,27 +18,15 @@ FLOOR = 1e-12  # of the strongest line
 
 def expected_segment_correlation(power: Array, count: int, furthest: int = 2) -> Array:
     """Variance of a mean of segments over that of independent segments, from their power (n, lines).
-
-    A line that holds one frequency, as at the end of a sea, has the same power in successive segments; one in
-    the midst of an even spectrum has a correlation of 1/36. The ratio is 1 + 2 sum_L (1 - L / K) |int S W^2
-    exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, (n, lines), with S the spectrum, sharpened in four
-    rounds of `richardson_lucy`, T the length of a segment and W^2 the window's power about the line. Waves
-    that keep their phase for longer than a window resolves correlate segments more than this.
-
-    Examples
-    --------
-    An even spectrum, and the flank of a single wave between two lines.
-
-    >>> flat = expected_segment_correlation(np.ones((1, 64)), 9)[0, 32]
-    >>> wave = expected_segment_correlation(hann_power(np.arange(64.0) - 30.5)[None], 9)[0, 32]
-    >>> round(float(flat), 2), bool(wave > 2)
-    (1.05, True)
+    1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, (n, lines).
     """
     lines = np.arange(power.shape[1])
     fine = np.arange(FREQUENCIES_PER_LINE * (lines.size - 1) + 1) / FREQUENCIES_PER_LINE
     distance = np.abs(lines[:, None] - fine)
     response = np.where(distance <= REACH, hann_power(distance), 0.0)
     measured = np.maximum(power, max(FLOOR * float(power.max()), 1e-300))
+    # S, sharpened in four rounds, is the spectrum, W^2 the window's power about the line, T the length of a
+    # segment; waves that keep their phase for longer than a window resolves correlate segments more
     sharp = richardson_lucy(
         measured,
         np.exp([np.interp(fine, lines, np.log(spectrum)) for spectrum in measured]),

@@ -61,22 +61,8 @@ def keep_lines(power: Array, first: int) -> dict[str, Array]:
 
 
 def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
-    """Degrees of freedom of E(k, omega), of E(omega) and of E(k).
-
-    Expected are twice the squared mean over the variance of the mean of K segments, as the distribution of
-    the energy over cells (`Welch.freedom`, and `sum_freedom` of that) and the correlation of the segments
-    (`correlation_of`, or what twelve segments or more show if it is more) lead to. The variance between
-    segments, over what the removal of the mean leaves of it, is expressed in parts of that. For E(k, omega)
-    of eight or more segments the ratio is averaged over 5 rings and 11 lines (over root (56 / K) times as
-    many if K is less, for products (28 / K)), for E(omega) and E(k) over 11 lines or rings, where it is at
-    least `MIN_SUM_RATIO`.
-
-    What follows from the variance alone is made (n - 1) / (n - 3) larger, Student's variance. n is the number
-    of segments over their correlation times the independent values among those averaged: for E(omega) and
-    E(k) the lines, over 1 + 6 / nu, since powers of nu degrees of freedom determine their variance less well
-    than Gaussian values. Lines and rings beyond the ends of a sea have what leaks into them (`of_leakage`).
-    Products of waves make cells rise and fall as one: two values are independent in
-    E(k, omega), three in sums.
+    """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of a segments' mean.
+    By cells (`Welch.freedom`) and correlation (`correlation_of`), over the measured ratio of variances.
     """
     cells = welch.freedom(sums[name])
     if welch.count < LEAST_COUNT:
@@ -93,6 +79,8 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
                 between * independent * correlation, CORRELATION_SIZE
             )
         correlation = correlation * np.nan_to_num(more, nan=1.0).clip(1, None)
+    # the ratio is averaged over 5 rings and 11 lines, over more of both if K is small; products of waves make
+    # cells rise and fall as one: of these, two values are independent in E(k, omega), three in sums
     ratio, near = np.ones_like(cells), _variance_size(welch.count, ENOUGH_FOR_REACH[gaussian])
     if not gaussian:
         ratio = _smooth(between * independent / 2, near) * _student(
@@ -108,21 +96,14 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
         mean = (of_sums * variance).sum(axis=over) / np.maximum(variance.sum(axis=over), 1e-300)
         expected = freedom_of_sums(power, independent, welch)[axis]
         of_sum = _of_sum(powers.sum(axis=1 + over), starts, welch, expected, mean, gaussian)
+        # lines and rings beyond the ends of a sea have what leaks into them
         out[axis] = of_leakage(power.sum(axis=over), of_sum)
     return out
 
 
 def of_leakage(power: Array, dof: Array) -> Array:
     """Degrees of freedom (n,) of a sum where lines that hold what leaks into them have those of its source.
-
-    A line weaker than its neighbour towards the strongest one by more than a sea falls off with frequency
-    (before the strongest line, by more than chance) holds mostly what the windows spread of that: the same
-    few waves in all of its cells, however many these are.
-
-    Examples
-    --------
-    >>> of_leakage(np.array([0.1, 1.0, 8.0, 6.0, 4.0, 0.2]), np.array([90.0, 80.0, 30.0, 40.0, 50.0, 20.0]))
-    array([30., 30., 30., 40., 50., 20.])
+    A line that is weaker than its neighbour towards the strongest by more than a sea falls off holds leakage.
     """
     out, peak = dof.copy(), int(np.argmax(power))
     for towards, lines in zip((1, -1), (range(peak - 1, -1, -1), range(peak + 1, power.size))):
@@ -186,9 +167,7 @@ def samples(
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
     """Degrees of freedom of the sums over k and over omega of powers (rings, lines).
-
-    The ridge of a line is thinner than the rings that see it: their powers have the correlation that the
-    amplitudes of even energy have.
+    The ridge of a line is thinner than the rings: powers have the correlation of amplitudes of even energy.
     """
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
@@ -198,11 +177,8 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Variance of a mean of segments over that of independent ones, of powers (rings, lines); of sums.
-
-    The larger of what the spectrum of the ring leads to (`expected_segment_correlation`) and, as far as the
-    power is waves, the time in which they cross the rectangle (`crossing_correlation`); in sums, whose lines
-    are correlated as well, both of them.
+    """Variance of a mean of segments over that of independent ones, of powers (rings, lines); of their sums.
+    The larger of `expected_segment_correlation` and, for waves, `crossing_correlation`; in sums both.
     """
     white = 1 + (1 - 1 / welch.count) / 18
     line = expected_segment_correlation(power, welch.count, MAX_LAG)

@@ -58,17 +58,7 @@ def gain_frame_mean(omega: Values, dt: float, frames: int = 2) -> Values:
 
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
     """Amplitude of a velocity along a path over that of one displacement; omega in rad/s.
-
-    With weights w of displacements d (`wavefield.variables.PATH_WEIGHTS`), w_0 d(k) + w_1 [d(k-1) + d(k+1)]
-    + ..., it is w_0 + 2 w_1 cos omega dt + 2 w_2 cos 2 omega dt: (26 - 2 cos omega dt) / 24 of four frames.
-    One frame stands for an instantaneous velocity: b / sin b.
-
-    Examples
-    --------
-    Waves of 5 Hz in 40 frames/s:
-
-    >>> [round(float(path_factor(2 * np.pi * 5, 0.025, frames)), 3) for frames in (4, 6)]
-    [1.024, 1.003]
+    w_0 + 2 w_1 cos omega dt + 2 w_2 cos 2 omega dt with `PATH_WEIGHTS` w; b / sin b of instantaneous ones.
     """
     factor: Values
     if frames == INSTANTANEOUS:
@@ -86,7 +76,6 @@ def path_factor(omega: Values, dt: float, frames: int) -> Values:
 
 def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
     """Noise of the displacements over that of the elevation integrated from them, 4 sin^2 b.
-
     Of instantaneous velocities times dt it is (2 b)^2.
     """
     twice: Any = omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)
@@ -96,10 +85,10 @@ def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
 
 def to_frame_time(omega: Array, dt: float, frames: int, z_frames: int = 4) -> Array:
     """Factor T so that z + T z_t is the elevation at a step's first frame, in numpy's signs exp(+i omega t).
-
-    With d the differences over dt, the mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) for four
-    frames, z + (dt / 256) [22 (d(k+1) - d(k-1)) - 3 (d(k+2) - d(k-2))] for six. Omega in rad/s.
+    T is in seconds, omega in rad/s.
     """
+    # with d differences over dt the mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) of four frames,
+    # z + (dt / 256) [22 (d(k+1) - d(k-1)) - 3 (d(k+2) - d(k-2))] of six
     if z_frames == 6:
         mean = dt / 128 * 1j * (22 * np.sin(omega * dt) - 3 * np.sin(2 * omega * dt))
     else:
@@ -109,10 +98,7 @@ def to_frame_time(omega: Array, dt: float, frames: int, z_frames: int = 4) -> Ar
 
 def from_moving_frame(k: Array, omega: Array, dt: float) -> Array:
     """Factor from z at mid-time in a frame that moves with the mean flow to z at the step's first frame.
-
-    In that frame the phase of a free wave changes by sigma(k) dt from frame to frame, whatever the current:
-    six frames leave the root of `gain_frame_mean` of its amplitude, which is corrected, up to twofold. Half a
-    step earlier its phase is less by omega dt / 2. k in rad/m, omega in rad/s.
+    In it a free wave turns by sigma(k) dt per frame; the gain of six frames is corrected, up to twofold.
     """
     amplitude = np.sqrt(gain_frame_mean(dispersion(np.asarray(k, float)), dt, 6))
     return np.asarray(np.exp(-0.5j * omega * dt) / np.maximum(amplitude, MIN_AMPLITUDE))

@@ -441,10 +441,8 @@ def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> 
 def windowed_sums(
     energy: Array, noise: Array, cells: Array, k: Array, heading: Array, first: Array, last: Array, out: Array
 ) -> None:
-    """Sums (8, lines) over a window of cells, from first to last, of each line of a spectrum (lines, cells).
-
-    Of the energy less the noise: itself, times k, times both components of the heading; of the squared
-    energy: itself, times k, times k^2; of the noise.
+    """Sums (8, lines) over cells, from first to last, of a spectrum (lines, cells).
+    Energy less noise: itself, times k, heading x, y; squared energy: itself, times k, k^2; the noise.
     """
     for i in range(first.size):
         out[:, i] = 0.0

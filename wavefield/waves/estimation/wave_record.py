@@ -302,7 +302,6 @@ def _without_masked(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, masked: Sequence[tuple[slice, np.ndarray]]
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], np.ndarray]:
     """Rectangle, and steps to be left out, so that nothing masked is left: it is no water, and never filled.
-
     Nodes that are masked at any step are left out, or all such steps are, whichever leaves more.
     """
     ever_masked, barred = np.zeros(valid_nodes.shape, bool), np.zeros(valid_steps.size, bool)

@@ -60,10 +60,7 @@ class Welch:
         record: Record | None = None,
         dk: float | None = None,
     ) -> "Welch":
-        """Lay segments over fields.
-
-        With dk, rad/m.
-        """
+        """Lay segments over fields, with rings of width dk, rad/m."""
         record = find_record(fields) if record is None else record
         length = segments.segment_length(record, segment)
         frames = frames_of(fields), frames_of_z(fields), moves_with_flow(fields)
@@ -130,23 +127,16 @@ class Welch:
         return inner(self.omega.size)[:, None] & in_k
 
     def freedom(self, sums: Array) -> Array:
-        """Degrees of freedom of E(k, omega) from how the energy is spread over the cells of each ring.
-
-        The variance of sum A_c |F_c|^2 is sum A_c A_d |<F_c F_d*>|^2, and the windows correlate cells c and d
-        by rho_cd. With the square of each cell's expected power taken from <|F_c|^4> / 2 (Gaussian waves),
-        the number of independent cells is (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c: the geometric number
-        of a ring for energy spread evenly over it, one for a single wave. Squares are averaged over segments
-        before they are summed, so the number does not depend on K; its reciprocal is averaged over three
-        lines and what chance adds to the squared power, 1 / K, taken off.
-
-        With sums (2, rings, n // 2 + 1); returns (rings, n // 2 + 1): Degrees of freedom of a cell times the
-        equivalent number of independent cells.
+        """Degrees of freedom (rings, n // 2 + 1) of E(k, omega) from how energy is spread in a ring's cells.
+        (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c, with <|F_c|^4> / 2 for squares of Gaussian waves' power.
         """
         power, square = sums[0], sums[1]
         filled = power > 0
         spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
         weight = ndimage.uniform_filter1d(filled.astype(float), _NEAR, axis=-1, mode="nearest")
         spread = ndimage.uniform_filter1d(spread, _NEAR, axis=-1, mode="nearest")
+        # squares are averaged over segments first, so the number does not depend on K; what chance adds, 1 /
+        # K, is taken off
         cells = np.divide(weight, spread, out=np.zeros_like(power), where=spread > 0) - 1 / self.count
         cells = np.where(filled, cells, self.table.cells[:, None])  # where there is no energy at all
         return np.asarray(self.dof * cells.clip(1))

@@ -64,15 +64,13 @@ def _energy_on_relation(excess: Array, cells: SpectralCells, depth: float, fit: 
 
 def windowed_waves(energy: Array, noise: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
     """Spectrum of free waves on a fitted relation with the energy of a measured one, through Hann windows.
-
-    Four waves a cell, whose energy is adjusted in rounds of `richardson_lucy`, each to the power 1.8, so that
-    each cell of the k plane shows on the relation what was measured there: a sea that is left too wide would
-    hide how far the windows reach from its strong directions into the weak ones.
-
     Energy, noise and result are (lines, ny * nx), ``fit`` is current x, y (m/s) and gamma.
     """
     measured = _energy_on_relation(energy - noise, cells, depth, fit)
     steps = cells.steps
+    # the energy of four waves a cell is adjusted in rounds of `richardson_lucy`, each to the power 1.8, until
+    # each cell of the k plane shows what was measured there: a sea that is left too wide would hide how far
+    # the windows reach from its strong directions into the weak ones
     offsets = (np.arange(WAVES_PER_AXIS) + 0.5) / WAVES_PER_AXIS - 0.5
     rows, columns = np.meshgrid(np.arange(cells.ky.size), np.arange(cells.kx.size), indexing="ij")
     places = np.array([(rows + a, columns + b) for a in offsets for b in offsets])

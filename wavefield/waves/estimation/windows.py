@@ -15,13 +15,7 @@ def hann(n: int) -> np.ndarray:
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Energy of a long Hann window's line at distances from it, in lines; 1 at none.
-
-    Examples
-    --------
-    >>> [round(float(p), 3) for p in hann_power(np.array([0.0, 1.0, 2.0, 2.5]))]
-    [1.0, 0.25, 0.0, 0.001]
-    """
+    """Energy of a long Hann window's line at distances from it, in lines; 1 at none."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -44,28 +38,12 @@ def choose_segment(steps: int) -> int:
 
 
 def degrees_of_freedom(segments: float) -> float:
-    """Degrees of freedom of one spectral cell.
-
-    Welch (1967): neighbouring segments have a squared correlation of 1/36.
-
-    Examples
-    --------
-    >>> round(degrees_of_freedom(45), 1)
-    85.4
-    """
+    """Degrees of freedom of a spectral cell: neighbours have a squared correlation of 1/36 (Welch 1967)."""
     return 2 * segments / (1 + (1 - 1 / segments) / 18)
 
 
 def effective_duration(segments: float, length: float) -> float:
-    """Length of a record, weighted as by its Hann-windowed, half-overlapping segments.
-
-    Examples
-    --------
-    Nearly the whole record of (K + 1) / 2 segments; half of a single one.
-
-    >>> [round(effective_duration(k, 1.0) / ((k + 1) / 2), 2) for k in (45, 7, 1)]
-    [0.93, 0.84, 0.51]
-    """
+    """Length of a record, weighted as by its Hann-windowed, half-overlapping segments, of this length."""
     return length * 18 * segments**2 / (38 * segments - 3)
 
 

@@ -113,9 +113,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 
 def _source(spectra: "_Elevations", water: Water) -> Array:
     """Wavenumbers (omega, k) of the waves whose energy a ring holds, rad/m.
-
-    In a field of few wavelengths the window spreads a wave over rings of other gains than its own: next to
-    the free waves of a frequency, energy is theirs.
+    In a field of few wavelengths, windows spread free waves to rings of other gains: energy near is theirs.
     """
     waves = [reach(spectra.omega, water, spectra.speed)[:, None] for reach in (longest_waves, shortest_waves)]
     of_waves = np.clip(spectra.k, *waves)

@@ -130,7 +130,6 @@ def _draw(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tuple[A
 
 def _leakage(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, float]:
     """Fraction of the energy of free waves that leaks to each kind of cell, and the windows' width squared.
-
     Single waves are drawn from the cells of free waves and passed through the windows.
     """
     total, width = _through_windows(_draw(energy, kinds, axes, cut), axes, cut)

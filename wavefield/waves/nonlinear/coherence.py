@@ -18,13 +18,7 @@ PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 
 def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any:
-    """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1)).
-
-    Examples
-    --------
-    >>> round(float(significance_level(45.0)), 3)
-    0.066
-    """
+    """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1))."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - chance ** (1 / more)
 

@@ -16,9 +16,7 @@ MIN_DETUNING = 0.1
 
 def forced_elevation(first: Waves, second: Waves, sign: int, depth: float, gamma: float) -> Array:
     """Elevation at the sum (sign 1) or difference (-1) of two waves over the product of theirs, 1/m.
-
-    Kinematic and dynamic condition at z = 0 to second order, symmetric in both waves (Sharma & Dean 1981,
-    with surface tension in the linear terms); 0 near resonance.
+    Second order at z = 0, with surface tension in linear terms (Sharma & Dean 1981); 0 near resonance.
     """
     (xi, yi, si), (xj, yj, sj) = first, second
     ki, kj = np.hypot(xi, yi), np.hypot(xj, yj)

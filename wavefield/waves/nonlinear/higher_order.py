@@ -33,7 +33,6 @@ def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
 
 def bicoherence_of(z: np.ndarray) -> np.ndarray:
     """Bicoherence |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) of lines (n, samples), (n, n).
-
     Z3 is the line at the sum of the frequencies of Z1 and Z2.
     """
     n = z.shape[0]
@@ -59,12 +58,11 @@ def tricoherence_of(
     z: np.ndarray, shared: np.ndarray | None = None, limit: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Largest tricoherence over omega3 for each pair omega1, omega2, and the line of that omega3.
-
-    Pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s. Two pairs whose lines
-    are correlated in twos by more than a limit are left out; ``shared`` (n, n) is that correlation.
+    Two pairs whose lines are correlated in twos, ``shared`` (n, n), by more than a limit are left out.
     """
     n = z.shape[0]
     value, partner = np.full((n, n), np.nan), np.full((n, n), -1)
+    # pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s
     for s in range(2, 2 * n - 1):
         first = np.arange(max(1, s - n + 1), s // 2 + 1)
         second = s - first

@@ -43,7 +43,6 @@ def terms(
     fields: Mapping[str, Array], dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Array]:
     """The `OUTPUTS`, each (..., ny, nx), from z, z_t, u, v, w and the mean of z over both frames, ``mean``.
-
     The nonlinear term is relative to a current, m/s.
     """
     shape = fields["z"].shape
@@ -165,7 +164,6 @@ def frame_elevations(
     z: xr.DataArray, z_t_before: xr.DataArray, z_t_after: xr.DataArray, z_t: xr.DataArray, dt: float
 ) -> tuple[Any, Any]:
     """Elevations of the two frames of a step, exact, from z and z_t of the step and its neighbours' z_t.
-
     z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before).
     """
     mean = z + (dt / 16) * (z_t_after - z_t_before)

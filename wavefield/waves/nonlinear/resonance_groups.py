@@ -77,7 +77,6 @@ def free_waves(
     density: xr.DataArray, water: tuple[float, float], current: tuple[float, float], segment: int, dt: float
 ) -> tuple[Waves, Array]:
     """All free waves of a spectrum, none nearer than two cells to a stronger one, and their energies.
-
     Water is its depth, m, and surface tension over density, m3/s2.
     """
     ky, kx = (density[name].values.astype(float) for name in ("ky", "kx"))

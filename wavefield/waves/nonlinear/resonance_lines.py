@@ -28,8 +28,7 @@ def lines_of(
     field: xr.DataArray, record: Record, places: tuple[Array, Array], segment: int
 ) -> tuple[Array, list[int]]:
     """Fourier lines (places, segments) of Hann-windowed segments at cells (places, 2) and fine lines.
-
-    Of amplitudes of exp(i (k . x - omega t)); and where runs end. The record is read once, in pieces.
+    Amplitudes of exp(i (k . x - omega t)), and where runs end. The record is read once, in pieces.
     """
     ny, nx = record.shape
     window = spatial_window(ny, nx).astype(np.float32)
@@ -72,7 +71,6 @@ def scaled(lines: Array) -> Array:
 
 def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[Array]:
     """Copies of lines with random phases of each line's spectrum over the record.
-
     They have the power and autocorrelation of each line and no relation between lines.
     """
     spectra = fft.fft(lines, axis=1)
@@ -87,7 +85,6 @@ def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[A
 
 def autocorrelation(lines: Array, ends: list[int]) -> Array:
     """Autocorrelation within runs of lines (places, segments) at lags from 1 on, (places, lags), unbiased.
-
     Sums over a lag have fewer terms than the power: of four waves what that takes off would count four times.
     """
     lags = min(MAX_LAG, lines.shape[1] // 4)
@@ -130,10 +127,7 @@ class Coherences:
 
 def coherences(waves: list[Array], memory: list[Array], scored: bool = True) -> Coherences:
     """Coherences of groups from the lines (groups, segments) of each wave and their autocorrelations.
-
-    A wave without relation to a product of Gaussian ones, of N independent samples, has a larger part 1 - q
-    of its power in common with it in q^(N - 1) of cases: the wave with the largest part gives the score,
-    which is 0 if it is not asked for.
+    The score is -(N - 1) log(1 - p), p the largest part of a wave's power in common; 0 if not asked for.
     """
     one, other = waves[0] * waves[1], waves[2]
     memory_of_other = memory[2]
@@ -162,6 +156,7 @@ def coherences(waves: list[Array], memory: list[Array], scored: bool = True) -> 
                 shared = np.abs(np.einsum("gs,gs->g", waves[i], waves[i ^ 1].conj())) ** 2
                 both = both * (1 + shared / np.maximum(mean * means[i ^ 1], 1e-300))
             part = np.maximum(part, np.minimum(cross / np.maximum(both, 1e-300), 1 - 1e-9))
+        # unrelated Gaussian waves of N independent samples have p > 1 - q in q^(N - 1) of cases
         score = -np.maximum(samples - 1, 1.0) * np.log1p(-part)
     squared = cross / np.maximum(norm, 1e-300)
     return Coherences(squared, score, samples, squared - correlated / one.shape[1])

@@ -276,9 +276,7 @@ def _lines(
 
 def _share_no_waves(correlation: Array, by_chance: Array, waves: Waves, groups: Groups) -> NDArray[np.bool_]:
     """Whether groups are without waves that others hold, from the squared correlation of free waves.
-
-    In cells with little of their own the windows spread the same strong waves: they repeat a group, and two
-    such pairs seem coupled.
+    Windows spread the same strong waves into weak cells: they repeat a group, and pairs of them seem coupled.
     """
     same = correlation > np.maximum(SAME_WAVE, RARE * by_chance)
     repeats = np.zeros(len(waves.n), bool)
@@ -321,9 +319,7 @@ def _map(
 
 def _excess_by_mismatch(lines_off: Array, measured: Array, null: Array, max_mismatch: int) -> dict[str, Any]:
     """Mean excess of quartets (groups,) less that of surrogates (surrogates, groups), by mismatch.
-
-    Quartets share waves: their mean varies more than that of as many independent values, by one factor for
-    all mismatches, which the surrogates' means at all of them determine.
+    Quartets share waves: their mean varies more, by one factor for all mismatches, from the surrogates.
     """
     classes = np.arange(-max_mismatch, max_mismatch + 1)
     rows = np.full((classes.size, 3), np.nan)

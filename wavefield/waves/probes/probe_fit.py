@@ -70,12 +70,8 @@ class ProbeFit:
 
 
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
-    """Compare every probe that lies in the field with the elevation there.
-
-    Correlation normalised over what overlaps, at every lag that leaves half of the record; the peak to a
-    fraction of a step by a parabola.
-
-    With z (time, y, x).
+    """Compare every probe that lies in the field with the elevation z (time, y, x) there.
+    Normalised correlation at every lag that leaves half of the record; the peak is refined by a parabola.
     """
     time = z["time"].values.astype(float)
     if time.size < MIN_SAMPLES:

@@ -60,9 +60,7 @@ def _powers(first: dict[str, Array], second: dict[str, Array], begin: int) -> di
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
     """Power on the half plane, one-sided in omega on the full plane (n // 2 + 1, ny, nx), k ascending.
-
-    cos(k . x - omega t), whose k points where the wave goes, is at (k, -omega) and (-k, omega) in numpy's
-    transform.
+    cos(k . x - omega t), k to where the wave goes, is at (k, -omega) and (-k, omega) in numpy's transform.
     """
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)

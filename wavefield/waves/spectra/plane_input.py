@@ -13,7 +13,6 @@ PLANE = {"omega", "ky", "kx"}
 
 def plane_of(field: str, independent: bool = False) -> Convert:
     """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's.
-
     Degrees of freedom are those of the segments as they are, or of independent ones.
     """
 

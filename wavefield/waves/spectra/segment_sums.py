@@ -79,7 +79,6 @@ def transforms(
     memory: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
     """Transforms in space, (cells, steps), of a half segment of fields (steps, ny, nx), which are released.
-
     z is still at mid-time. ``memory`` are earlier transforms, overwritten.
     """
     out, memory = {}, memory or {}

@@ -37,16 +37,15 @@ class CrestSettings:
 
 def crest_ratio(fields: Mapping[str, Array], settings: CrestSettings) -> tuple[Array, Array]:
     """B = u . n / c and the crest's speed c, m/s, at the crests of one step, (ny, nx); NaN elsewhere.
-
-    n is the direction of the water at the crest in the frame of the Eulerian current, in which both u and c
-    are taken. The crest's speed is that of the pattern around it, z_t = -c . grad z along n by least squares:
-    at the crest itself it would be a quotient of two small numbers.
+    n is the water's direction in the frame of the Eulerian current, in which u and c are.
     """
     z, z_t = fields["z"], fields["z_t"]
     drift = settings.drift
     z_y, z_x = (part[0] for part in slopes(np.ascontiguousarray(z)[None], *settings.distances))
     u, v = fields["u"] - drift[0], fields["v"] - drift[1]
     rise = z_t + drift[0] * z_x + drift[1] * z_y  # in the frame of the current
+    # c is that of the pattern around a crest, z_t = -c . grad z along n by least squares: at the crest itself
+    # it would be a quotient of two small numbers
     speed = np.hypot(u, v)
     with np.errstate(invalid="ignore", divide="ignore"):
         n_x, n_y = u / speed, v / speed
@@ -165,7 +164,6 @@ def _dominant_wavelength(z: Array, dy: float, dx: float) -> float:
 
 def _eulerian_current(sample: xr.Dataset, dy: float, dx: float) -> tuple[float, float]:
     """Current below the waves along x and y, m/s, of irrotational waves whose surface is (steps, ny, nx).
-
     With psi(x, y, t) the potential of the waves at the surface, grad psi = u - U + w grad z has no mean.
     """
     z, z_t, u, v = (np.ascontiguousarray(sample[name].values, float) for name in FIELDS)

@@ -23,16 +23,8 @@ STEPS_AT_A_TIME = 512
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Waves of a time series (time,) between its zero up-crossings, each (waves,).
-
-    The step after which each wave begins, its crest and its trough (positive downwards), both by a parabola
-    through three steps.
-
-    Examples
-    --------
-    >>> start, crest, trough = extremes(np.sin(np.arange(100) * 0.3 + 0.1))
-    >>> len(start), bool(abs(crest - 1).max() < 0.002), bool(abs(trough - 1).max() < 0.002)
-    (3, True, True)
+    """Waves of a series (time,) from zero up-crossings: step before each, crest and trough, each (waves,).
+    The trough is positive downwards; both are by a parabola through three steps.
     """
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
@@ -92,10 +84,8 @@ def _moments(sums: Array) -> Array:
 
 
 def tayfun(level: Array, skewness: float) -> Array:
-    """Probability that a crest of a second-order sea exceeds a level.
-
-    exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2), m a third of the skewness: the narrow-band second-order crest
-    x = r + m r^2 / 2 of a Rayleigh amplitude r (Tayfun 1980).
+    """Probability that a crest of a second-order sea exceeds a level: exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2).
+    m is a third of the skewness: x = r + m r^2 / 2 of a Rayleigh amplitude r (Tayfun 1980).
     """
     steepness = max(float(skewness), 0.0) / 3
     level = np.asarray(level, float)

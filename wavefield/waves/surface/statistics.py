@@ -85,7 +85,6 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 def _about_node_means(sums: Array, maps: Array, steps: float) -> tuple[Array, float]:
     """Sums of powers about each node's own mean, and the standard deviation of these means.
-
     Differences of the means are no waves but, mostly, errors of the calibration.
     """
     m = maps[0] / steps
@@ -121,7 +120,6 @@ def _central_moments(sums: Array, guess: float) -> dict[str, float]:
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
     """Probability density over (value - mean) / std, (bins,), from counts in rough bins.
-
     The cumulative count is interpolated: only values beyond the last bin are lost.
     """
     edges = np.linspace(-REACH, REACH, BINS + 1)

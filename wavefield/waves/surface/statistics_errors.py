@@ -24,20 +24,13 @@ PEAK_SMOOTHING = np.array([1.0, 2.0, 1.0]) / 4  # lines
 
 
 def difference_gain(k: Array, step: float) -> Array:
-    """Amplitude gain of central differences of sixth order over nodes a step apart, k in rad/m.
-
-    Examples
-    --------
-    >>> difference_gain(2 * np.pi / (np.array([3.0, 6.0]) * 0.01), 0.01).round(3)
-    array([0.744, 0.992])
-    """
+    """Amplitude gain of central differences of sixth order over nodes a step apart, k in rad/m."""
     x = np.where(k == 0, 1e-12, k * step)
     return np.asarray((1.5 * np.sin(x) - 0.3 * np.sin(2 * x) + np.sin(3 * x) / 30) / x)
 
 
 def power_gain_of_slopes(power: Array, ky: Array, kx: Array, dy: float, dx: float) -> float:
     """Power gain of the mean square slope by finite differences, for a spectrum (ky, kx) of the elevation.
-
     Waves of less than three nodes count as the differences have them: what is there is mostly noise.
     """
     true = taken = 0.0
@@ -73,12 +66,11 @@ def relative_std(power: Array, dof: Array, overlap: Array) -> float:
 
 def moment_stds(energy: xr.DataArray, dof: Array, of_cell: float) -> dict[str, float]:
     """Relative standard uncertainties of the variance and of the mean square slope of all nodes.
-
-    From E(omega, k) of the elevation and the degrees of freedom of E(omega) and of a single cell. Waves of a
-    line have one k and lie along an arc of the k plane, on which Hann windows make `CORRELATED_CELLS` cells
-    one; moments are taken of all nodes alike, of which that many more are independent where the arc is long.
+    From E(omega, k) and the degrees of freedom of E(omega), dof, and of one cell.
     """
     energy = energy.fillna(0.0)
+    # waves of a line lie along an arc of the k plane, on which Hann windows make `CORRELATED_CELLS` cells
+    # one; moments are of all nodes alike, without a window: on a long arc that many more are independent
     arc = np.maximum(dof / of_cell, 1.0)
     dof = dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc
     overlap = hann_correlation(energy.sizes["omega"])
@@ -97,10 +89,8 @@ def of_elevation(z: xr.DataArray, record: Record) -> dict[str, float]:
 
 
 def peak_std(energy: Array, dof: Array, omega: Array) -> float:
-    """Standard uncertainty of the line of the largest energy, rad/s.
-
-    The spread of that line over spectra drawn about the smoothed one, with the degrees of freedom of each
-    line and the correlation of the lines of a Hann window; and a line's width over root 12.
+    """Standard uncertainty of the line of the largest energy, rad/s, over draws about the smoothed spectrum.
+    Draws have each line's degrees of freedom and the correlation of a Hann window; plus a line over root 12.
     """
     if not (np.isfinite(dof).any() and energy.max() > 0):
         return np.nan

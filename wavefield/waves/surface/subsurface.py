@@ -85,7 +85,6 @@ class _Box:
 
     def at_rest(self, surface: Array, values: Array, odd: Array) -> tuple[Array, float]:
         """Transform of the harmonic function at z = 0 that has some values on the surface, and its misfit.
-
         d^n / dz^n at z = 0 is k^n, times `odd` for odd n.
         """
 

@@ -22,10 +22,8 @@ _PARTS = ("along", "across", "leak")
 
 
 def _headings(welch: Welch) -> tuple[Array, Array, Array]:
-    """Cosine and sine of the wave vector's angle, and the amplitude that the window turns across it.
-
-    Of each cell of numpy's half plane, (cells, 1). A Hann window blurs a wave by a third of a cell squared
-    along each axis, which turns it by the square root of that over k.
+    """Cosine, sine of the wave vector's angle, and the amplitude the window turns across it, (cells, 1).
+    Cells of numpy's half plane. Hann windows blur a wave by a third of a cell squared along each axis.
     """
     record = welch.record
     (ny, nx), steps = record.shape, np.array((record.dy, record.dx))
