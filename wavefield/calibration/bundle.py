@@ -44,7 +44,6 @@ def fit(
     placed: Sequence[int] = (),
 ) -> Fit:
     """Fit cameras and poses to all observations; target_std (metres) is the prior of the nodes' offsets.
-
     Levenberg-Marquardt with the analytic Jacobian and Huber's loss at four standard deviations.
     """
     o = observations

@@ -105,11 +105,8 @@ def _peak(plane: Image) -> Mask:
 
 
 def peak_length(planes: Image, own: Image, shift: Array, along: Array) -> float:
-    """Standard deviation, px, of the peaks along the disparity (n, m, 2) that a particle's height makes.
-
-    Less their width across, and less the size of the particles' images along and across. Second moments would
-    depend on where a peak is cut off; the curvature of its logarithm above half of the maximum does not.
-    Wieneke (2005), Exp. Fluids 39, 267.
+    """Standard deviation, px, that a particle's height adds to the peaks along the disparity (n, m, 2).
+    Less the peaks' width across and the size of the particles' images; Wieneke (2005), Exp. Fluids 39, 267.
     """
     middle = np.full(2, own.shape[0] // 2)
     variances = [
@@ -133,5 +130,6 @@ def _excess_variance(plane: Image, centre: Array, way: Array) -> float:
     design = np.stack([np.ones(s.size), s, t, -0.5 * s * s, -0.5 * t * t, s * t], axis=1)
     if len(design) < MIN_SAMPLES:
         return 0.0
+    # the logarithm's curvature above half of the maximum: second moments depend on where a peak is cut off
     fit = np.linalg.lstsq(design, np.log(plane[peak]), rcond=None)[0]
     return float(1.0 / fit[3] - 1.0 / fit[4]) if fit[3] > 0 and fit[4] > 0 else 0.0

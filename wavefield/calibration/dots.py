@@ -19,7 +19,6 @@ MIN_FULLNESS = 0.3  # of a ring: its area over that of an ellipse of its moments
 
 def find_dots(image: Image, target: Target) -> TargetPoints:
     """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
-
     With rings in place of three dots the grid may be partly out of view.
     """
     if target.origin_mark == "ring":
@@ -78,7 +77,6 @@ def _find_with_rings(image: Image, target: Target) -> TargetPoints:
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
     """The largest lattice grown from dots near the middle and their nearest neighbours.
-
     None where it has less than three dots along either axis.
     """
     if len(centre) < MIN_DOTS:

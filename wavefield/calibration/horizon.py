@@ -22,27 +22,19 @@ BAND = 0.05  # of the image's height on either side of the line, where the two a
 
 
 def dip(height: float) -> float:
-    """Angle of the horizon below the horizontal, rad, from a height above the sea, m, with usual refraction.
-
-    Examples
-    --------
-    >>> round(float(np.degrees(dip(12.0))), 3)
-    0.104
-    """
+    """Angle of the horizon below the horizontal, rad, from a height above the sea, m; usual refraction."""
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
 def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array | None:
     """Points (X, Y) of the horizon, (n, 2), px, in images (row, column) of a camera that does not move.
-
-    The horizon is a straight line of the undistorted mean image, nearly from side to side, with a steep
-    gradient across it; below it the images change (waves), above they hardly do. None if there is no such
-    line. A camera held upright or rolled by up to 45 degrees.
+    None without a straight line across the undistorted mean image; a roll of up to 45 degrees is allowed.
     """
     stack = [np.asarray(image, np.float32) for image in images]
     smooth = cv2.GaussianBlur(np.asarray(np.mean(stack, axis=0), np.float32), (0, 0), SMOOTHING)
     mean = np.asarray(smooth, np.float32)
     gradient = np.zeros_like(mean)
+    # steep across the horizon; below it the images change (waves), above it they hardly do
     gradient[1:-1] = 0.5 * (mean[2:] - mean[:-2])
     points, strength = _edges(gradient)
     if len(points) < 2:

@@ -13,13 +13,8 @@ MAX_ITERATIONS = 60
 
 
 class Whitener:
-    """Errors of the target's nodes as noise shared by all views of a node.
-
-    A node with an unknown offset e (standard deviation ``target_std`` per axis) shifts its image in
-    every view by B e. Residuals of one node then have the covariance C = I + target_std^2 B B^T (in units
-    of their own uncertainty); multiplied by C^(-1/2) they are independent again. That is the same as
-    solving for all e with a prior, at the cost of a fit without them.
-    node (n,) and the derivatives by_node (n, 2, 3) belong to the observations; target_std in metres.
+    """Residuals times C^(-1/2), C = I + target_std^2 B B^T: the errors of a node are shared by all its views.
+    B is by_node (n, 2, 3): a node's offset, m, displaces its images by B in units of their uncertainty.
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
@@ -30,6 +25,7 @@ class Whitener:
             (B.ravel(), columns.ravel(), np.arange(0, 6 * n + 1, 3)), shape=(2 * n, 3 * count)
         )
         self._Bt = self._B.T.tocsr()
+        # the same as solving for all offsets with a prior, at the cost of a fit without them
         inner = np.zeros((count, 3, 3))
         np.add.at(inner, np.repeat(node, 2), B[:, :, None] * B[:, None, :])
         size, axes = np.linalg.eigh(inner)
@@ -72,12 +68,8 @@ def minimise(
     limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float]:
-    """Least squares with Huber's loss, by Levenberg and Marquardt.
-
-    Normal equations of scaled parameters, p x p: thousands of observations and some seventy parameters make
-    `scipy.optimize.least_squares`, which decomposes the whole Jacobian at each step, thirty times slower for
-    the same minimum (a test compares the two). Steps end where the gradient does, so the squared condition
-    number costs steps at most, not accuracy. Returns the minimum (p,) and the limit of the loss.
+    """Least squares with Huber's loss, by Levenberg and Marquardt: the minimum (p,), the limit of the loss.
+    Without a limit it is four robust standard deviations of the residuals.
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)
@@ -88,6 +80,8 @@ def minimise(
         cost = huber(r, scale)
         weight = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
         gradient = J.T @ (weight * r)
+        # p x p: `scipy.optimize.least_squares` decomposes J at each step, thirty times slower for thousands
+        # of observations; the squared condition number costs steps, not accuracy: steps end with the gradient
         normal = J.T @ (weight[:, None] * J) if (weight < 1.0).any() else J.T @ J
         diagonal = np.maximum(diagonal, np.sqrt(np.diag(normal)))
         d = np.where(diagonal > 0.0, diagonal, 1.0)

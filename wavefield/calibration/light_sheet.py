@@ -109,12 +109,8 @@ def find_sheet(
 def fit_sheet(
     read: Read, instants: Sequence[int], rig: Rig, progress: Callable[[int, int], None] | None = None
 ) -> LightSheet:
-    """`find_sheet` of images that a function returns.
-
-    Wieneke (2005), Exp. Fluids 39, 267: images are dewarped to z = 0 and correlated, the correlations of all
-    instants summed; where they are largest, sight lines of the sheet's middle meet. By their misfit the
-    camera that moved is corrected, the plane through where they meet becomes z = 0, and all is repeated until
-    the disparity is gone.
+    """`find_sheet` of images that a function returns (Wieneke 2005, Exp. Fluids 39, 267).
+    Repeats until the disparity of dewarped images is gone: cameras corrected, the sheet's plane made z = 0.
     """
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None

@@ -83,14 +83,8 @@ def choose(
     level: bool,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, dict[str, Fit], list[Choice]]:
-    """Fit the candidates and choose the one that predicts best where the rig will be used.
-
-    Expected error of a pixel within the volume (`predicted_errors.volume`): the variance that the fit
-    predicts, and the square of the model's own error: its difference from the model of the best
-    Bayes' criterion
-    (BIC = n ln(chi2 / n) + k ln n), less what the noise of the two differs by (a focused criterion:
-    Claeskens and Hjort 2003). BIC alone is dominated by the images' edges: it may select a lens that fits
-    them a little better and predicts the middle ten times worse.
+    """Fit the candidates and choose the one that predicts best within `predicted_errors.volume`.
+    The model of the fewest parameters among those with nearly the least expected error of a pixel is chosen.
     """
     o, count = observations, 2 * len(observations)
     fits: dict[str, Fit] = {}
@@ -113,6 +107,8 @@ def choose(
     if progress:
         progress(len(CANDIDATES), len(CANDIDATES))
     reference = min(bic, key=lambda name: bic[name])
+    # BIC alone is dominated by the images' edges: it may select a lens that fits them a little better and
+    # predicts the middle ten times worse. A focused criterion (Claeskens and Hjort 2003) in place of it:
     expected = _expected(fits, reference, o, volume(o, fits[reference], level))
     table = [
         Choice(name, len(f.layout.names), float(np.sqrt(f.chi2 / count)), bic[name], expected[name])
@@ -133,6 +129,7 @@ def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: 
     out = {}
     for name in fits:
         apart = float(np.sum((pixel[name] - pixel[reference]) ** 2))
+        # the model's own error: its difference from BIC's choice, less what the noise of the two differs by
         own = max(0.0, apart - abs(variance[name] - variance[reference]))
         out[name] = float(np.sqrt((variance[name] + own) / size))
     return out

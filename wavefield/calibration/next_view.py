@@ -42,13 +42,7 @@ class NextView:
 
     @property
     def words(self) -> str:
-        """A sentence for the user.
-
-        Examples
-        --------
-        >>> NextView((0.0, -25.0), (0.0, 0.3), (8e-4, 5e-4), (0.2, 0.1)).words
-        'raise its +x side by 25 degrees and hold it towards +y: z known to 0.50 mm in place of 0.80 mm'
-        """
+        """A sentence for the user: how to hold the target, and the gain in z or, without z, in pixels."""
         by = abs(self.tilt[0] or self.tilt[1])
         side = ("+y" if self.tilt[0] > 0 else "-y") if self.tilt[0] else ("-x" if self.tilt[1] > 0 else "+x")
         ways = [f"{'+' if at > 0 else '-'}{axis}" for at, axis in zip(self.place, "xy") if at]
@@ -61,24 +55,14 @@ class NextView:
 
 
 def next_view(calibration: Calibration) -> NextView | None:
-    """Find the view of the target that would reduce the rig's uncertainty most.
-
-    Twenty poses: a tilt about either axis to either side, in the middle of the field and a third of the way
-    to each edge. Each adds its information to that of the fit, its own six parameters taken out (Schur's
-    complement), with nodes as uncertain as those observed so far; the one is chosen that leaves the least of
-    the larger of two: z's uncertainty and the pixels', each over its limit.
-
-    Examples
-    --------
-    >>> from wavefield.calibration import calibrate  # with views of a target so far
-    >>> found = next_view(calibrate(views, 0.04))  # doctest: +SKIP
-    >>> print(found.words)  # doctest: +SKIP
-    raise its +x side by 25 degrees and hold it towards -x: z known to 0.31 mm in place of 0.52 mm
+    """The view of the target, of twenty, that would reduce the rig's uncertainty most; None if there is none.
+    It leaves the least of the larger of two: z's uncertainty and the pixels', each over its limit.
     """
     o, result, now = calibration.observations, calibration.fit, calibration.predicted
     if o is None or result is None or now is None:
         return None
     best: tuple[float, NextView] | None = None
+    # tilted about either axis to either side, in the middle of the field and a third of the way to each edge
     for place, tilt in product(PLACES, TILTS):
         covariance = _covariance_with_view(o, result, tilt, place)
         if covariance is None:

@@ -122,10 +122,8 @@ def predict(geometry: Geometry, observations: Observations) -> Array:
 def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
-    """Pixels (n, 2) predicted at given parameters (p,), with derivatives.
-
-    The derivatives are (n, 2, p) with respect to the parameters, and (n, 2, 3) with respect to the nodes'
-    offsets, px per metre.
+    """Pixels (n, 2) predicted at given parameters (p,), and their derivatives.
+    These are (n, 2, p) by the parameters, and (n, 2, 3) by the nodes' offsets, px per metre.
     """
     o = observations
     now = moved(start, plan, x)

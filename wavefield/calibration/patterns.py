@@ -107,9 +107,7 @@ def find_charuco(image: Image, target: Target) -> TargetPoints:
 
 def _between_markers(image: Image, node: Nodes, pixel: Array, gap: float) -> Array:
     """Corners where the squares' edges cross, from the gaps (meshes) between squares and markers.
-
-    The edges of a marker are so near that a plain window contains part of them: only pixels within the gap
-    of the squares' own edges are used, and more of the length of these edges.
+    Only pixels of the gap are used: a plain window would contain part of the markers' edges.
     """
     gx, gy = (cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, scale=0.125) for dx in (1, 0))
     try:

@@ -71,11 +71,8 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Least squares of the second camera's pose (if its distance is stated), the level and the height.
-
-    Three kinds of residuals, in px over their expected size: distances of matches from their epipolar lines;
-    those along the lines from where the mean plane would put them, which are waves; points of the horizon.
-    Waves are counted as so many per instant, not as so many features.
+    """Least squares of the level, the height and, if its distance is stated, the second camera's pose.
+    Residuals over their expected size: epipolar distances, waves along the epipolar lines, the horizon.
     """
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
@@ -99,13 +96,9 @@ def leave_out(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
     """Standard uncertainties of the tilt, degrees, and of the height, m, from groups of instants (jackknife).
-
-    Instants next to each other are left out together: they show the same waves. Where groups still do, the
-    variance of the mean of n is F/n of one's, F = 1 + 2 sum (1 - k/n) r_k with the correlation r_k of their
-    elevations k groups apart, and the spread within the record too small by (n - F)/(n - 1). Where n/F is
-    hardly more than one, the height has no uncertainty (NaN), and the tilt that of the horizon, which is
-    added to the others, or none.
+    NaN where too few groups show different waves; the tilt then has the uncertainty of the horizon, if any.
     """
+    # instants next to each other are left out together: they show the same waves
     groups = [
         part for part in np.array_split(np.arange(len(matches)), min(GROUPS, len(matches))) if len(part)
     ]
@@ -126,6 +119,8 @@ def leave_out(
     tilt = np.sqrt(factor * np.sum((up - up.mean(axis=0)) ** 2))
     spread = np.sqrt(factor * np.sum((height - height.mean()) ** 2))
     of_few = float(student_t.ppf(0.8413, len(groups) - 1))  # the spread of few groups is uncertain itself
+    # groups that show the same waves: the variance of the mean of n is F/n of one's (F is `alike`), and the
+    # spread within the record is too small by (n - F)/(n - 1)
     of_few *= float(np.sqrt(alike * (count - 1) / (count - alike)))
     lever = fit.distance(matches) * of_horizon
     return (
@@ -155,6 +150,7 @@ def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArra
             first, second = mean[:-lag], mean[lag:]
             products[lag] += float(np.nansum(first * second))
             squares[lag] += float(np.nansum(0.5 * (first**2 + second**2)))
+    # F = 1 + 2 sum (1 - k/n) r_k, with the correlation r_k of elevations k groups apart
     r = products[1:] / np.maximum(squares[1:], 1e-12)
     return max(1.0 + 2.0 * float(r @ (1.0 - np.arange(1, count) / count)), 1.0)
 

@@ -14,31 +14,20 @@ COLUMNS = ("i", "j", "X", "Y")
 
 
 def read_points(path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1) -> TargetPoints:
-    """Read target points from a CSV file; size and std (px) are used where the file states none.
-
-    The file has a header `i,j,X,Y`, and `std` and `z` where available: indices of the node (right-handed seen
-    from above, node at x = i * mesh, y = j * mesh), its pixel coordinates (column, row; 0-based, centres of
-    pixels at integers), its standard uncertainty per axis in px. With z, the node's height in the physical
-    frame in metres, the view's pose is given: as for a target that a traverse moves along z. Lines that
-    begin with `#` are comments; a line `# size 1024 1024` states width and height of the image.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> points = TargetPoints(np.array([[0, 1]]), np.array([[10.5, 20.25]]), np.array([0.01]), (64, 48))
-    >>> with TemporaryDirectory() as folder:
-    ...     write_points(folder + "/points.csv", points)
-    ...     print(read_points(folder + "/points.csv").pixel)
-    [[10.5  20.25]]
+    """Read target points from a CSV file with columns i, j, X, Y and, where available, std (px) and z (m).
+    size and std are used where the file states none; CalibrationError for a line that makes no sense.
     """
     path = Path(path)
     lines = _lines(path)
+    # lines that begin with # are comments, of which one may be: # size 1024 1024 (width and height)
     size = _stated_size(lines, path) or size
     if size is None:
         raise CalibrationError(
             f"{path} does not state the image's size, and there are no images of its camera; add a line like "
             "'# size 1024 1024'"
         )
+    # node (i, j) is at x = i * mesh, y = j * mesh, right-handed seen from above; X, Y are column and row, px,
+    # from 0 at the centres of pixels; z in the physical frame gives the view's pose, as of a traversed target
     data, placed = _table(lines, path, std)
     node = np.rint(data[:, :2]).astype(np.int64)
     if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):

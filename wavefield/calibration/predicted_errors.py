@@ -78,8 +78,7 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
 
 def at_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
     """Pixels (C, n, 2) of points of the physical frame, and their derivatives.
-
-    The derivatives are (C, n, 2, p) with respect to the fit's parameters, and (C, n, 2, 3) to the points.
+    These are (C, n, 2, p) with respect to the fit's parameters, and (C, n, 2, 3) to the points.
     """
     o = observations
     C, n = len(o.cameras), len(points)
@@ -92,10 +91,8 @@ def at_points(observations: Observations, result: Fit, points: Array) -> tuple[A
 
 
 def volume(o: Observations, result: Fit, level: bool) -> Array:
-    """Points (n, 3) where the rig will be used.
-
-    They are over the field that all cameras see, within `HEIGHT` of z = 0 (over the target's extent if
-    they have none in common); without a level, where the target was.
+    """Points (n, 3), metres, where the rig will be used: within `HEIGHT` of z = 0 over the common field.
+    Over the target's extent if the cameras have none in common; without a level, where the target was.
     """
     g = result.geometry
     if not level:

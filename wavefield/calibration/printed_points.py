@@ -56,7 +56,6 @@ def right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
     """Number a full grid so that it is right-handed seen from above, and as unambiguously as possible.
-
     With an image, squares of a chessboard decide: the one between nodes (0, 0) and (1, 1) is dark.
     """
     last = np.array(shape) - 1
@@ -93,10 +92,8 @@ def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int
 def dot_centres(
     image: Image, node: Nodes, pixel: Array, target: Target, meshes: int = 1
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Centres of dots (n, 2), px, their uncertainty from noise (n,), and notes; nodes are meshes apart.
-
-    In perspective the centroid of a disc's image is not the image of its centre. The difference is
-    computed by integrating the fitted map over the disc, and subtracted.
+    """Centres of dots (n, 2), px, their uncertainty from noise (n,), and notes; nodes are `meshes` apart.
+    In perspective a disc's centroid is not its centre's image: the difference is integrated and subtracted.
     """
     centre, noise = centroids(image, meshes * node, pixel)  # in cells of one mesh
     if target.diameter is None:

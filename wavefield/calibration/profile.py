@@ -10,17 +10,15 @@ PLACES = 64  # distances from a string's middle at which its profile is tabulate
 
 @compiled()
 def profile_of(u: float, s: float, out: Array) -> float:
-    """Profile of a string averaged over a pixel, and its derivatives with respect to d and u.
-
-    All pixels of a crossing share this table, (places, 3): the last distance is six standard deviations
-    beyond the box, where the profile is zero; the second column is the slope from one place to the next.
-    Three points of Gauss-Legendre average over the pixel along one axis. Returns the inverse of the
-    distance between places, 1/px.
+    """Profile of a string averaged over a pixel, its slope from place to place, and its derivative to u.
+    Fills out (places, 3), which all pixels of a crossing share; returns the inverse of their distance, 1/px.
     """
+    # six standard deviations beyond the box the profile is zero
     step = (math.sqrt(max(u, 0.0)) + 6.2 * s + 0.4) / (PLACES - 1)
     for k in range(PLACES - 1):
         d = k * step
         f0, g0, u0 = _line(d, u, s)
+        # the mean over a pixel by three points of Gauss-Legendre along one axis
         f1, g1, u1 = _line(d + 0.3872983346207417, u, s)
         f2, g2, u2 = _line(d - 0.3872983346207417, u, s)
         out[k, 0] = (8.0 * f0 + 5.0 * (f1 + f2)) / 18.0
@@ -53,7 +51,6 @@ def profile_at(profile: Array, inverse: float, d: float) -> tuple[float, float, 
 @compiled(inline="always")
 def _above(x: float, density: float) -> float:
     """Fraction of a normal distribution above x, to 1e-7, from its density at x.
-
     Abramowitz and Stegun 26.2.17: a third of the time of an error function, since the density is given.
     """
     t = 1.0 / (1.0 + 0.2316419 * abs(x))
@@ -67,10 +64,8 @@ def _above(x: float, density: float) -> float:
 
 @compiled(inline="always")
 def _line(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Profile of a string of unit flux, and its derivatives with respect to d and u.
-
-    A box of half width sqrt(u) convolved with a Gaussian of standard deviation s; for small or negative u
-    a Gaussian of the same variance s^2 + u / 3, which joins smoothly.
+    """Profile of a string of unit flux at d, px, and its derivatives with respect to d and u.
+    A box of half width sqrt(u) convolved with a Gaussian of standard deviation s.
     """
     if u > 0.1 * s * s:
         h = math.sqrt(u)
@@ -79,6 +74,7 @@ def _line(d: float, u: float, s: float) -> tuple[float, float, float]:
         gm = math.exp(-0.5 * m * m) * 0.3989422804014327
         f = (_above(m, gm) - _above(p, gp)) / (2.0 * h)
         return f, (gp - gm) / (2.0 * h * s), ((gp + gm) / (2.0 * h * s) - f / h) / (2.0 * h)
+    # small or negative u: a Gaussian of the same variance, which joins smoothly
     v = s * s + u / 3.0
     f = math.exp(-0.5 * d * d / v) * 0.3989422804014327 / math.sqrt(v)
     return f, -d * f / v, f * (d * d / v - 1.0) / (6.0 * v)

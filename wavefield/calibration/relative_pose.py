@@ -30,7 +30,6 @@ MAX_DEPTH_RATIO = 3.0  # times the median distance: further out, towards the hor
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
     """Features of natural texture that two images share, as pixels (X, Y) in each, (n, 2).
-
     SIFT (Lowe 2004), each the other's best, clearly better than the second best.
     """
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
@@ -59,10 +58,7 @@ def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
     """Place a camera of known lens relative to another by matches (n, 2) at a stated distance, metres.
-
-    To begin with the essential matrix by RANSAC (Nister 2004), and the solutions of the homography of the
-    sea's plane; then the turn and the direction to the second camera by least squares of the distances to
-    epipolar lines, in pixels, wrong matches weighted down. The start with the smallest remainder is taken.
+    Least squares of epipolar distances, px, wrong matches weighted down; the best of several starts.
     """
     a, b = matches
     if len(a) < MIN_MATCHES:
@@ -77,6 +73,7 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
         raise RigError(too_few(int(good.sum())))
     true = a[good], b[good]
     starts = _starts(np.asarray(E, float), tangents[0][good], tangents[1][good], 10 * reach)
+    # from the essential matrix by RANSAC, and from the solutions of the homography of the sea's plane
     fits = [_fitted(one, other, true, distance, start) for start in starts]
     visible = [len(points_of(one, camera, true)) for camera, _ in fits]
     possible = [f for f, count in zip(fits, visible, strict=True) if count > MIN_VISIBLE_RATIO * max(visible)]
@@ -84,10 +81,8 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
-    """Turns and directions to begin with.
-
-    A nearly flat surface looks the same from two places: the essential matrix alone may give the wrong one of
-    them; the homography gives both.
+    """Turns and directions to begin with. A nearly flat surface looks the same from two places:
+    the essential matrix (Nister 2004) may give the wrong one of them, the homography gives both.
     """
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
     out = [(np.asarray(R, float), np.asarray(t, float).ravel())]

@@ -51,11 +51,7 @@ def find_rings(image: Image, lattice: TargetLattice) -> Nodes:
 
 def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
     """Indices of nodes (n, 2) counted from the ring at the right angle, right-handed seen from above.
-
-    Raises
-    ------
-    CalibrationError
-        If the rings are not three whose arms follow the rows and columns.
+    CalibrationError unless the rings are three whose arms follow the rows and columns.
     """
     if len(rings) != 3:
         raise CalibrationError(

@@ -78,7 +78,6 @@ class SheetWindows:
 
     def thickness(self) -> float:
         """Thickness of the sheet at 1/e2, metres.
-
         The light of both cameras makes the correlation, which is therefore narrower by root 2.
         """
         out = []

@@ -43,7 +43,6 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
     """Points x, y, z (n,), metres, where the sight lines of matched pixels meet, and the misfit in pixels.
-
     The misfit, (n, cameras, 2), is observed less re-projected, in the rig's order of the matches' cameras.
     """
     names, pixel = stack_matches(rig, matches)

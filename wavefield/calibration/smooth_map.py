@@ -16,9 +16,7 @@ DIFFERENCE_STEP = 0.05  # meshes
 
 class SmoothMap:
     """A homography, and a cubic of its pixels for the lens distortion, fitted robustly to nodes (n, 2).
-
-    Radial distortion is a cubic in image coordinates whatever the obliquity of the target; therefore the
-    correction is a polynomial of the homography's pixels and not of the indices.
+    Radial distortion is a cubic in pixels, not in indices, whatever the obliquity of the target.
     """
 
     def __init__(self, node: ArrayLike, pixel: ArrayLike, tolerance: float) -> None:

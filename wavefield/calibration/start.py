@@ -36,7 +36,6 @@ class SingleCamera:
 
 def homography(plan: Array, pixel: Array) -> Array | None:
     """Homography (3, 3) from the target's plane (n, 2), metres, to the image (n, 2), robust to outliers.
-
     None if the nodes are on a line or consistent with no homography.
     """
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
@@ -50,7 +49,6 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
     """Focal length, px, from plane views, square pixels and a known principal point assumed.
-
     Zhang (2000): with w = diag(u, u, 1), u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2.
     """
     shift = np.eye(3)
@@ -100,9 +98,7 @@ def calibrate_single(observations: Observations, lens: str = "auto") -> SingleCa
 
 def _fit_of_likely_lens(o: Observations) -> tuple[Fit, list[int]]:
     """A perspective lens, but a fisheye where that fits clearly better by few terms, and by all terms too.
-
-    With all its terms a perspective lens follows a fisheye's images nearly as well, and is wrong between
-    them.
+    With all its terms a perspective lens follows a fisheye's images as well, and is wrong between them.
     """
     refused: CalibrationError | None = None
     try:

@@ -51,7 +51,6 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 
 def _light_along(image: Image, lattice: TargetLattice) -> float:
     """Light on the lines between neighbouring nodes in excess of that next to them, summed over their length.
-
     A lattice that noise or dirt suggests has many nodes, but no strings between them.
     """
     place, filled = lattice.place, lattice.filled

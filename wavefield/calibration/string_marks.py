@@ -66,7 +66,6 @@ def _pairs_of_discs(
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
     """Light on circles of the target's plane around nodes, in directions away from the strings.
-
     Returns the excess over a node without a disc, (node, circle, direction), and the light around that one.
     """
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
@@ -79,10 +78,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Similarity of the light around each node to a disc of even brightness: quality, radius, grey.
-
-    The quality is the light that the best disc explains over the light that remains; radius in meshes. A disc
-    adds the less light, the brighter the node is without it.
+    """Similarity of the light around each node to a disc of even brightness: quality, radius (meshes), grey.
+    Quality: light that the best disc explains over the rest. A disc adds less light to a brighter node.
     """
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]

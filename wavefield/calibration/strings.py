@@ -27,10 +27,8 @@ NEIGHBOURS = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)])
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
-    """Find the crossings of a grid of white strings on a dark ground.
-
-    Two marks on one axis look the same in a mirrored image. That the image is not mirrored is assumed here;
-    the calibration detects a mirrored one, because the target's poses then differ between cameras.
+    """Find the crossings of a grid of white strings on a dark ground, in an image that is not mirrored.
+    The calibration detects a mirrored one, because the target's poses then differ between cameras.
     """
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel

@@ -100,9 +100,7 @@ def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
     """Weighted equations of all pixels for the first `free` parameters, linear ones first; returns the count.
-
-    misses (2, n) receives the residual of every pixel and its size in standard deviations; rows (13, n) the
-    derivatives with respect to the parameters and, last, the residuals.
+    misses (2, n): residuals, in grey and in standard deviations; rows (13, n): derivatives, residuals last.
     """
     profile1, profile2 = np.empty((PLACES, 3)), np.empty((PLACES, 3))
     inverse1, inverse2 = profile_of(p[WIDTH1], blur, profile1), profile_of(p[WIDTH2], blur, profile2)
@@ -325,11 +323,8 @@ def fit_crossings(
     noise: tuple[float, float] = (1.0, 0.0),
     tolerance: float = TOLERANCE,
 ) -> Crossings:
-    """Fit two crossing strings to the pixels around each expected crossing.
-
-    Twelve parameters (start, (n, 12)): centre, two directions, two squared half widths, two fluxes, a plane
-    ground, and the brightness missing where the strings overlap. A string is a box convolved with a Gaussian
-    (blur, px). Damped Gauss-Newton with biweights at six robust deviations.
+    """Fit two crossing strings, boxes convolved with a Gaussian (blur, px), around each of start (n, 12).
+    Damped Gauss-Newton with biweights at six robust deviations.
     """
     parameters = np.array(start, float)
     length = np.hypot(slopes[..., 0], slopes[..., 1])

@@ -40,7 +40,6 @@ def find_aprilgrid(image: Image, target: Target) -> TargetPoints:
 
 def _detect(image: NDArray[np.uint8], dictionary: cv2.aruco.Dictionary) -> tuple[Nodes, Array, float]:
     """Numbers (n,) and corners (n, 4, 2) of tags, and the fraction of their sides that is black border.
-
     The border is two cells wide (Kalibr) or one.
     """
     best: tuple[Nodes, Array, float] = (np.empty(0, np.int64), np.empty((0, 4, 2)), 0.0)

@@ -39,9 +39,7 @@ def _typical_strength(strength: Array) -> float:
 
 def crossings(image: Image, scale: float) -> Candidates:
     """Local maxima of the weaker curvature of the image smoothed by a Gaussian of a scale (px).
-
-    Along a plain bright line one principal curvature vanishes; only where two lines cross (or on a
-    blob) are both negative, so that the weaker one singles out crossings.
+    It vanishes along a plain line: only crossings of two lines, and blobs, are bent both ways.
     """
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
@@ -152,9 +150,7 @@ class TargetLattice:
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
         """Positions (m, 2) and mesh vectors (m, 2, 2), px, of nodes from those filled within two indices.
-
-        A quadratic surface is fitted with weights falling with distance; the seed's vectors serve as a
-        weak prior of its slopes, so that the first rings are well posed too.
+        Quadratic surface, weights falling with distance; the seed's vectors are a weak prior of its slopes.
         """
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)

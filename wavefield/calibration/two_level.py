@@ -25,7 +25,6 @@ DECISIVE_FRACTION = 0.4  # of all blobs: a level that has them is taken without 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
     """Find the dots of a two-level target, dark on bright or bright on dark, also partly out of view.
-
     The parallax between the levels must be less than a mesh, else dots are taken for their neighbours.
     """
     best: tuple[int, Image, Level, Level, Array] | None = None

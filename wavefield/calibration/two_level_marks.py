@@ -21,7 +21,6 @@ MAX_OFF_SITE = 0.16  # meshes: a mark between the dots beside its place
 
 class Level:
     """Dots of one level: indices of its own lattice, pixels, the map between.
-
     In meshes a dot is at ``2 node + shift``: the second level's lattice is set off by one.
     """
 
@@ -48,9 +47,7 @@ Frame = tuple[Nodes, Nodes, Nodes]
 
 def marks_in_place(image: Image, level: Level) -> tuple[Frame, Nodes] | None:
     """The frame of a square and a triangle in place of dots of a level, and their nodes (2, 2).
-
-    They are the two dots of a row that differ most from the usual one, of which one is skewed; x points from
-    the square to the triangle.
+    They are the most unusual pair in a row, of which one is skewed; x points from square to triangle.
     """
     patch = _patches(image, level, level.node.astype(float), level.pixel)
     difference = np.abs(patch - np.median(patch, 0)).mean(1)
@@ -82,9 +79,7 @@ def marks_in_place(image: Image, level: Level) -> tuple[Frame, Nodes] | None:
 
 def marks_between(image: Image, level: Level, other: Level, centre: Array) -> Frame | None:
     """The frame of marks between the dots of a level's row (triangle) and of one of the other (square).
-
-    The origin is the dot with the triangle beside it, along its row, and the square across; x points to the
-    triangle, y to the square.
+    The origin is the dot beside both of them; x points to the triangle, y to the square.
     """
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]

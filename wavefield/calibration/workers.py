@@ -9,10 +9,8 @@ from multiprocessing.context import BaseContext
 
 
 def worker_context(preloaded: str) -> BaseContext:
-    """How processes that find targets are started.
-
-    On Linux they are forked from one process that imports while the caller does, which halves the time for a
-    few images.
+    """How processes that find targets are started: on Linux forked from one that imports `preloaded`
+    while the caller does, which halves the time for a few images.
     """
     if sys.platform != "linux":
         return get_context("spawn")
