@@ -11,9 +11,7 @@ def epipolar_distance(
     a: Camera, b: Camera, Xa: ArrayLike, Ya: ArrayLike, Xb: ArrayLike, Yb: ArrayLike
 ) -> Array:
     """Signed distance (n,) of matched pixels from the epipolar lines of their partners, px in image b.
-
-    With Euclidean lines in the undistorted images: x_b^T E x_a over the length of its gradient with respect
-    to x_b, where the gradient is taken in distorted pixels by the chain rule.
+    x_b^T E x_a over the length of its gradient with respect to distorted pixels of b.
     """
     xa = np.stack([*a.tangents(Xa, Ya), np.ones(np.shape(Xa))])
     Xb, Yb = np.asarray(Xb, float), np.asarray(Yb, float)

@@ -60,7 +60,6 @@ def apply_homography(h: Array, x: Array, y: Array) -> tuple[Array, Array, Array]
 
 def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
     """Pixels (n, 2) of points (n, 3), metres, in a camera's frame, with all derivatives.
-
     The derivatives are (n, 2, 3) with respect to the points, px per metre, and (n, 2, 14) to the lens.
     """
     if lens[-1]:

@@ -9,14 +9,7 @@ from wavefield.rig.rig import Rig
 
 
 def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
-    """Shorter and longer side, metres, of a camera's pixel on the still water.
-
-    Examples
-    --------
-    >>> camera = Camera(1000, 500, 50, 50, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (101, 101))
-    >>> [round(side, 6) for side in pixel_sides(camera, 0.0, 0.0)]
-    [0.004, 0.008]
-    """
+    """Shorter and longer side, metres, of a camera's pixel on the still water; RigError if not in view."""
     jacobian = camera.jacobian(x, y, 0.0)[:, :2]
     if not np.isfinite(jacobian).all():
         raise RigError("a camera does not see the middle of the grid: is the grid in its view?")

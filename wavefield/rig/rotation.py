@@ -7,13 +7,7 @@ from wavefield.rig.lens import Array
 
 
 def rotation_about(vector: ArrayLike) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,) (Rodrigues).
-
-    Examples
-    --------
-    >>> (rotation_about([0, 0, np.pi / 2]) @ [1, 0, 0]).round(12).tolist()
-    [0.0, 1.0, 0.0]
-    """
+    """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues)."""
     x, y, z = np.asarray(vector, float)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = float(np.sqrt(x * x + y * y + z * z))

@@ -17,18 +17,8 @@ from wavefield.rig.lens import Array
 
 
 def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Array, Array]:
-    """Point nearest to the sight lines of all cameras that see it.
-
-    Least squares for x_k = x - D_k z + error. For two cameras z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and
-    dD = D_2 - D_1; for more, the mean of the pairs' z with weights |dD|^2. Apparent positions and sight are
-    (N, 2, ...); returns x, y, z, and the misfit of each camera's apparent position, x_k - (x - D_k z),
-    (N, 2, ...), all in metres.
-
-    Examples
-    --------
-    >>> x, y, z, eps = triangulate([(0.0, 0.0), (0.02, 0.0)], [(0.5, 0.0), (-0.5, 0.0)])
-    >>> print(f"{x:.3f} {y:.3f} {z:.3f}")
-    0.010 0.000 0.020
+    """Points x, y, z nearest to the sight lines of all cameras that see them: least squares, x_k = x - D_k z.
+    Apparent positions x_k, sight D_k and the misfits, which are returned last, are (N, 2, ...); metres.
     """
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
@@ -41,6 +31,7 @@ def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Ar
         square = np.sum(weight * dD * dD, axis=(0, 1))
         # two sight lines within a ten-thousandth of a radian give no height
         square = np.where(square > 1e-8 * total[0], square, np.nan)
+        # two cameras: z = -(dD . d) / |dD|^2 with d = x_2 - x_1, dD = D_2 - D_1; more: mean by weights |dD|^2
         z = -np.sum(weight * dp * dD, axis=(0, 1)) / square
     x, y = p_mean + D_mean * z
     return x, y, z, p - (np.stack([x, y]) - D * z)
@@ -120,9 +111,7 @@ def solve_displacement(
     jacobian: ArrayLike, displacement: ArrayLike, std: ArrayLike | None = None, noise: ArrayLike | None = None
 ) -> tuple[Array, Array]:
     """Displacement in space from those on the sensors of N cameras, and its standard uncertainty, (..., 3).
-
-    d = argmin sum w (J d - dX)^2 with w = 1 / std^2: normal equations, 3 x 3, in closed form. The uncertainty
-    is that by `noise`, where it is stated, in place of std.
+    d = argmin sum (J d - dX)^2 / std^2; the uncertainty is that by `noise`, where stated, in place of std.
     """
     J, observed = np.asarray(jacobian, float), np.asarray(displacement, float)
     with np.errstate(divide="ignore"):

@@ -87,7 +87,6 @@ def rig_of_file(
     own: Sequence[str] | None = None,
 ) -> Rig:
     """The rig of a file's cameras; origin names the program in messages, note is its provenance.
-
     The cameras have their own names where the file gives each another one.
     """
     if cameras[0].pose is FIRST_CAMERA:

@@ -88,7 +88,6 @@ def _number(mapper: ET.Element, tag: str, name: str, absent: float | None = None
 
 def _misfit_of_marks(camera: Camera, folder: Path, number: str) -> float | None:
     """Rms distance of marks from their projections by a camera, weighted as in DaVis, px; None without any.
-
     The tables in the cameras' folders are alike: each holds the marks of all cameras.
     """
     tables = sorted([*folder.glob(MARK_TABLE), *folder.glob(f"*/{MARK_TABLE}")])

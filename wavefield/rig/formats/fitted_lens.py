@@ -22,11 +22,7 @@ def image_lattice(size: tuple[int, int]) -> Array:
 
 def fit_lens(pixels: Array, tangents: Array) -> tuple[Terms, Array, float]:
     """Terms of a lens, rotation (3, 3) ahead of it, and misfit, px, of tangents (n, 2) onto pixels (n, 2).
-
-    Raises
-    ------
-    RigError
-        If no lens of our terms fits to `MAX_MISFIT_PX`.
+    RigError if no lens of our terms fits to `MAX_MISFIT_PX`.
     """
     from scipy.optimize import least_squares  # a tenth of a second that no other rig needs
 

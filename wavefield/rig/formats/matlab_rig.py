@@ -85,7 +85,6 @@ def _struct(value: Mapping[str, Any]) -> StoredCamera:
 
 def save_matlab(rig: Rig, path: Path) -> None:
     """Write two cameras as the stereo results of Bouguet's toolbox, lengths in metres.
-
     MATLAB's `stereoParametersFromOpenCV` takes the same numbers: KK_left, kc_left, KK_right, kc_right, R, T.
     """
     import scipy.io  # half a second that no other rig needs

@@ -157,9 +157,7 @@ def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose
 
 def save_opencv(rig: Rig, path: str | Path) -> None:
     """Write a rig as OpenCV's YAML: M1, D1, M2, D2, ..., and R, T of the second camera from the first.
-
-    The poses in the physical frame are added as ``world_R1``, ``world_T1``, ..., metres, and to lenses of
-    ``cv2.fisheye`` a ``fisheye_model1``.
+    Added: poses in the physical frame ``world_R1``, ``world_T1`` (metres), ``fisheye_model1`` of a fisheye.
     """
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     try:
