@@ -22,10 +22,8 @@ _ROUNDED = 1.05  # resolutions from the lowest to the highest departure that rou
 
 
 def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Times | None:
-    """By how much later than at even intervals a record's frames were taken, (n,), intervals.
-
-    What the cameras' clocks have in common: they are triggered together, and what their stamps do not share
-    is the stamps' own noise. Offset and drift of a clock are no departures. None where times are even.
+    """By how much later than at even intervals a record's frames were taken, (n,), intervals; None if even.
+    What the cameras' clocks share, less offset and drift: they are triggered together, the rest is noise.
     """
     each = [
         found
@@ -46,14 +44,8 @@ def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Ti
 
 
 def departures_by_clock(times: Times, frame_rate: float) -> Times | None:
-    """The same by one clock, from its times (n,), s; NaN where it has none.
-
+    """`frame_departures` by one clock, from its times (n,), s; NaN where it has none.
     None where they do not fit even intervals at all.
-
-    Examples
-    --------
-    >>> departures_by_clock(np.array([0.0, 0.052, 0.1, 0.15, 0.2]), 20.0).round(3).tolist()
-    [-0.008, 0.032, -0.008, -0.008, -0.008]
     """
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:

@@ -15,58 +15,27 @@ from wavefield.variables import FrameFault
 
 
 class Frame(NamedTuple):
-    """One image, or the reason why there is none.
+    """One image, (row, column) of grey levels of the file's type, or the reason why there is none."""
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), or None
-        Grey levels, of the type of the file; None where there is no image.
-    fault : FrameFault
-        NONE, or what is wrong.
-    message : str
-        The same in a sentence that names the file; empty where nothing is wrong.
-    """
-
-    image: np.ndarray | None
-    fault: FrameFault
-    message: str
+    image: np.ndarray | None  # None where there is no image
+    fault: FrameFault  # NONE, or what is wrong
+    message: str  # The same in a sentence that names the file; empty where nothing is wrong
 
 
 @dataclass(frozen=True)
 class FrameSeries:
-    """Frames of one camera, at their places in time.
-
-    Parameters
-    ----------
-    camera : str
-        Name of the camera.
-    first : int
-        Frame number of index 0.
-    entries : sequence of FrameEntry or None
-        Files of the frames, in order of their numbers; None where one is missing.
-    shape : tuple of int
-        (rows, columns) that every frame must have.
-    dtype : str
-        Type that every frame must have.
-    mask : CameraMask, optional
-        Pixels that do not count.
-    beyond : tuple of int
-        Frames that this camera has before and after the record: other cameras, or ``frames`` of the
-        experiment file, end it there.
-    times : ndarray, (n,), optional
-        Time of each frame by the camera's own clock, s; NaN where it is missing.
-    background : ndarray, (row, column), optional
-        Subtracted from every frame, which does not get below 0.
-    """
+    """Frames of one camera, at their places in time."""
 
     camera: str
-    first: int
-    entries: Sequence[FrameEntry | None] = field(repr=False)
-    shape: tuple[int, int]
-    dtype: str
-    mask: CameraMask | None = None
-    beyond: tuple[int, int] = (0, 0)
+    first: int  # Frame number of index 0
+    entries: Sequence[FrameEntry | None] = field(repr=False)  # In order; None where one is missing
+    shape: tuple[int, int]  # (rows, columns) that every frame must have
+    dtype: str  # Type that every frame must have
+    mask: CameraMask | None = None  # Pixels that do not count
+    beyond: tuple[int, int] = (0, 0)  # Frames before and after those that the cameras share
+    # (n,): Time of each frame by the camera's own clock, s; NaN where it is missing
     times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
+    # (row, column): Subtracted from every frame, which does not get below 0
     background: NDArray[Any] | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -130,13 +99,7 @@ class FrameSeries:
 
 
 def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
-    """An image less a background of its type, (row, column), not below 0.
-
-    Examples
-    --------
-    >>> subtracted(np.array([[9, 3]], np.uint8), np.array([[4, 5]], np.uint8)).tolist()
-    [[5, 0]]
-    """
+    """An image less a background of its type, (row, column), not below 0."""
     return np.asarray(image - np.minimum(image, background))
 
 

@@ -62,15 +62,7 @@ def image_paths(folder: Path) -> list[str]:
 
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
     """Series of numbered images among paths, wherever in the name the number of the frame is.
-
-    Names that differ in several numbers are of several series: the frame's is the one with the most values,
-    one that follows the word frame before others, and none that follows one for a camera if there is another.
-
-    Examples
-    --------
-    >>> names = [f"img_{k:02d}_cam{c}.tif" for k in range(9, 12) for c in (1, 2)]
-    >>> [(one.pattern, one.numbers) for one in find_series(names)]
-    [('img_{frame:02d}_cam1.tif', (9, 10, 11)), ('img_{frame:02d}_cam2.tif', (9, 10, 11))]
+    Names that differ in several numbers are of several series: the frame's is the one with the most values.
     """
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
@@ -97,21 +89,14 @@ def _frame_column(texts: Sequence[str], names: Sequence[Sequence[str]]) -> int:
 
     def rank(k: int) -> tuple[bool, bool, int, int]:
         values, before = len({parts[k] for parts in names}), texts[k // 2]
+        # one that follows the word frame comes before others, one that follows a word for a camera after them
         return not _OF_A_CAMERA.search(before), values > 1 and bool(_OF_A_FRAME.search(before)), values, k
 
     return max(range(1, len(names[0]), 2), key=rank)
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Names of cameras: the words in which the patterns of their images differ.
-
-    Examples
-    --------
-    >>> camera_names(["left/img_{frame}.tif", "right/img_{frame}.tif"])
-    ['left', 'right']
-    >>> camera_names(["A{frame}.tif", "B{frame}.tif"]), camera_names(["1/{frame}.tif", "2/{frame}.tif"])
-    (['A', 'B'], ['cam1', 'cam2'])
-    """
+    """Names of cameras: the words in which the patterns of their images differ, else cam1, cam2, ..."""
     paths = [_FRAME.sub("", pattern.rpartition(".")[0]) for pattern in patterns]
     usual = [f"cam{k}" for k in range(1, len(patterns) + 1)]
     folders = [path.split("/")[:-1] for path in paths]
@@ -136,13 +121,7 @@ def _as_name(words: str) -> str:
 
 
 def common_patterns(patterns: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """The patterns with ``{camera}`` for the camera that fit all of these names; none if some do not.
-
-    Examples
-    --------
-    >>> common_patterns(["calib/left/t_*.tif", "calib/right/t_*.tif"], ["left", "right"])
-    ['calib/{camera}/t_*.tif']
-    """
+    """The patterns with ``{camera}`` for the camera that fit all of these names; none if some do not."""
     of: dict[str, set[str]] = defaultdict(set)
     for pattern in patterns:
         for camera in sorted(cameras, key=len, reverse=True):

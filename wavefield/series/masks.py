@@ -89,14 +89,7 @@ class MaskSection(ConfigSection):
 
 
 def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
-    """Two sides of a polygon that cross, by the corners at which they begin, from 0; None if none do.
-
-    Examples
-    --------
-    >>> crossing([(0, 0), (1, 1), (1, 0), (0, 1)])
-    (0, 2)
-    >>> crossing([(0, 0), (1, 0), (1, 1), (0, 1)])
-    """
+    """Two sides of a polygon that cross, by the corners at which they begin, from 0; None if none do."""
     p = np.asarray(corners, float)
     q = np.roll(p, -1, axis=0)
 

@@ -29,7 +29,6 @@ def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
     """Frames of every camera on the range of numbers that the measuring ones share.
-
     The path is that of the experiment file, the folder that of the images.
     """
     numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}

@@ -82,7 +82,6 @@ def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], exper
 
 def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple[str, Path]]:
     """Images that fit a pattern, each with its pose: what the wildcards match, the same in all cameras.
-
     A leading minus belongs to the pose: plates are traversed from -3 mm to 3 mm.
     """
     folder = experiment.image_folder

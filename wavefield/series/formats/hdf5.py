@@ -87,10 +87,8 @@ def _is_plain(data: h5py.Dataset) -> bool:
 
 
 def open_hdf5(path: Path) -> Recording:
-    """Open images in HDF5.
-
-    Times are the coordinate of the first dimension, as netCDF has it, or a dataset ``time`` next to the
-    images, with ``units`` ("s", "ms since ..."); the rate is the attribute ``frame_rate``, or theirs.
+    """Open images in HDF5; times are the first dimension's coordinate, or a dataset ``time`` beside them,
+    with ``units`` ("s", "ms since ..."); the rate is the attribute ``frame_rate``, or that of the times.
     """
     import h5py
 

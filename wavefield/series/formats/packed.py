@@ -20,23 +20,14 @@ LOADED_BYTES = 16  # bytes that are loaded for them, more than they fill
 
 
 def packed(shape: tuple[int, int], bits: int) -> Callable[[Stream], Pixels]:
-    """Reader of pixels of 10 or 12 bits one after another, the highest bit first.
-
-    The bytes are read to the end of the image's own memory and unpacked towards its beginning: writing never
-    overtakes reading, and no second memory is used.
-
-    Examples
-    --------
-    >>> from io import BytesIO
-    >>> packed((1, 2), 12)(BytesIO(bytes([0x12, 0x34, 0x56]))).tolist()
-    [[291, 1110]]
-    """
+    """Reader of pixels of 10 or 12 bits one after another, the highest bit first."""
     together = {10: _unpack_10, 12: _unpack_12}[bits] if sys.byteorder == "little" else None
     size = packed_bytes(shape, bits)
 
     def take(stream: Stream) -> Pixels:
         out = np.empty(shape, np.uint16)
         flat = out.reshape(-1)
+        # to the end of the image's own memory, unpacked to its beginning: writing never overtakes reading
         raw = flat.view(np.uint8)[2 * flat.size - size :]
         fill(raw, stream)
         done = together(raw, flat) if together else 0
@@ -52,10 +43,8 @@ def packed_bytes(shape: tuple[int, int], bits: int) -> int:
 
 
 def _together(bits: int) -> Any:
-    """Unpack eight pixels: their pairs of bytes are gathered, each is shifted and masked, all at once.
-
-    From element `place` of the bytes to element `to` of the pixels. With plain loops the reading of a
-    recording takes three to six times as long, as LLVM does not use the one instruction that gathers bytes.
+    """Unpack eight pixels at once, from element `place` of the bytes to element `to` of the pixels.
+    Plain loops take three to six times as long: LLVM does not use the one instruction that gathers bytes.
     """
 
     def eight(
