@@ -147,12 +147,6 @@ def in_view(quality: np.ndarray) -> np.ndarray:
 
 
 def fraction_measured(quality: np.ndarray) -> float:
-    """Fraction of the nodes in view that were measured: filled ones are finite too, but do not count.
-
-    Examples
-    --------
-    >>> fraction_measured(np.array([Quality.MEASURED, Quality.FILLED, Quality.OUTSIDE]))
-    0.5
-    """
+    """Fraction of the nodes in view that were measured: filled ones are finite too, but do not count."""
     visible = in_view(quality)
     return float((quality[visible] & Quality.MEASURED != 0).mean()) if visible.any() else 0.0

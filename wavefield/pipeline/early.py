@@ -34,7 +34,6 @@ def plan_early(
     prepared: PreparedRun, path: Path, todo: Sequence[tuple[int, int]], until: float
 ) -> list[EarlyStep]:
     """Early steps in the chunks (start, stop) that are still to be measured, in the order of `bisecting`.
-
     There are as many as are done by a time of the monotonic clock, unless an earlier run has chosen.
     """
     group = open_group(path)
@@ -59,13 +58,7 @@ def plan_early(
 
 
 def bisecting(count: int) -> list[int]:
-    """Numbers below a count, so that every beginning of the list is spread over all of them.
-
-    Examples
-    --------
-    >>> bisecting(8)
-    [0, 4, 2, 6, 1, 5, 3, 7]
-    """
+    """Numbers below a count, every beginning of the list spread over all of them: 0, 4, 2, 6, 1, 5, 3, 7."""
     digits = max(count - 1, 1).bit_length()
     return sorted(range(count), key=lambda k: int(f"{k:0{digits}b}"[::-1], 2))
 

@@ -42,7 +42,6 @@ MAX_UNUSUAL_FILES = 24  # files of a camera
 @dataclass(frozen=True)
 class CameraCheck:
     """Frames of one camera.
-
     Of a record of more than 40 frames only a sample is read, and files of unusual sizes.
     """
 

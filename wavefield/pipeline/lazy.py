@@ -61,10 +61,7 @@ class ArraySource:
         return f"{self.camera} frame {index}"
 
     def covered(self, index: int) -> np.ndarray | None:
-        """What is masked in a frame.
-
-        Returns (row, column): True where masked.
-        """
+        """What is masked in a frame, (row, column): True where masked."""
         if self.mask is None:
             return None
         mask = self.mask[index] if self.mask.ndim == 3 else self.mask

@@ -88,7 +88,6 @@ def _lens_error(camera: Camera) -> float:
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
     """Share of the grid's nodes that every camera sees while the water is at rest.
-
     Of a large grid some hundred nodes along each side are tried.
     """
     x, y = (nodes[:: 1 + len(nodes) // _MAX_NODES_TRIED] for nodes in (grid.x_nodes, grid.y_nodes))

@@ -242,15 +242,7 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
 
 
 def choose_chunk_steps(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
-    """Steps per chunk: long enough that its five extra frames do not matter, short enough for memory.
-
-    Examples
-    --------
-    >>> choose_chunk_steps(12000, 2, 151 * 201 * 45, None)
-    100
-    >>> choose_chunk_steps(40, 2, 151 * 201 * 45, None)
-    20
-    """
+    """Steps per chunk: long enough that its five extra frames do not matter, short enough for memory."""
     # results, their stack and their compressed copy are there at once; half the memory is for the measurement
     room = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
     longest = max(1, min(MAX_CHUNK_STEPS, room))

@@ -254,10 +254,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Chunks that are still to be measured: not done yet, or with bad frames that are good by now.
-
-    Returns (start, stop): Ranges of steps.
-    """
+    """Chunks, (start, stop), still to be measured: not done yet, or with bad frames that are good by now."""
     damaged = suspicious(path)
     if damaged:
         log.warning("%d chunks are damaged: measuring them again", len(damaged))
