@@ -285,7 +285,6 @@ def _map_on(
 
 class _Tasks:
     """Items as tasks: several in one while many are left, so that a scheduler of many workers keeps up.
-
     What ended while the last results were fetched is fetched at once, and as much submitted at once.
     """
 

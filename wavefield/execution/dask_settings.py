@@ -50,13 +50,7 @@ def dask_settings(workflow: ClusterSettings) -> dict[str, Any]:
 
 
 def dashboard_address(workflow: ClusterSettings) -> str:
-    """Where the scheduler answers browsers: on the loopback, unless the workflow names another host.
-
-    Examples
-    --------
-    >>> dashboard_address(ClusterSettings(dashboard=":8787")), dashboard_address(ClusterSettings())
-    ('127.0.0.1:8787', '127.0.0.1:0')
-    """
+    """Where the scheduler answers browsers: on the loopback, unless the workflow names another host."""
     host, _, port = (workflow.dashboard or ":0").rpartition(":")
     return f"{host or '127.0.0.1'}:{port}"
 

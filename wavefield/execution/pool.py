@@ -106,7 +106,6 @@ class Pool:
         self, work: Callable[[Any], object], items: Sequence[object]
     ) -> Generator[tuple[Any, Any], None, None]:
         """Do work for every item; yields (item, result or exception) as they are done.
-
         Ends the processes, unless they are to last.
         """
         try:

@@ -49,9 +49,7 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 @contextmanager
 def deferred_signals() -> Iterator[None]:
     """Put off the signals that stop a run until a call is over; a second one acts at once.
-
-    A call of distributed that is interrupted before it began prints a traceback from another thread, and
-    Ctrl-C inside an import may be lost.
+    Interrupted early, distributed prints a traceback of another thread, and an import may lose Ctrl-C.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -20,7 +20,6 @@ _MOST_KEPT = 256_000_000  # bytes at the end of the heap
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Keep OpenCV of this process to one thread for a while, as it is in the workers.
-
     No kernel of ours asks numba for threads, and what is done with BLAS is too small for it to take several.
     """
     import cv2
@@ -35,19 +34,18 @@ def one_thread() -> Iterator[None]:
 
 def keep_memory() -> None:
     """Let the C library keep freed arrays for the next ones, within bounds, where it is glibc.
-
-    A step makes and drops hundreds of arrays of a few MB. Handed back each time, every page of theirs is
-    mapped and cleared again, and that takes longer than measuring. All threads share what is kept, or each
-    would keep its own. It cannot be undone: for processes of our own only, which are the workers and the
-    command line. Dask's nannies ask for the opposite (``MALLOC_TRIM_THRESHOLD_``).
+    It cannot be undone: for processes of our own only, which are the workers and the command line.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library, another system
         return
+    # a step makes and drops hundreds of arrays of a few MB: handed back each time, their pages are mapped
+    # and cleared again, which takes longer than measuring; Dask's nannies ask for the opposite, by
+    # MALLOC_TRIM_THRESHOLD_
     mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT)
     mallopt(_M_TRIM_THRESHOLD, _MOST_KEPT)
-    mallopt(_M_ARENA_MAX, 1)
+    mallopt(_M_ARENA_MAX, 1)  # one for all threads, or each would keep its own
 
 
 @functools.cache
