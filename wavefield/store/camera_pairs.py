@@ -49,9 +49,8 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: i
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
-    """The statistics in a cube, loaded; None if there are none.
-
-    Returns (error, bin) with the coordinates quantity, cameras, units (error).
+    """The statistics (error, bin) in a cube, loaded; None if there are none.
+    Coordinates of error: quantity, cameras, units.
     """
     path = Path(store)
     open_group(path)  # compares all small files with their copies

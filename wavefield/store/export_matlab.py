@@ -13,11 +13,8 @@ _CLASS = {"float32": "single", "float64": "double"}  # numpy's types whose names
 
 
 def write_matlab(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> None:
-    """Write a cube as a MAT-file of version 7.3, which `load` and `matfile` read.
-
-    Fields are of size (y, x, time) as MATLAB reads them, so that ``surf(x, y, z(:,:,1))`` draws a step; one
-    step can be read without the rest (``matfile``). ``units`` and ``long_name`` are structs of texts;
-    ``recipe`` is JSON (``jsondecode``).
+    """Write a cube as a MAT-file of version 7.3, which `load` and `matfile` (a step at a time) read.
+    Fields are (y, x, time) in MATLAB; ``units`` and ``long_name`` are structs of texts, ``recipe`` is JSON.
     """
     cube = cube.drop_vars([name for name, variable in cube.variables.items() if variable.dtype.kind in "UOT"])
     with h5py.File(path, "w", userblock_size=_HEADER) as file:

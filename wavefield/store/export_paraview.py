@@ -19,9 +19,7 @@ _VELOCITY = ("u", "v", "w")
 
 def write_paraview(chunks: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
     """Write every step as a structured grid (.vts); returns the text of the series of them (.pvd).
-
-    Points are on the surface, (x, y, z); ``velocity`` is the vector (u, v, w). Nodes where z is unknown are
-    marked as hidden points (``vtkGhostType``).
+    Points are (x, y, z), ``velocity`` is (u, v, w); nodes without z are hidden (``vtkGhostType``).
     """
     draft.mkdir()
     lines: list[str] = []
@@ -39,10 +37,7 @@ def write_paraview(chunks: Iterator[xr.Dataset], draft: Path, folder: str) -> st
 
 
 def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes:
-    """One step as the bytes of a .vts file.
-
-    With x, y (ny, nx), metres; step (y, x).
-    """
+    """One step (y, x) as the bytes of a .vts file; x and y are (ny, nx), metres."""
     arrays, data, at = [], [], 0
     for name, values in points_and_fields(x, y, step).items():
         parts = values.shape[2] if values.ndim == 3 else 1
@@ -66,10 +61,7 @@ def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes
 
 
 def points_and_fields(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> dict[str, NDArray[Any]]:
-    """What ParaView is given of a step.
-
-    With x, y (ny, nx), metres; step (y, x); returns (ny, nx): ``Points`` on the surface, first.
-    """
+    """What ParaView is given of a step (y, x), as arrays (ny, nx): ``Points`` on the surface, m, first."""
     z = np.asarray(step.z, np.float32)
     known = np.isfinite(z)
     out: dict[str, NDArray[Any]] = {"Points": np.stack([x, y, np.where(known, z, 0)], -1).astype(np.float32)}

@@ -20,10 +20,8 @@ _ROLES = {  # name here: name and role there
 
 
 def write_uvmat(chunks: Iterator[xr.Dataset], draft: Path, stem: str, dt: float) -> None:
-    """Write every step as a NetCDF 3 file as UVMAT's `struct2nc` does.
-
-    Physical coordinates in metres, y upwards. ``FF`` is UVMAT's flag of false vectors: 0 where the node was
-    measured, else the bits of ``quality``.
+    """Write every step as a NetCDF 3 file as UVMAT's `struct2nc` does: metres, y upwards.
+    ``FF`` (UVMAT's flag of false vectors) is 0 where the node was measured, else the bits of ``quality``.
     """
     draft.mkdir()
     number = 0

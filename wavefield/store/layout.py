@@ -74,10 +74,7 @@ class StoreLayout:
     first_frame: int  # Number of the first frame
 
     def chunks(self) -> list[tuple[int, int]]:
-        """Ranges of steps of all chunks, in order.
-
-        Returns (start, stop).
-        """
+        """Ranges of steps (start, stop) of all chunks, in order."""
         return [(i, min(i + self.chunk_steps, self.steps)) for i in range(0, self.steps, self.chunk_steps)]
 
 
@@ -90,9 +87,8 @@ def create_store(
     attributes: Mapping[str, object],
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
-    """Make an empty store: metadata, coordinates, attributes. It appears complete or not at all.
-
-    With x, y, metres; once: variables that are known before the run, such as the gain.
+    """Make an empty store, complete or not at all; x and y are its coordinates, metres.
+    once: variables that are known before the run, such as the gain.
     """
     with atomic(path, CUBE) as draft:
         _fill_in(draft, recipe, x, y, layout, attributes)

@@ -39,13 +39,7 @@ class Thinning:
 
 
 def preview_path(cube: str | Path) -> Path:
-    """Path of the preview of a cube.
-
-    Examples
-    --------
-    >>> preview_path("a/cube.zarr").name
-    'cube_preview.zarr'
-    """
+    """Path of the preview of a cube: cube_preview.zarr beside cube.zarr."""
     cube = Path(cube)
     return cube.with_name(f"{cube.name.removesuffix('.zarr')}_preview.zarr")
 
@@ -130,9 +124,8 @@ def open_preview(cube: Path, group: CubeGroup, mode: Literal["r", "r+"] = "r") -
 
 
 def thin_chunk(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.int16]:
-    """Every so-many-th node of a chunk in 16 bits.
-
-    With fields (n, ny, nx); returns (variable, y, x, n): Round(value / scale).
+    """Every so-many-th node of a chunk, fields (n, ny, nx), in 16 bits: round(value / scale),
+    (variable, y, x, n).
     """
     out = [
         in_16_bits(np.asarray(fields[name])[:, :: thin.every, :: thin.every].astype(np.float32), scale)
@@ -142,10 +135,7 @@ def thin_chunk(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np
 
 
 def write_preview(cube: Path, group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write one chunk of the preview, if the cube has one.
-
-    With fields (n, ny, nx).
-    """
+    """Write one chunk, fields (n, ny, nx), of the preview, if the cube has one."""
     preview = open_preview(cube, group, "r+")
     if preview is not None:
         thin = thinning(group)
@@ -154,10 +144,7 @@ def write_preview(cube: Path, group: CubeGroup, start: int, fields: Mapping[str,
 
 
 def store_thinned(cube: Path, preview: CubeGroup, start: int, thinned: NDArray[np.int16]) -> None:
-    """Put a thinned chunk into the preview, its ledger last.
-
-    With thinned (variable, y, x, n).
-    """
+    """Put a thinned chunk (variable, y, x, n) into the preview, its ledger last."""
     stop = start + thinned.shape[-1]
     try:
         preview["fields"][..., start:stop] = thinned
@@ -186,10 +173,7 @@ def chunks_stored(preview: CubeGroup, layout: StoreLayout) -> NDArray[np.bool_]:
 
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
-    """Thin a chunk of the cube itself.
-
-    Returns (variable, y, x, n).
-    """
+    """Thin a chunk of the cube itself to (variable, y, x, n)."""
     fields = {name: read_steps(group, name, start, stop) for name in thin.names}
     return thin_chunk(fields, thin)
 
@@ -202,10 +186,7 @@ def read_steps(
     rows: slice = slice(None),
     columns: slice = slice(None),
 ) -> NDArray[Any]:
-    """Steps of one variable of a cube, unpacked.
-
-    Returns (n, ny, nx): float32, NaN where nothing was measured.
-    """
+    """Steps of one variable of a cube, unpacked, (n, ny, nx): float32, NaN where nothing was measured."""
     array = group[name]
     try:
         values = np.asarray(array[start:stop, rows, columns])
@@ -225,13 +206,5 @@ def read_steps(
 
 
 def chunks_done(ledger: NDArray[Any], layout: StoreLayout) -> NDArray[np.bool_]:
-    """Which chunks have no step left.
-
-    With ledger (steps,); returns (chunks,).
-
-    Examples
-    --------
-    >>> chunks_done(np.array([1, 1, 1, 0], np.uint8), StoreLayout(4, 2, (), 0)).tolist()
-    [True, False]
-    """
+    """Which chunks (chunks,) have no step left, by a ledger (steps,)."""
     return np.array([bool(ledger[a:b].all()) for a, b in layout.chunks()])

@@ -133,9 +133,7 @@ def open_without_jitter(path: str | Path, chunks: Chunks = "auto") -> "xr.Datase
 
 def with_jitter(cube: "xr.Dataset") -> "xr.Dataset":
     """Add the jitter of the frame times that a cube's attributes state to its standard uncertainties.
-
-    It makes the velocities of a step too large or too small by one factor, and gives its elevation at another
-    moment.
+    It changes all velocities of a step by one factor, and gives its elevation at another moment.
     """
     import xarray as xr
 

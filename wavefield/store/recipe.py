@@ -55,9 +55,7 @@ class Recipe:
     @property
     def hash(self) -> str:
         """Sixteen hexadecimal digits that change whenever values of the cube could.
-
-        Name and clock are labels (`wavefield.store.relabel`): of the frames' numbers only which files they
-        are and how many is part of it, and the rate only where time stamps place the frames.
+        Name and clock are labels (`wavefield.store.relabel`) that change no values.
         """
         data = asdict(self)
         del data["software"], data["record"], data["experiment"]
@@ -70,6 +68,7 @@ class Recipe:
             name: [pattern, first - offset, times]
             for name, (pattern, offset, times) in data["images"].items()
         }
+        # of frames' numbers only which files they are and how many, the rate only where times place frames
         data["frames"] = last - first + 1
         if not stamped and not self.departures:
             del data["frame_rate"]

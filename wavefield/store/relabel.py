@@ -26,10 +26,8 @@ RATES = tuple(name for name in CUBE_FIELDS if TABLE[name].units == "m s-1")
 
 
 def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> list[str]:
-    """Give a cube the labels of another description of the same images.
-
-    May be cut off anywhere: the recipe is written last, then the metadata are gathered for quick opening, and
-    until both are done the same call does all of it again.
+    """Give a cube the labels of another description of the same images; returns what differed.
+    After being cut off anywhere, the same call does all of it again.
     """
     group = open_group(path)
     before = str(group.attrs["recipe"])
@@ -43,6 +41,7 @@ def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> lis
     if not changed and _gathered(path) and (path / ARCHIVE).exists():
         return []
     try:
+        # the recipe is written last, then the metadata are gathered for quick opening
         _write(open_group(path, "r+"), path, recipe, new)
     except OSError as error:
         raise write_error(path, error) from None

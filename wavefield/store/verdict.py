@@ -43,15 +43,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All remarks on a measurement.
-
-    Examples
-    --------
-    >>> Verdict().line
-    'sound'
-    >>> Verdict.of([Remark("cam1", "focus", "remark", "its images are twice as blurred")]).line
-    'sound with remarks: cam1 focus'
-    """
+    """All remarks on a measurement; ``line`` sums them up, as in: sound with remarks: cam1 focus."""
 
     remarks: tuple[Remark, ...] = ()  # The gravest first
     cameras: Numbers = field(default_factory=dict)  # Numbers of every camera and pair over time

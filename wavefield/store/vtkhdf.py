@@ -25,11 +25,8 @@ _OFFSETS = ("PartOffsets", "CellOffsets", "ConnectivityIdOffsets")
 
 
 def write_vtkhdf(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> None:
-    """Write a cube as VTKHDF, a few steps at a time.
-
-    Points and fields as in a ``.pvd`` (`wavefield.store.export_paraview`), one step behind the other. Cells
-    lie
-    between four nodes that all have an elevation; they are stored once, and again only where they change.
+    """Write a cube as VTKHDF, a few steps at a time; points and fields as in `export_paraview`.
+    Cells lie between four nodes that all have an elevation, stored again only where they change.
     """
     x, y = np.meshgrid(np.asarray(cube.x), np.asarray(cube.y))
     corners = _corners(*x.shape)

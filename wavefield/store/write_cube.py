@@ -30,9 +30,8 @@ def write_chunk(
     faults: Mapping[str, Mapping[int, FrameFault]],
     shifts: Mapping[int, Mapping[str, np.ndarray]] | None = None,
 ) -> None:
-    """Write all results of one chunk, the ledger last. The only function that writes results.
-
-    With fields (n, ny, nx); frame_status (n,); shifts (3,), px.
+    """Write all results of one chunk, the ledger last; no other function writes results.
+    Fields are (n, ny, nx), frame_status is (n,), shifts are (3,), px.
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
