@@ -32,7 +32,6 @@ Image = NDArray[Any]
 
 def shrink(image: Image, max_px: int = MAX_SCREEN_PX) -> tuple[NDArray[np.uint8], int]:
     """A frame (row, column) for the screen, in 8 bits, and how many of its pixels one of the screen averages.
-
     Grey levels are stretched from the 0.5 % to the 99.5 % quantile of the brightness.
     """
     factor = max(1, -(-max(image.shape) // max_px))
@@ -46,7 +45,6 @@ def shrink(image: Image, max_px: int = MAX_SCREEN_PX) -> tuple[NDArray[np.uint8]
 
 def frame_columns(small: NDArray[np.uint8], factor: int) -> dict[str, list[object]]:
     """Columns of a shrunk frame in the pixels of the camera.
-
     Bokeh draws row 0 at y, and the axis points downwards: dh is positive.
     """
     h, w = small.shape

@@ -23,10 +23,8 @@ class SeriesRequest(NamedTuple):
 def derived_series(
     record: CubeRecord, j: int, i: int, progress: Callable[[float], None] | None = None
 ) -> dict[str, NDArray[np.float32]]:
-    """The derived variables of a cube at one node over the whole record, (time,), in stored units.
-
-    The nodes around it are read from every chunk of the cube: differences need them, and the thinned preview
-    leaves them out. The values are those that `kinematics` gives for the cube.
+    """The derived variables of a cube at one node, as `kinematics` has them, (time,), in stored units.
+    Read from every chunk, not from the thinned preview: differences need the nodes around it.
     """
     names = [name for name in DERIVED if name in record.names]
     rows, columns = (slice(max(k - _REACH, 0), k + _REACH + 1) for k in (j, i))

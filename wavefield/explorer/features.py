@@ -50,14 +50,13 @@ def frame_features(image: Image) -> FrameFeatures:
 
 def bead_size(image: Image) -> float:
     """Standard deviation of the images of beads in a frame (row, column), px, from its autocorrelation.
-
-    Gaussian beads of standard deviation s correlate with themselves at distance d by exp(-d^2 / (4 s^2)), so
-    that s^2 = 3 / (4 ln(r(1) / r(2))); the noise of pixels enters r(0) only.
+    Gaussian beads correlate as r(d) ~ exp(-d^2 / (4 s^2)), so that s^2 = 3 / (4 ln(r(1) / r(2))).
     """
     part = image[: _BEAD_SIZE_PX + 1, : _BEAD_SIZE_PX + 1].astype(np.float32)
     part = part - cv2.blur(part, (_BACKGROUND_PX, _BACKGROUND_PX))  # uneven light
     sizes = []
     for a in (part, part.T):
+        # the noise of pixels enters r(0) only
         r1, r2 = float(np.mean(a[1:] * a[:-1])), float(np.mean(a[2:] * a[:-2]))
         if r1 > r2 > 0:
             sizes.append(np.sqrt(0.75 / np.log(r1 / r2)))

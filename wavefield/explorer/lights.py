@@ -195,9 +195,7 @@ def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
     """Whether every camera still sends frames, and all the same ones.
-
-    For every camera the time in which no new frame came, s; for those that have sent any, when their newest
-    frame was written and its number; Hz.
+    silent: s without a new frame; written: when the newest one was, s; newest: its number; frame_rate: Hz.
     """
     out = []
     for camera, since in silent.items():
@@ -262,13 +260,7 @@ class LightHistory:
 
 
 def state_runs(states: Sequence[State]) -> list[tuple[State, float, float]]:
-    """Runs of equal states as fractions of the whole: state, start, end.
-
-    Examples
-    --------
-    >>> state_runs(["good", "good", "bad", "good"])
-    [('good', 0.0, 0.5), ('bad', 0.5, 0.75), ('good', 0.75, 1.0)]
-    """
+    """Runs of equal states as fractions of the whole: state, start, end."""
     starts = [k for k, state in enumerate(states) if k == 0 or state != states[k - 1]]
     ends = [*starts[1:], len(states)]
     return [(states[a], a / len(states), b / len(states)) for a, b in zip(starts, ends)]

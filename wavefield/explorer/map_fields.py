@@ -44,10 +44,8 @@ def top_speed(u: Field, v: Field) -> float:
 
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
-    """Arrows of the horizontal velocity at about 24 nodes along the longer side.
-
-    With u, v (ny, nx); x, y (nx,), metres; returns xs, ys (7 n,): n arrows in one line, metres, each of six
-    points and a NaN that separates it from the next; and the arrows' metres per m/s.
+    """Arrows xs, ys (7 n,), metres, of u, v (ny, nx), m/s, some 24 along the longer side; metres per m/s.
+    Each of n arrows has six points and a NaN that separates it from the next.
     """
     every = max(1, round(max(len(x), len(y)) / _ARROWS))
     thin = slice(every // 2, None, every)
@@ -71,10 +69,7 @@ def _with_heads(px: Field, py: Field, dx: Field, dy: Field) -> tuple[Field, Fiel
 
 def streamlines(u: Field, v: Field, x: Field, y: Field) -> tuple[Field, Field]:
     """Streamlines of the horizontal velocity u, v (ny, nx) as one line xs, ys (m,), metres, with gaps.
-
-    Seeds lie on a lattice of about 22 cells along the longer side. Lines are traced by steps of one
-    length (midpoint rule), the longest first, and end where they enter a cell that another has passed. Each
-    has an arrow head in its middle.
+    The longest come first, and end where they enter a cell that another has passed.
     """
     gap = max(len(x), len(y)) / _STREAMS
     seeds = np.meshgrid(np.arange(gap / 2, len(x) - 1, gap), np.arange(gap / 2, len(y) - 1, gap))

@@ -23,15 +23,7 @@ Value = str | int | float | bool | tuple[float, ...] | None
 
 @dataclass(frozen=True)
 class Place:
-    """A view of a cube.
-
-    Examples
-    --------
-    >>> Place(show="z", step=12, node=(0.1, -0.2)).query()
-    'show=z&step=12&node=0.1,-0.2'
-    >>> Place.read({"show": "z", "step": "12", "node": "0.1,-0.2"}).node
-    (0.1, -0.2)
-    """
+    """A view of a cube, as the query of an address: show=z&step=12&node=0.1,-0.2."""
 
     show: str = "w"  # variable of the map
     step: int = 0  # index of the step

@@ -88,13 +88,7 @@ def add_hover(
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
-    """Empty data sources called `prefix_key`; the names of their columns are separated by spaces.
-
-    Examples
-    --------
-    >>> make_sources("map", node="x y")["node"].name
-    'map_node'
-    """
+    """Empty data sources called `prefix_key`; the names of their columns are separated by spaces."""
     return {
         key: ColumnDataSource({name: [] for name in names.split()}, name=f"{prefix}_{key}")
         for key, names in columns.items()
@@ -275,17 +269,7 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
     """Series (n,) thinned for a screen to the lowest and the highest value of each bin, in their order.
-
     Returns x and the series at the samples where the first of them has these extremes, (m,).
-
-    Examples
-    --------
-    >>> x = np.arange(10000.0)
-    >>> y = np.zeros(10000)
-    >>> y[4321] = 1.0
-    >>> thin_x, thin_y = envelope(x, y)
-    >>> len(thin_x) <= 1000, float(thin_x[thin_y.argmax()])
-    (True, 4321.0)
     """
     if x.size <= MOST_POINTS:
         return (x, *series)
@@ -302,20 +286,13 @@ def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
 
 def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
     """Lower and upper edge (n,) of the band of uncertainty around a series (n,); NaN in gaps.
-
-    A thinned series alternates between crests and troughs: its band encloses the neighbours, too, because a
-    band that alternates with it would hide the line, and takes a browser seven times as long to fill.
-
-    Examples
-    --------
-    >>> low, high = band(np.array([0.0, 4.0, 1.0, 5.0]), np.full(4, 0.5), thinned=True)
-    >>> low.tolist(), high.tolist()
-    ([-0.5, -0.5, 0.5, 0.5], [4.5, 4.5, 5.5, 5.5])
+    A thinned series alternates between crests and troughs: its band encloses the neighbours, too.
     """
     low, high = value - std, value + std
     if not thinned:
         return low, high
     gap = np.isnan(low)
+    # a band that alternates with the line would hide it, and takes a browser seven times as long to fill
     low = np.fmin.reduce(sliding_window_view(np.pad(low, 1, "edge"), 3), axis=1)
     high = np.fmax.reduce(sliding_window_view(np.pad(high, 1, "edge"), 3), axis=1)
     return np.where(gap, np.nan, low), np.where(gap, np.nan, high)

@@ -21,26 +21,14 @@ Point = tuple[float, float]
 
 
 def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
-    """Values from 16 bits.
-
-    Examples
-    --------
-    >>> decode(np.array([100, -32768], np.int16), 1e-3).tolist()
-    [0.10000000149011612, nan]
-    """
+    """Values of integers of 16 bits in units of scale; NaN where missing."""
     values = stored.astype(np.float32) * np.float32(scale)
     values[stored == MISSING] = np.nan
     return values
 
 
 def nearest(positions: Array, requested: float) -> int:
-    """Index of the position nearest to the requested one.
-
-    Examples
-    --------
-    >>> nearest(np.array([0.0, 0.5, 1.0]), 0.7)
-    1
-    """
+    """Index of the position nearest to the requested one."""
     return int(np.argmin(np.abs(positions - requested)))
 
 
@@ -63,13 +51,7 @@ def spectrum_columns(found: Spectrum | None) -> dict[str, Array]:
 
 
 def longest_run(values: Array) -> Array:
-    """Longest stretch of a series (n,) without a gap of more than two steps; shorter gaps are interpolated.
-
-    Examples
-    --------
-    >>> longest_run(np.array([1.0, np.nan, 3.0, np.nan, np.nan, np.nan, 5.0])).tolist()
-    [1.0, 2.0, 3.0]
-    """
+    """Longest stretch of a series (n,) without a gap of more than two steps; shorter ones are filled."""
     finite = np.flatnonzero(np.isfinite(values))
     if not finite.size:
         return np.empty(0)

@@ -94,9 +94,7 @@ class Refused(RequestHandler):
 
 class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has no types
     """An application whose every address begins with a token, as ``/TOKEN/save/map.png``.
-
-    The token is in the path rather than in a cookie: browsers send the cookies of localhost to the servers at
-    all of its ports, also to those of other users, and none from a frame in a notebook of another site.
+    A cookie of localhost goes to other users' servers, too, and is not sent from another site's notebook.
     """
 
     def __init__(self, make_page: Callable[[Document], None], routes: Sequence[Route]) -> None:
@@ -120,7 +118,6 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
 
     def _allows(self, request: HTTPServerRequest) -> bool:
         """Whether a request has the token, is addressed to this machine, and comes from its own page if any.
-
         The port is that of the address: the near end of an SSH tunnel has its own.
         """
         given = request.path.split("/")[1] if request.path.startswith("/") else ""

@@ -30,7 +30,6 @@ def apply_template(
     aspect: float = 1.3,
 ) -> None:
     """Give a document its frame: the roots named in `places` below a heading, with the list of the keys.
-
     The views are as wide as a map of an aspect (width to height) can be without reaching below the window.
     """
     document.title = f"{heading} – wavefield {command}"

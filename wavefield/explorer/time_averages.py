@@ -44,7 +44,6 @@ def averages(
     record: CubeRecord, request: AverageRequest, progress: Callable[[float], None] | None = None
 ) -> dict[str, list[Field]]:
     """Averages of variables over all measured steps, (ny, nx), in stored units, chunk by chunk.
-
     Mean, and rms about it, at nodes that were measured twice; or, for a period, the mean at each phase.
     """
     from wavefield.waves.surface.phase_average import phase_weights
