@@ -120,14 +120,8 @@ def _clocked(coordinate: "xr.DataArray", row: Variable) -> Any:
 
 
 def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
-    """Check that a dataset holds variables as the table has them; the door of every room.
-
-    Examples
-    --------
-    >>> import xarray as xr
-    >>> cube = xr.Dataset({"z": (("time", "y", "x"), np.ones((2, 2, 2)), {"units": "cm"})})
-    >>> float(validate(cube, "z").z.max())
-    0.01
+    """Check that a dataset holds variables as the table has them, and convert their units (cm to m).
+    The door of every room; CubeError if one is absent or does not fit.
     """
     out = {}
     for name in names:

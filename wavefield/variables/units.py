@@ -40,15 +40,7 @@ def _powers(unit: str) -> dict[str, int]:
 
 
 def product(*factors: tuple[str, int]) -> str:
-    """Multiply powers of units.
-
-    With *factors (str, int).
-
-    Examples
-    --------
-    >>> product(("m s-1", 2), ("rad m-1", -1), ("rad s-1", -1))
-    'm3 s-1 rad-2'
-    """
+    """Multiply powers of units, (unit, power) each; radians last, as in m3 s-1 rad-2."""
     powers: dict[str, int] = {}
     for unit, power in factors:
         for name, exponent in _powers(unit).items():
@@ -59,13 +51,7 @@ def product(*factors: tuple[str, int]) -> str:
 
 
 def factor(given: str, requested: str) -> float | None:
-    """How many of one unit make another.
-
-    Examples
-    --------
-    >>> factor("cm/s", "m s-1"), factor("mm", "s")
-    (0.01, None)
-    """
+    """How many of the requested unit a given one is (cm/s in m s-1: 0.01); None if they do not convert."""
     scale = 1.0
     left: dict[str, int] = {}
     for unit, sign in ((given, 1), (requested, -1)):
