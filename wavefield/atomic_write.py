@@ -117,18 +117,7 @@ def refuse_input(path: Path, *inputs: object) -> None:
 @contextmanager
 def atomic(path: str | Path, product: OwnFile) -> Iterator[Path]:
     """Write a file or a folder under another name, and let it take its place when it is finished.
-
-    A folder cannot be replaced in one go: the old one is kept next to it as ``.NAME.xxxxxxxx.old`` until the
-    new one has its name, and gets its name back from the next `atomic` if that never happened.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> path = Path(tempfile.mkdtemp()) / "a.txt"
-    >>> with atomic(path, ANY_FILE) as draft:
-    ...     written = draft.write_text("all of it")
-    >>> path.read_text()
-    'all of it'
+    A folder that it replaces is ``.NAME.xxxxxxxx.old`` until then; the next `atomic` restores one left so.
     """
     path = Path(path)
     mark = uuid.uuid4().hex[:8]

@@ -21,9 +21,7 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
     """Compile a function of plain arrays at its first call, keep the result on disk, run it without the lock.
-
-    Where the disk has no room, or no folder can be written, it is compiled in every process. Any number of
-    processes may compile it and keep the result at once.
+    Every process compiles it where it cannot be kept; any number of them may do so at once.
     """
     njit: Any = numba.njit  # its own types take the options one by one
 
@@ -48,11 +46,7 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 class _CompiledFiles:
     """Keeps each compiled form of a loop in a file of its own, in place of numba's numbered files and index.
-
-    The name of a file follows from all that its content follows from: the sources, the types of the
-    arguments and the processor. So no process can put other code where one expects its own, whatever the
-    order in which they write, and no lock is needed, which not every shared folder has. A file that is cut
-    or damaged is not used.
+    Its name follows from sources, types and processor: processes need no lock. Damaged files are not used.
     """
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:

@@ -44,13 +44,7 @@ _NOT_IN_NAMES = re.compile(r"[/\\:*?\"<>|{}\[\]\x00-\x1f]")
 
 
 def safe_name(name: str) -> str:
-    """A name that can be part of a path on any system, and stays in its folder.
-
-    Examples
-    --------
-    >>> safe_name("cam 1")
-    'cam 1'
-    """
+    """A name that can be part of a path on any system, and stays in its folder; ValueError if it cannot."""
     odd = _NOT_IN_NAMES.search(name) or _RESERVED_NAMES.fullmatch(name)
     if odd or not name.strip() or name != name.strip() or name.strip(".") == "" or len(name) > _MAX_NAME:
         raise ValueError(f"{name[:40]!r} cannot be part of a file's name; use letters, digits, - and _")

@@ -32,7 +32,6 @@ _watcher: threading.Thread | None = None
 @contextmanager
 def accessing(path: str | Path, error: type[WavefieldError], action: str = "reading") -> Iterator[None]:
     """Refuse a pipe or a device in place of a file, and log a warning when an access takes 15 to 20 s.
-
     A pipe without a writer, or a file system that does not answer, blocks its reader for ever.
     """
     access = _Access(f"{action} {path}")

@@ -72,15 +72,7 @@ class Grid:
 
 
 def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Find the largest rectangle without a hole.
-
-    With mask (ny, nx).
-
-    Examples
-    --------
-    >>> largest_rectangle(np.array([[0, 1, 1], [1, 1, 1], [0, 1, 1]], bool))
-    ((0, 3), (1, 3))
-    """
+    """Largest rectangle without a hole in a mask (ny, nx): its rows and its columns, (start, stop) each."""
     ny, nx = mask.shape
     height = np.zeros(nx, int)
     best, where = 0, ((0, 0), (0, 0))

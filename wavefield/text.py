@@ -6,13 +6,7 @@ from pathlib import Path
 
 
 def spell_time(seconds: float) -> str:
-    """Spell a duration for people.
-
-    Examples
-    --------
-    >>> spell_time(7.6), spell_time(185), spell_time(7800)
-    ('8 s', '3 min 05 s', '2 h 10 min')
-    """
+    """Spell a duration for people: 8 s, 3 min 05 s, 2 h 10 min."""
     if 0 < seconds < 0.95:
         return f"{seconds:.1g} s"
     whole = round(seconds)
@@ -24,13 +18,7 @@ def spell_time(seconds: float) -> str:
 
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
-    """Spell numbers as ranges.
-
-    Examples
-    --------
-    >>> spell_ranges((1, 2, 3, 7))
-    '1-3, 7'
-    """
+    """Spell sorted numbers as ranges: 1-3, 7."""
     ranges: list[list[int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:
@@ -52,13 +40,7 @@ def one_line(error: object) -> str:
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A small table as notebooks show it.
-
-    Examples
-    --------
-    >>> html_table("Rig", ["camera"], [["<1>"]])
-    '<b>Rig</b><table><tr><th>camera</th></tr><tr><td>&lt;1&gt;</td></tr></table>'
-    """
+    """A small table as notebooks show it; title, head and cells are escaped."""
     lines = [("th", head), *(("td", row) for row in rows)]
     text = "".join(
         "<tr>" + "".join(f"<{kind}>{escape(str(cell))}</{kind}>" for cell in line) + "</tr>"

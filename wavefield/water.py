@@ -18,26 +18,13 @@ WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube,
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
-    """Surface tension over density.
-
-    Examples
-    --------
-    >>> round(tension_over_density() * 1e5, 2)
-    7.28
-    """
+    """Surface tension over density, m3 s-2, of clean water at 20 C where they are not given."""
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
 
 
 def water_of(attributes: Mapping[str, str | float], depth: float | None = None) -> tuple[float, float]:
-    """Depth and surface tension over density, from a cube's attributes.
-
-    Examples
-    --------
-    >>> depth, gamma = water_of({"water_depth": 0.7})
-    >>> depth, round(gamma, 8)
-    (0.7, 7.28e-05)
-    """
+    """Depth, m (infinite where none is stated), and surface tension over density, m3 s-2, of a cube."""
     if depth is None:
         stated = attributes.get("water_depth")
         depth = np.inf if not stated or stated == "deep" else float(stated)
@@ -45,13 +32,7 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 
 def water_coordinates(attributes: Mapping[str, Any]) -> dict[str, float]:
-    """Depth and surface tension that attributes state, as coordinates: a variable of a cube keeps those.
-
-    Examples
-    --------
-    >>> water_coordinates({"water_depth": 0.7, "name": "basin"}), water_coordinates({"water_depth": "deep"})
-    ({'water_depth': 0.7}, {})
-    """
+    """Depth and surface tension that attributes state, as coordinates: a variable of a cube keeps those."""
     given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}
     return {name: float(value) for name, value in given.items() if np.isfinite(float(value))}
 
