@@ -63,7 +63,6 @@ class Display:
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
         """Ends of a colour scale for displayed values, without the largest half percent; two digits.
-
         An unsigned scale begins at zero, or at its smallest values where all are above half of its end.
         """
         half = float(f"{limit(values):.2g}")
@@ -75,13 +74,7 @@ class Display:
 
 
 def display(name: str) -> Display:
-    """How a variable of the table is displayed.
-
-    Examples
-    --------
-    >>> display("z"), display("z_std").label
-    (Display(name='z', factor=100.0, unit='cm'), 'z_std (mm)')
-    """
+    """How a variable of the table is displayed: elevation in cm, its uncertainty and misfits in mm."""
     units = TABLE[name].units
     if units == "m" and name != "z":  # uncertainties and mismatches are small
         return Display(name, 1000.0, "mm")

@@ -22,14 +22,7 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """Index into `KINDS` of each node, by the gravest of its bits.
-
-    Examples
-    --------
-    >>> kinds = quality_kind(np.array([1, 2 | 8, 4, 0]))
-    >>> [KINDS[k][1] if k < len(KINDS) else "nothing" for k in kinds]
-    ['measured', 'rejected: correlation', 'outside the view', 'nothing']
-    """
+    """Index into `KINDS` of each node, by the gravest of its bits; their number where none is set."""
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):
         out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index

@@ -74,13 +74,7 @@ def map_panels(
 
 
 def edges(centres: np.ndarray) -> np.ndarray:
-    """Edges, (n + 1,), of the cells around equally spaced centres, (n,).
-
-    Examples
-    --------
-    >>> edges(np.array([0.0, 1.0, 2.0])).tolist()
-    [-0.5, 0.5, 1.5, 2.5]
-    """
+    """Edges, (n + 1,), of the cells around equally spaced centres, (n,)."""
     centres = np.asarray(centres, float)
     step = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) or 1.0
     return np.concatenate([centres - step / 2, centres[-1:] + step / 2])

@@ -40,12 +40,8 @@ class Shapes:
 
 
 def target_shapes(target: Target) -> Shapes:
-    """The board of a target; its node (0, 0) is the lower left one, or the ring at the right angle.
-
-    Raises
-    ------
-    CalibrationError
-        If no target of this kind can be printed.
+    """The board of a target, mm; its node (0, 0) is the lower left one, or the ring at the right angle.
+    CalibrationError if no target of this kind can be printed.
     """
     if target.shape is None or target.kind not in ("chessboard", "charuco", "dots"):
         raise CalibrationError(
@@ -116,11 +112,7 @@ def _runs(bits: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
 
 def page_size(shapes: Shapes, paper: str = "auto") -> tuple[float, float]:
     """Width and height of the page, mm: the smallest of A4 to A0 that holds the board, if none is named.
-
-    Raises
-    ------
-    CalibrationError
-        If the board is larger than the paper.
+    CalibrationError if the board is larger than the paper.
     """
     needed = shapes.width + 2 * MARGIN, shapes.height + CAPTION + 2 * MARGIN
     if paper == "fit":
@@ -137,30 +129,8 @@ def page_size(shapes: Shapes, paper: str = "auto") -> tuple[float, float]:
 
 
 def target_page(target: Target, paper: str = "auto") -> Figure:
-    """A page with a target to print, to scale.
-
-    Parameters
-    ----------
-    target : Target
-        A chessboard, ChArUco board or grid of dots.
-    paper : str, default "auto"
-        A4 to A0 or letter; ``auto``: the smallest of A4 to A0 that holds it; ``fit``: as large as the board.
-
-    Returns
-    -------
-    Figure
-        Its size is that of the page; a line of 100 mm shows whether it was printed to scale.
-
-    Raises
-    ------
-    CalibrationError
-        If the kind cannot be printed, or the board is larger than the paper.
-
-    Examples
-    --------
-    >>> figure = target_page(Target("chessboard", mesh=0.025, shape=(9, 6)))
-    >>> (figure.get_size_inches() * 25.4).round(3).tolist()
-    [297.0, 210.0]
+    """A page with a target to print, to scale; a line of 100 mm shows whether it was printed so.
+    paper: A4 to A0, letter, ``auto`` (the smallest of A4 to A0) or ``fit`` (as large as the board).
     """
     shapes = target_shapes(target)
     width, height = page_size(shapes, paper)
@@ -211,13 +181,7 @@ def _add_caption(figure: Figure, target: Target, width: float, height: float) ->
 
 
 def experiment_entry(target: Target) -> str:
-    """The target as the experiment file describes it.
-
-    Examples
-    --------
-    >>> experiment_entry(Target("chessboard", mesh=0.025, shape=(9, 6)))
-    'target: {kind: chessboard, mesh: 0.025, shape: [9, 6]}'
-    """
+    """The target as the experiment file describes it."""
     more = ""
     if target.kind == "charuco":
         more = f", marker: {target.marker:g}, dictionary: {target.dictionary}"
