@@ -100,10 +100,8 @@ def probe_items(run: Run) -> list[Item]:
 
 
 def at_probes(cube: xr.Dataset, probes: xr.Dataset) -> xr.Dataset:
-    """Elevation of probes and of the cube there, (probe, time), about their means, m.
-
-    Of probes in the grid that recorded at two steps at least, over the middle of the record; with the rms of
-    the difference and the correlation of each.
+    """Elevation of probes and of the cube there, (probe, time), about their means, m, in the record's middle.
+    With the rms difference and the correlation of each; of probes in the grid with two steps at least.
     """
     first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
     z, out = cube.z.isel(time=slice(first, first + MAX_STEPS)), []

@@ -90,7 +90,6 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 
 def pair_misfits(found: xr.Dataset) -> Figure:
     """Distributions of eps_y and of eps' of each pair of cameras on its own.
-
     Counterpart of the paper's distributions of eps_Y for three pairs and of its PIV errors.
     """
     figure, axes = panels(2, height=4.6)
@@ -101,10 +100,8 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 
 def pair_differences(found: xr.Dataset) -> Figure:
-    """Differences between pairs of cameras: of z, of dx, of dy, of dz.
-
-    Counterpart of the paper's differences between the three pairs, and of the recombination of two pairs
-    against the direct one. The mean in time of each node is included.
+    """Differences between pairs of cameras, px: of z, of dx, of dy, of dz, with each node's mean in time.
+    Counterpart of the paper's differences between three pairs, and of two recombined against the direct one.
     """
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)

@@ -49,13 +49,7 @@ def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
 
 
 def _percent(share: float) -> str:
-    """A fraction in percent, never rounded to all of it.
-
-    Examples
-    --------
-    >>> _percent(1.0), _percent(0.99999), _percent(0.8712)
-    ('100 %', '99.99 %', '87.1 %')
-    """
+    """A fraction in percent, never rounded to all of it: 99.99 %."""
     if share == 1:
         return "100 %"
     return f"{min(100 * share, 99.99):.{4 if share > 0.99 else 3}g} %"

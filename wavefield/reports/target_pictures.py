@@ -17,10 +17,8 @@ from wavefield.rig import Rig
 def target_points(
     images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None, mesh: float
 ) -> Figure:
-    """One image (row, column) of the target per camera with the nodes found, and their positions on z = 0.
-
-    A circle marks the origin. Without a rig there are only the images. Counterpart of the paper's image of
-    the calibration grid with its reference points, in image and in physical coordinates.
+    """One image (row, column) of the target per camera with the nodes found, and (with a rig) these on z = 0.
+    A circle marks the origin. Counterpart of the paper's calibration grid with its reference points.
     """
     figure, axes = panels(len(images), 1 if rig is None else 2, width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
