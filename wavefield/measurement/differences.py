@@ -87,7 +87,7 @@ def _waves_in_common(
     model: Model,
 ) -> tuple[float, float]:
     """Fraction of the displacements' spectra that is waves, and the noise variance of dx, dy, dz together.
-    Noise of the cameras is smaller in their mean, which tells it from waves.
+    Noise of the cameras is smaller in their mean, which waves are not.
     """
     rows = (np.sqrt(f[:, good].T) for f in (moved.variance, noise * moved.noise_of_each))
     d, d_std = solve_displacement(J, moved.moved[:, good].T, *rows)

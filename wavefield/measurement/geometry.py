@@ -179,7 +179,8 @@ class GridGeometry:
 
     def parallaxes(self, pairs: Sequence[Pair]) -> Float:
         """Length of the parallax of pairs of one reference in the middle of the grid, (P,), m per m.
-        It is negative on the other side of the reference than the first.
+
+        Negative on the other side of the reference than the first.
         """
         lean = {n: np.array(self.rig[n].sight_line(*self.middle), float) for pair in pairs for n in pair}
         parallax = np.array([lean[b] - lean[a] for a, b in pairs])

@@ -22,8 +22,37 @@ def common_field(
     height: float | tuple[float, float] | None = None,
     margin: float = 16.0,
 ) -> Grid:
-    """Largest upright rectangle of the water that every camera sees, margin px inside its image, as a grid.
-    The surface may be height up or down or between two elevations, m; RigError if none is as wide as a step.
+    """Largest upright rectangle of the water that every camera sees, as a grid.
+
+    Parameters
+    ----------
+    cameras : iterable of Camera
+        The cameras that must see every node.
+    step : float, optional
+        Distance between nodes, metres; if left out, the round number (1, 2, 5, 10 ...) next above four pixels
+        of the coarsest camera.
+    height : float or (float, float), optional
+        The surface may rise and sink by this much, or is between these two elevations, and stays in view,
+        metres; if left out, 1 % of the distance of the nearest camera.
+    margin : float, default 16
+        Distance kept from the images' edges, px.
+
+    Returns
+    -------
+    Grid
+        Nodes at whole multiples of the step.
+
+    Raises
+    ------
+    RigError
+        If the cameras have no common field, or one narrower than one step.
+
+    Examples
+    --------
+    >>> from wavefield.rig import Camera
+    >>> down = Camera(1000, 1000, 499.5, 499.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1000, 1000))
+    >>> common_field([down], height=0.0, margin=0.0)
+    Grid(x=(-1.98, 1.98), y=(-1.98, 1.98), step=0.02)
     """
     cameras = list(cameras)
     views = [view_on_water(camera) for camera in cameras]

@@ -15,7 +15,17 @@ from wavefield.variables import FrameFault
 
 
 class Frame(NamedTuple):
-    """One image, (row, column) of grey levels of the file's type, or the reason why there is none."""
+    """One image, or the reason why there is none.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), or None
+        Grey levels, of the type of the file; None where there is no image.
+    fault : FrameFault
+        NONE, or what is wrong.
+    message : str
+        The same in a sentence that names the file; empty where nothing is wrong.
+    """
 
     image: np.ndarray | None  # None where there is no image
     fault: FrameFault  # NONE, or what is wrong
@@ -24,7 +34,30 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameSeries:
-    """Frames of one camera, at their places in time."""
+    """Frames of one camera, at their places in time.
+
+    Parameters
+    ----------
+    camera : str
+        Name of the camera.
+    first : int
+        Frame number of index 0.
+    entries : sequence of FrameEntry or None
+        Files of the frames, in order of their numbers; None where one is missing.
+    shape : tuple of int
+        (rows, columns) that every frame must have.
+    dtype : str
+        Type that every frame must have.
+    mask : CameraMask, optional
+        Pixels that do not count.
+    beyond : tuple of int
+        Frames that this camera has before and after the record: other cameras, or ``frames`` of the
+        experiment file, end it there.
+    times : ndarray, (n,), optional
+        Time of each frame by the camera's own clock, s; NaN where it is missing.
+    background : ndarray, (row, column), optional
+        Subtracted from every frame, which does not get below 0.
+    """
 
     camera: str
     first: int  # Frame number of index 0
