@@ -209,7 +209,12 @@ def products_table(seeds: Sequence[int], processes: int, file: Path | None = Non
         )
         count = f"{len(values)}" if kind != "refusal" else f"{len(values)} of {2 * len(seeds)}"
         mean_text = f"{mean:.3f}" if kind != "refusal" else ""
-        rows.append((abs(mean - expected), [kind, product, count, mean_text, f"{worst[1]} {worst[2]:.3f}"]))
+        rows.append(
+            (
+                abs(mean - expected),
+                [kind, product, count, mean_text, f"{worst[1]} {worst[2]:.3f}" if worst[1] else ""],
+            )
+        )
     order = ("interval", "truth", "null", "discovery", "refusal")
     rows.sort(key=lambda row: (order.index(row[1][0]), -row[0]))
     print("| " + " | ".join(PRODUCT_COLUMNS) + " |\n|" + "---|" * len(PRODUCT_COLUMNS))
