@@ -12,7 +12,7 @@ from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.printed_points import dot_centres, make_points
 from wavefield.calibration.target import Target
 from wavefield.calibration.target_lattice import Candidates, TargetLattice, cross, most_central
-from wavefield.calibration.two_level_marks import Frame, Level, marks_between, marks_in_place
+from wavefield.calibration.two_level_marks import PlateAxes, PlateLevel, marks_between, marks_in_place
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 
@@ -27,7 +27,7 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
     """Find the dots of a two-level target, dark on bright or bright on dark, also partly out of view.
     The parallax between the levels must be less than a mesh, else dots are taken for their neighbours.
     """
-    best: tuple[int, Image, Level, Level, Array] | None = None
+    best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
         centre, area = find_blobs(polarity, MIN_FULLNESS)
         strong = Candidates(centre, area, 1.0).strong if len(area) else np.zeros(0, bool)
@@ -59,7 +59,7 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
     )
 
 
-def _width(level: Level, target: Target) -> float:
+def _width(level: PlateLevel, target: Target) -> float:
     """The smaller axis of a usual dot's image, px; a large one where the target's diameter is not stated."""
     if not target.diameter:
         return np.inf
@@ -67,7 +67,7 @@ def _width(level: Level, target: Target) -> float:
     return float(np.median(sizes)) * target.diameter / (2.0 * target.mesh)
 
 
-def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> Level | None:
+def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
     """The largest lattice whose cells have a dot of the other level about their middle."""
     if len(centre) < 2 * MIN_DOTS:
         return None
@@ -87,16 +87,16 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> Level | N
     return best
 
 
-def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> Level | None:
+def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel | None:
     """The level without dots that are off the smooth map through the others."""
     try:
-        level = Level(node, pixel, shift)
+        level = PlateLevel(node, pixel, shift)
     except (ValueError, np.linalg.LinAlgError):
         return None
     inlier = level.smooth.misfit < max(6 * level.smooth.spread, 0.05 * level.side)
     if inlier.sum() < MIN_DOTS:
         return None
-    return level if inlier.all() else Level(node[inlier], pixel[inlier], shift)
+    return level if inlier.all() else PlateLevel(node[inlier], pixel[inlier], shift)
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
@@ -119,7 +119,7 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
     return [(one, two) for _, one, two in out[:12]]
 
 
-def _middles_filled(level: Level, centre: Array) -> bool:
+def _middles_filled(level: PlateLevel, centre: Array) -> bool:
     """Whether the other dots are about the middles of the cells, and not on their edges."""
     rest = _other_dots(level, centre)
     if len(rest) < MIN_DOTS:
@@ -128,7 +128,7 @@ def _middles_filled(level: Level, centre: Array) -> bool:
     return bool(np.mean((np.abs(off) < MAX_PARALLAX).all(1)) > 0.8)
 
 
-def _other_dots(level: Level, centre: Array) -> Array:
+def _other_dots(level: PlateLevel, centre: Array) -> Array:
     """Dots within the level's extent that are not its own, (n, 2), px."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
@@ -139,7 +139,7 @@ def _other_dots(level: Level, centre: Array) -> Array:
     return out
 
 
-def _second_level(one: Level, centre: Array) -> Level | None:
+def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
     """The other level: dots off the middles of the first one's cells by a parallax that varies slowly."""
     rest = _other_dots(one, centre)
     if len(rest) < MIN_DOTS:
@@ -163,13 +163,13 @@ def _second_level(one: Level, centre: Array) -> Level | None:
 
 
 def _numbered(
-    image: Image, marked: Level, second: Level, marks: tuple[Frame, Nodes], target: Target
+    image: Image, marked: PlateLevel, second: PlateLevel, marks: tuple[PlateAxes, Nodes], target: Target
 ) -> TargetPoints:
     """Nodes of both levels in meshes, counted from the origin."""
     (origin, x, y), replaced = marks
     no_mark = ~(marked.node[:, None] == replaced).all(2).any(1)
 
-    def located(level: Level, dots: Mask) -> TargetPoints:
+    def located(level: PlateLevel, dots: Mask) -> TargetPoints:
         own = level.node[dots]
         node = (2 * own + level.shift - origin) @ np.stack([x, y], -1)
         pixel, noise, notes = dot_centres(image, own, level.pixel[dots], target, meshes=2)

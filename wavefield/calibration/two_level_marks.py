@@ -19,7 +19,7 @@ PATCH_SAMPLES = 25  # along each side of it
 MAX_OFF_SITE = 0.16  # meshes: a mark between the dots beside its place
 
 
-class Level:
+class PlateLevel:
     """Dots of one level: indices of its own lattice, pixels, the map between.
     In meshes a dot is at ``2 node + shift``: the second level's lattice is set off by one.
     """
@@ -42,10 +42,10 @@ class Level:
 
 
 # Origin, x and y in meshes, right-handed seen from above: nodes are (mesh - origin) @ [x, y].T
-Frame = tuple[Nodes, Nodes, Nodes]
+PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 
-def marks_in_place(image: Image, level: Level) -> tuple[Frame, Nodes] | None:
+def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] | None:
     """The frame of a square and a triangle in place of dots of a level, and their nodes (2, 2).
     They are the most unusual pair in a row, of which one is skewed; x points from square to triangle.
     """
@@ -77,7 +77,7 @@ def marks_in_place(image: Image, level: Level) -> tuple[Frame, Nodes] | None:
     return (2 * square + level.shift, x, y), np.stack([square, triangle])
 
 
-def marks_between(image: Image, level: Level, other: Level, centre: Array) -> Frame | None:
+def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
     """The frame of marks between the dots of a level's row (triangle) and of one of the other (square).
     The origin is the dot beside both of them; x points to the triangle, y to the square.
     """
@@ -100,7 +100,7 @@ def marks_between(image: Image, level: Level, other: Level, centre: Array) -> Fr
     return None
 
 
-def _sites_between(level: Level, pixel: Array) -> dict[int, Nodes]:
+def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
     """Those of the pixels that are between two dots of a row or column of a level, in meshes."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
@@ -108,7 +108,7 @@ def _sites_between(level: Level, pixel: Array) -> dict[int, Nodes]:
     return {int(k): site[k] for k in np.flatnonzero(good)}
 
 
-def _right_handed(level: Level, index: Array, x: Nodes, y: Nodes) -> bool:
+def _right_handed(level: PlateLevel, index: Array, x: Nodes, y: Nodes) -> bool:
     slopes = level.smooth.slopes(np.asarray(index, float)[None])[0]
     return cross(x @ slopes, y @ slopes) < 0  # rows of images run downwards
 
@@ -119,7 +119,7 @@ def _square_first(patch: Array) -> Nodes | None:
     return None if skewness.max() < 2.0 * skewness.min() else np.argsort(skewness)
 
 
-def _patches(image: Image, level: Level, index: Array, pixel: Array) -> Array:
+def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
     """Surroundings of pixels in coordinates of the target, (n, samples), brightness 0 to 1."""
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
