@@ -120,4 +120,5 @@ def test_a_refused_rig_is_written_on_request_and_marked(tmp_path, capsys, undraw
     written = Rig.load(tmp_path / "rig.yaml")
     assert list(written) == list(exact)
     assert written.provenance["usable"] is False
+    assert written.provenance["images"].keys() == set(written)
     assert written.provenance["problems"]

@@ -19,6 +19,7 @@ from wavefield.calibration.workers import start_worker, worker_context
 from wavefield.config_files import place_of
 from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.images import read_image
+from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
 
@@ -174,7 +175,9 @@ def calibrate_experiment(
         lens=section.lens,
         target_std=section.target_std,
         camera_distance=section.camera_distance,
-        provenance={"experiment": experiment.name, "target": dict(section.target), "images": named},
         progress=solving,
     )
+    source = {"experiment": experiment.name, "target": dict(section.target), "images": named}
+    rig = Rig(calibration.rig.cameras, {**calibration.rig.provenance, **source})
+    calibration = replace(calibration, rig=rig)
     return TargetRig(calibration, views, images, tuple(notes), target.mesh)

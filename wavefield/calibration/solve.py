@@ -15,8 +15,7 @@ from wavefield.calibration.predicted_errors import predict_errors
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.start import LENSES
 from wavefield.calibration.target import Target
-from wavefield.calibration.trust import assess_rig
-from wavefield.calibration.trust import provenance as own_provenance
+from wavefield.calibration.trust import assess_rig, provenance
 from wavefield.calibration.views import Views, calibrate_each, consistent_cameras, usable_views
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
@@ -37,7 +36,6 @@ def calibrate(
     lens: str = "auto",
     target_std: float = 0.0,
     camera_distance: Mapping[str, float] | None = None,
-    provenance: Mapping[str, object] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Calibration:
     """Calibrate a rig from views of a plane target.
@@ -63,8 +61,6 @@ def calibrate(
         with this as prior; take the level from the water at rest afterwards.
     camera_distance : mapping of str to float, optional
         Distance of cameras from the origin as measured by hand, metres: the only check on the mesh.
-    provenance : mapping, optional
-        Added to the rig's provenance, such as the images' names.
     progress : callable, optional
         Called with (camera models fitted, all of them).
 
@@ -140,7 +136,7 @@ def calibrate(
         target_std,
         observations.poses[frame.reference],
     )
-    return replace(calibration, rig=Rig(cameras, {**own_provenance(calibration), **(provenance or {})}))
+    return replace(calibration, rig=Rig(cameras, provenance(calibration)))
 
 
 def _fit_and_choose(
