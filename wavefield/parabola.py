@@ -9,6 +9,12 @@ Samples = float | NDArray[Any]
 
 
 def parabola_vertex(before: Samples, middle: Samples, after: Samples) -> NDArray[Any]:
-    """Offset of the maximum of the parabola through three neighbours from the middle one; 0 without one."""
+    """Offset of the maximum of the parabola through three neighbours from the middle one; 0 if it has none.
+
+    Examples
+    --------
+    >>> round(float(parabola_vertex(1.0, 3.0, 2.0)), 3)
+    0.167
+    """
     bend = before - 2 * middle + after
     return np.asarray(0.5 * (before - after) / np.where(bend < 0, bend, -np.inf))

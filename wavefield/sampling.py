@@ -2,10 +2,22 @@
 
 
 def evenly_spaced(count: int, number: int) -> list[int]:
-    """At most ``number`` of ``count`` indices: the middles of equal parts of a record."""
+    """At most ``number`` of ``count`` indices: the middles of equal parts of a record.
+
+    Examples
+    --------
+    >>> evenly_spaced(100, 4), evenly_spaced(2, 4)
+    ([12, 37, 62, 87], [0, 1])
+    """
     return sorted({int((k + 0.5) * count / number) for k in range(number)})
 
 
 def from_first_to_last(count: int, number: int) -> list[int]:
-    """At most ``number`` of ``count`` indices, evenly spaced, the first and the last among them."""
+    """At most ``number`` of ``count`` indices, evenly spaced, the first and the last among them.
+
+    Examples
+    --------
+    >>> from_first_to_last(100, 3), from_first_to_last(2, 3)
+    ([0, 49, 99], [0, 1])
+    """
     return sorted({int(k * (count - 1) / max(number - 1, 1)) for k in range(number)})

@@ -18,7 +18,13 @@ def spell_time(seconds: float) -> str:
 
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
-    """Spell sorted numbers as ranges: 1-3, 7."""
+    """Spell numbers as ranges.
+
+    Examples
+    --------
+    >>> spell_ranges((1, 2, 3, 7))
+    '1-3, 7'
+    """
     ranges: list[list[int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:
@@ -40,7 +46,13 @@ def one_line(error: object) -> str:
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A small table as notebooks show it; title, head and cells are escaped."""
+    """A small table as notebooks show it.
+
+    Examples
+    --------
+    >>> html_table("Rig", ["camera"], [["<1>"]])
+    '<b>Rig</b><table><tr><th>camera</th></tr><tr><td>&lt;1&gt;</td></tr></table>'
+    """
     lines = [("th", head), *(("td", row) for row in rows)]
     text = "".join(
         "<tr>" + "".join(f"<{kind}>{escape(str(cell))}</{kind}>" for cell in line) + "</tr>"

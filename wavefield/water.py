@@ -24,7 +24,14 @@ def tension_over_density(surface_tension: float | None = None, density: float | 
 
 
 def water_of(attributes: Mapping[str, str | float], depth: float | None = None) -> tuple[float, float]:
-    """Depth, m (infinite where none is stated), and surface tension over density, m3 s-2, of a cube."""
+    """Depth and surface tension over density, from a cube's attributes.
+
+    Examples
+    --------
+    >>> depth, gamma = water_of({"water_depth": 0.7})
+    >>> depth, round(gamma, 8)
+    (0.7, 7.28e-05)
+    """
     if depth is None:
         stated = attributes.get("water_depth")
         depth = np.inf if not stated or stated == "deep" else float(stated)
@@ -32,7 +39,13 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 
 def water_coordinates(attributes: Mapping[str, Any]) -> dict[str, float]:
-    """Depth and surface tension that attributes state, as coordinates: a variable of a cube keeps those."""
+    """Depth and surface tension that attributes state, as coordinates: a variable of a cube keeps those.
+
+    Examples
+    --------
+    >>> water_coordinates({"water_depth": 0.7, "name": "basin"}), water_coordinates({"water_depth": "deep"})
+    ({'water_depth': 0.7}, {})
+    """
     given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}
     return {name: float(value) for name, value in given.items() if np.isfinite(float(value))}
 

@@ -40,8 +40,15 @@ class TargetRig:
 
 
 def one_note_each(unfound: Sequence[tuple[str, Path]]) -> list[str]:
-    """Notes on images, each of which may begin with its path; those of one reason become one, which ends in
-    (2 images: a/1.tif, b/2.tif).
+    """Notes on images, each of which may begin with its path; those of one reason become one.
+
+    Examples
+    --------
+    >>> a, b = Path("a/1.tif"), Path("b/2.tif")
+    >>> one_note_each([("a/1.tif: no target", a), ("b/2.tif: no target", b)])
+    ['no target (2 images: a/1.tif, b/2.tif)']
+    >>> one_note_each([("a/1.tif: no target", a)])
+    ['a/1.tif: no target']
     """
     by_reason: dict[str, list[Path]] = {}
     for words, path in unfound:

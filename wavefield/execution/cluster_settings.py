@@ -28,7 +28,13 @@ class Between(ConfigSection):
 
 
 class ClusterSettings(ConfigSection):
-    """Kind of cluster, its resources, and how it is reached."""
+    """Kind of cluster, its resources, and how it is reached.
+
+    Examples
+    --------
+    >>> ClusterSettings(cluster="local", workers=2, memory="2 GB").memory_bytes
+    2000000000
+    """
 
     cluster: Literal["none", "local", "slurm", "address", "dask"] = Field(
         default="local",

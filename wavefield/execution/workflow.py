@@ -70,7 +70,13 @@ _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 def parse_duration(text: str) -> float:
-    """Seconds of a duration as people and Slurm write it: 3h 50m, 04:00:00, 600; ValueError if it is none."""
+    """Seconds of a duration as people and Slurm write it.
+
+    Examples
+    --------
+    >>> parse_duration("3h 50m"), parse_duration("04:00:00"), parse_duration("600")
+    (13800.0, 14400.0, 600.0)
+    """
     text = text.strip().lower()
     if re.fullmatch(r"\d+(:\d\d){1,2}", text):
         parts = [float(part) for part in text.split(":")]

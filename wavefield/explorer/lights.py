@@ -260,7 +260,13 @@ class LightHistory:
 
 
 def state_runs(states: Sequence[State]) -> list[tuple[State, float, float]]:
-    """Runs of equal states as fractions of the whole: state, start, end."""
+    """Runs of equal states as fractions of the whole: state, start, end.
+
+    Examples
+    --------
+    >>> state_runs(["good", "good", "bad", "good"])
+    [('good', 0.0, 0.5), ('bad', 0.5, 0.75), ('good', 0.75, 1.0)]
+    """
     starts = [k for k, state in enumerate(states) if k == 0 or state != states[k - 1]]
     ends = [*starts[1:], len(states)]
     return [(states[a], a / len(states), b / len(states)) for a, b in zip(starts, ends)]

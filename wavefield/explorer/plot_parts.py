@@ -88,7 +88,13 @@ def add_hover(
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
-    """Empty data sources called `prefix_key`; the names of their columns are separated by spaces."""
+    """Empty data sources called `prefix_key`; the names of their columns are separated by spaces.
+
+    Examples
+    --------
+    >>> make_sources("map", node="x y")["node"].name
+    'map_node'
+    """
     return {
         key: ColumnDataSource({name: [] for name in names.split()}, name=f"{prefix}_{key}")
         for key, names in columns.items()

@@ -181,7 +181,13 @@ def _add_caption(figure: Figure, target: Target, width: float, height: float) ->
 
 
 def experiment_entry(target: Target) -> str:
-    """The target as the experiment file describes it."""
+    """The target as the experiment file describes it.
+
+    Examples
+    --------
+    >>> experiment_entry(Target("chessboard", mesh=0.025, shape=(9, 6)))
+    'target: {kind: chessboard, mesh: 0.025, shape: [9, 6]}'
+    """
     more = ""
     if target.kind == "charuco":
         more = f", marker: {target.marker:g}, dictionary: {target.dictionary}"

@@ -201,7 +201,13 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
 
 
 def made_even(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """A copy of an image, (row, column), with its median grey where it is covered (0 if it all is)."""
+    """A copy of an image, (row, column), with an even grey where it is covered.
+
+    Examples
+    --------
+    >>> made_even(np.array([[1, 1, 9, 9]]), np.array([[False, False, True, True]]))
+    array([[1, 1, 1, 1]])
+    """
     free = image[::8, ::8][~covered[::8, ::8]]
     out = image.copy()
     out[covered] = np.partition(free, free.size // 2)[free.size // 2] if free.size else 0

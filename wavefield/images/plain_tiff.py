@@ -27,7 +27,18 @@ _layouts: dict[tuple[int, bytes], _TiffLayout] = {}
 
 def read_plain_tiff(path: str | Path) -> NDArray[Any] | None:
     """Read a grey TIFF of 8 or 16 bits that is not compressed, (row, column), at the cost of its bytes.
-    None if it is anything else, or damaged: other readers report better what.
+
+    The directory of the first file of a series is parsed; of the others only size and directory are compared
+    with it. None if it is anything else, or damaged: other readers report better what.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "img_00000.tif"
+    >>> tifffile.imwrite(path, np.arange(6, dtype="uint16").reshape(2, 3))
+    >>> read_plain_tiff(path)
+    array([[0, 1, 2],
+           [3, 4, 5]], dtype=uint16)
     """
     try:
         with FileIO(str(path)) as stream:

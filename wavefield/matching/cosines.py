@@ -32,7 +32,16 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
 
 
 class Cosines:
-    """Transforms between fields on a lattice and the coefficients of their first cosines (orthonormal)."""
+    """Transforms between fields on a lattice and the coefficients of their first cosines.
+
+    Examples
+    --------
+    >>> waves = np.zeros((1, 4, 6), np.float32)
+    >>> waves[0, 1, 2] = 1.0
+    >>> transforms = Cosines((7, 10), (4, 6))
+    >>> bool(np.allclose(transforms.waves(transforms.field(waves)), waves, atol=1e-6))
+    True
+    """
 
     def __init__(self, lattice: tuple[int, int], shape: tuple[int, int]) -> None:
         self.lattice, self.shape = lattice, shape

@@ -16,8 +16,19 @@ MAX_SIZE_TO_WIDTH = 3.0  # of a bead
 
 
 def bead_width(image: NDArray[Any]) -> float:
-    """Width of the beads' images at half their height, px, from an image's autocorrelation; 0 of a texture.
-    A bead of standard deviation s has exp(-r^2 / 4 s^2). Widths of 2 to 7 px come out 10 to 30 % too small.
+    """Width of the beads' images at half their height, from the image's own correlation.
+
+    Of the image less its surroundings (sigma 4 px). White noise adds to the correlation without shift alone,
+    so the width follows from those for shifts of 1 and 2 px: a Gaussian bead of standard deviation s has
+    exp(-r^2 / 4 s^2). Subtracting the surroundings removes part of a bead: widths of 2 to 7 px come out a
+    tenth to a third too small. Beads skew the distribution of brightness, a texture does not: its width is 0.
+
+    Examples
+    --------
+    >>> beads = np.random.default_rng(0).random((200, 200)) > 0.995
+    >>> image = cv2.GaussianBlur(beads.astype(np.float32), (0, 0), 1.5)
+    >>> round(bead_width(image), 1)  # of 3.5
+    2.8
     """
     part = np.ascontiguousarray(image, np.float32)
     # subtracting the surroundings removes part of a bead: hence the bias of the width

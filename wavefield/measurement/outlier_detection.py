@@ -27,8 +27,17 @@ _MIN_MISFIT_FRACTION = 0.5  # of the nodes around that must contradict
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
-    """The camera without which the others agree; None if all agree, or not exactly one camera explains it.
-    Whichever of three cameras in a line is left out, the other two agree along the line.
+    """The camera without which the others agree.
+
+    Along the line of three cameras there is only one redundant displacement: whichever is left out, the other
+    two agree, and which of them moves that way cannot be determined.
+
+    Examples
+    --------
+    >>> outlier_camera(3, 500.0, lambda n: 1.0 if n == 1 else 400.0)
+    1
+    >>> outlier_camera(3, 500.0, lambda n: 400.0 if n == 1 else 1.0) is None
+    True
     """
     if n_cameras < 3 or not misfit > MAX_MISFIT:
         return None

@@ -21,7 +21,13 @@ MIN_MEASURED_FRACTION = 0.5  # of the nodes in view
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Whether a surface z (ny, nx), metres, reaches an end of the range of elevations searched."""
+    """Whether a surface z (ny, nx), metres, reaches an end of the range of elevations searched.
+
+    Examples
+    --------
+    >>> at_border(np.array([[0.01, 0.099], [np.nan, 0.02]]), (-0.1, 0.1))
+    True
+    """
     known = z[np.isfinite(z)]
     if not known.size:
         return False

@@ -211,5 +211,11 @@ EXPLANATIONS = {
 
 
 def first_sentence(text: str) -> str:
-    """The first sentence of an explanation, with its full stop."""
+    """The first sentence of an explanation.
+
+    Examples
+    --------
+    >>> first_sentence("It is blurred. Focus it.")
+    'It is blurred.'
+    """
     return text.partition(". ")[0].rstrip(".") + "."

@@ -164,7 +164,13 @@ class Head:
 
 
 def with_code(words: str) -> Markup:
-    """Plain words as HTML, escaped, with code between backticks."""
+    """Plain words as HTML, with code between backticks.
+
+    Examples
+    --------
+    >>> print(with_code("name <them> as `rest:`"))
+    name &lt;them&gt; as <code>rest:</code>
+    """
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 
 

@@ -31,7 +31,13 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
 
 def without_folders(value: object, folder: str = "") -> Any:
     """Names of files without the folders of the machine that holds them: a page is for others to read.
-    Paths below `folder` become relative to it; lists and mappings are gone through.
+
+    Examples
+    --------
+    >>> without_folders({"rig": "/data/tank/rig.yaml", "images": ["/data/tank/cam1/a.tif"]}, "/data/tank")
+    {'rig': 'rig.yaml', 'images': ['cam1/a.tif']}
+    >>> without_folders("/home/me/white.png"), without_folders("m/s")
+    ('white.png', 'm/s')
     """
     if isinstance(value, Mapping):
         return {key: without_folders(one, folder) for key, one in value.items()}

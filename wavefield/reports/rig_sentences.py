@@ -11,7 +11,16 @@ from wavefield.rig.resolution import pixel_size
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """How far the cameras are from the target, and what they see of the water."""
+    """How far the cameras are from the target, and what they see of the water.
+
+    Examples
+    --------
+    >>> from wavefield.rig import Camera
+    >>> down = Camera(1000, 1000, 499.5, 499.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1000, 1000))
+    >>> print(*rig_sentences(Rig({"cam1": down})), sep="\\n")
+    Distance from the target's origin: cam1 4.00 m; if you measure another, correct `mesh` by that ratio.
+    On the water a pixel is 4 mm; all cameras see x -1.9 to 1.9 m, y -1.9 to 1.9 m.
+    """
     distances = ", ".join(
         f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
     )

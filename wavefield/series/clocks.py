@@ -101,7 +101,11 @@ def place_by_time(
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
     """Renumber frames so that those the camera dropped leave gaps: by intervals, not by the clock's rate.
-    Unchanged where the intervals are uneven in any other way.
+
+    Examples
+    --------
+    >>> place_by_intervals({0: "a", 1: "b", 2: "c", 3: "d"}, np.array([7.0, 7.1, 7.2, 7.5]))
+    {0: 'a', 1: 'b', 2: 'c', 5: 'd'}
     """
     intervals = np.diff(times)
     if len(times) != len(numbered) or len(times) < 3 or intervals.min() <= 0:

@@ -44,8 +44,14 @@ def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Ti
 
 
 def departures_by_clock(times: Times, frame_rate: float) -> Times | None:
-    """`frame_departures` by one clock, from its times (n,), s; NaN where it has none.
+    """The same by one clock, from its times (n,), s; NaN where it has none.
+
     None where they do not fit even intervals at all.
+
+    Examples
+    --------
+    >>> departures_by_clock(np.array([0.0, 0.052, 0.1, 0.15, 0.2]), 20.0).round(3).tolist()
+    [-0.008, 0.032, -0.008, -0.008, -0.008]
     """
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:

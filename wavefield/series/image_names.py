@@ -121,7 +121,13 @@ def _as_name(words: str) -> str:
 
 
 def common_patterns(patterns: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """The patterns with ``{camera}`` for the camera that fit all of these names; none if some do not."""
+    """The patterns with ``{camera}`` for the camera that fit all of these names; none if some do not.
+
+    Examples
+    --------
+    >>> common_patterns(["calib/left/t_*.tif", "calib/right/t_*.tif"], ["left", "right"])
+    ['calib/{camera}/t_*.tif']
+    """
     of: dict[str, set[str]] = defaultdict(set)
     for pattern in patterns:
         for camera in sorted(cameras, key=len, reverse=True):

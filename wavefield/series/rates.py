@@ -66,5 +66,11 @@ def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
 
 
 def is_alike(one: float, other: float) -> bool:
-    """Whether two rates are the same but for rounding, by `RATE_TOLERANCE`."""
+    """Whether two rates are the same but for rounding.
+
+    Examples
+    --------
+    >>> is_alike(500.0, 500.2), is_alike(500.0, 250.0)
+    (True, False)
+    """
     return abs(one - other) <= RATE_TOLERANCE * abs(other)

@@ -12,7 +12,13 @@ _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
 
 
 def is_remote(name: str) -> bool:
-    """Whether a name is an address, as s3://bucket/cam1.zarr, rather than a path, as C://images/cam1."""
+    """Whether a name is an address rather than a path.
+
+    Examples
+    --------
+    >>> is_remote("s3://bucket/cam1.zarr"), is_remote("C://images/cam1"), is_remote("cam1/img_0.tif")
+    (True, False, False)
+    """
     return bool(_ADDRESS.match(name))
 
 

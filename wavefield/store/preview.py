@@ -206,5 +206,13 @@ def read_steps(
 
 
 def chunks_done(ledger: NDArray[Any], layout: StoreLayout) -> NDArray[np.bool_]:
-    """Which chunks (chunks,) have no step left, by a ledger (steps,)."""
+    """Which chunks have no step left.
+
+    With ledger (steps,); returns (chunks,).
+
+    Examples
+    --------
+    >>> chunks_done(np.array([1, 1, 1, 0], np.uint8), StoreLayout(4, 2, (), 0)).tolist()
+    [True, False]
+    """
     return np.array([bool(ledger[a:b].all()) for a, b in layout.chunks()])

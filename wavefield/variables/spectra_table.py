@@ -29,7 +29,13 @@ ELEVATION_UNITS = "m2 s rad-1"
 
 
 def density_units(unit: str, *over: str) -> str:
-    """Units of a power spectrum of a quantity: of m over k and omega, m3 s rad-2."""
+    """Units of a power spectrum.
+
+    Examples
+    --------
+    >>> density_units("m", "k", "omega")
+    'm3 s rad-2'
+    """
     axes = {"k": K_UNITS, "omega": OMEGA_UNITS}
     return product((unit, 2), *((axes[name], -1) for name in over))
 

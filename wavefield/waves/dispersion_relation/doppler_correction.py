@@ -32,7 +32,15 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """Frequency omega - k . U in the frame of the water, rad/s, kept off zero and in reach of free waves."""
+    """Frequency omega - k . U in the frame of the water, kept off zero and within reach of free waves.
+
+    With all frequencies in rad/s; doppler_shift k . U.
+
+    Examples
+    --------
+    >>> intrinsic_frequency(10.0, np.array([0.0, 2.0, 10.0, -20.0]), np.full(4, 8.0), 0.05)
+    array([10.,  8.,  4., 12.])
+    """
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, SLOWEST * sigma)
     most = np.maximum(omega, np.minimum(FASTEST * sigma, np.pi / dt))

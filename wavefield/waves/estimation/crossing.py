@@ -19,7 +19,13 @@ NOISE_LINES = 0.75  # of the Nyquist frequency: what is above counts as noise
 
 
 def hann_autocorrelation(lag: Array) -> Array:
-    """Autocorrelation of a Hann window of length 1."""
+    """Autocorrelation of a Hann window of length 1.
+
+    Examples
+    --------
+    >>> hann_autocorrelation(np.array([0.0, 0.5, 0.75])).round(3).tolist()
+    [1.0, 0.167, 0.008]
+    """
     x = np.minimum(np.abs(lag), 1.0)
     return np.asarray(((1 - x) * (2 + np.cos(2 * np.pi * x)) + 1.5 / np.pi * np.sin(2 * np.pi * x)) / 3)
 

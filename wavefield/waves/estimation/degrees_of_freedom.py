@@ -23,8 +23,18 @@ def hann_correlation(lines: int) -> Array:
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Degrees of freedom of sums of powers (parts, n), as expected from their spread, (n,).
-    (sum P)^2 / sum_ij rho_ij^2 P_i P_j / sqrt(nu_i nu_j), nu ``dof``, rho^2 the normalised ``overlap``.
+    """Degrees of freedom of sums of powers, as their spread lets expect.
+
+    With power (parts, n); dof (parts, n); overlap (parts, parts); returns (n,): (sum P)^2 / sum_ij rho_ij^2
+    P_i P_j / sqrt(nu_i nu_j).
+
+    Examples
+    --------
+    Four parts of ten degrees of freedom each, as strong as each other and independent; then the first alone.
+
+    >>> power = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    >>> sum_freedom(power, np.full((4, 2), 10.0), np.eye(4))
+    array([40., 10.])
     """
     size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
     share = power / np.sqrt(dof)

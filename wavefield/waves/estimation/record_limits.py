@@ -68,7 +68,16 @@ def _note_on_holes(record: Record, z: xr.DataArray) -> str:
 
 
 def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
-    """Statistics without spectral peak and steepness where the record holds fewer than `MIN_PERIODS`."""
+    """Statistics without spectral peak and steepness where the record holds too few of its periods.
+
+    Examples
+    --------
+    >>> peak = xr.Dataset({"peak_frequency": 1.3, "peak_k": 6.8, "steepness": 0.1})
+    >>> without_short_peak(peak, 1.15).notes[0]
+    'No spectral peak, no steepness: the record holds 1.5 peak periods (1.15 s); 10 are needed.'
+    >>> "steepness" in without_short_peak(peak, 60.0).value
+    True
+    """
     periods = seconds * float(statistics["peak_frequency"])
     if periods >= MIN_PERIODS:
         return Noted(statistics, [])

@@ -103,7 +103,15 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
 
 def of_leakage(power: Array, dof: Array) -> Array:
     """Degrees of freedom (n,) of a sum where lines that hold what leaks into them have those of its source.
-    A line that is weaker than its neighbour towards the strongest by more than a sea falls off holds leakage.
+
+    A line weaker than its neighbour towards the strongest one by more than a sea falls off with frequency
+    (before the strongest line, by more than chance) holds mostly what the windows spread of that: the same
+    few waves in all of its cells, however many these are.
+
+    Examples
+    --------
+    >>> of_leakage(np.array([0.1, 1.0, 8.0, 6.0, 4.0, 0.2]), np.array([90.0, 80.0, 30.0, 40.0, 50.0, 20.0]))
+    array([30., 30., 30., 40., 50., 20.])
     """
     out, peak = dof.copy(), int(np.argmax(power))
     for towards, lines in zip((1, -1), (range(peak - 1, -1, -1), range(peak + 1, power.size))):

@@ -30,7 +30,15 @@ def lags(longest: int) -> Array:
 
 
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
-    """Number of a field's differences and the sums of |difference|^p, p = 1 to 6, (7,); 0 if too short."""
+    """Number of a field's differences and the sums of |difference|^p, p = 1 to 6, (7,).
+
+    Zeros where the field is too short.
+
+    Examples
+    --------
+    >>> powers_of_differences(np.array([0.0, 1.0, 4.0, 9.0]), 0, 1, 2)[:3].tolist()
+    [2.0, 4.0, 8.0]
+    """
     size = values.shape[axis] - differences * lag
     if size <= 0:
         return np.zeros(ORDERS.size + 1)
