@@ -9,7 +9,7 @@ from test_paths import LATTICE, MIDDLE, turned
 
 from wavefield.measurement.camera_jitter import level_jitter
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.midtime import z_at_mid_time
+from wavefield.measurement.midtime import z_by_orders
 from wavefield.measurement.paths import read_path
 from wavefield.measurement.time_weights import (
     ELEVATION_WEIGHTS,
@@ -103,7 +103,7 @@ def test_z_at_mid_time_is_that_of_the_polynomial_through_the_frames(times, lost,
         read = lambda x, y, t=t: np.asarray((t + 1.0 - (x - speed * t)) ** degree, np.float32)  # noqa: E731
         surfaces.append(None if n in lost else Surface(z, z, z, nowhere.astype(np.uint16), nowhere, read))
     chord = speed * (times[3] - times[2])
-    found = z_at_mid_time(surfaces, (chord, 0.0), AT, AT, times)
+    found = z_by_orders(surfaces, (chord, 0.0), AT, AT, times)[0]
     assert float(found[0, 0]) == pytest.approx(1.0, abs=2e-3)
 
 

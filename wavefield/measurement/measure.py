@@ -74,7 +74,7 @@ def measure(
     -----
     With a model, every step has the same values, to the bit, whatever chunk it is in. A step
     reads six frames: z at mid-time is from six surfaces, in a frame that moves with the mean flow
-    (`z_at_mid_time`), velocities are from four or six frames, as the record allows (`read_path`). Where a
+    (`z_by_orders`), velocities are from four or six frames, as the record allows (`read_path`). Where a
     neighbour is missing, ``quality`` has a bit for it. z_t is the surface's rise along the path less u . grad
     z, so that the residual z_t - w + u . grad z is the difference between surfaces and displacements,
     whatever the current.

@@ -24,27 +24,7 @@ class MidTime:
     z: Float  # (ny, nx): elevation and its standard uncertainty, metres
     std: Float
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
-    orders: tuple[
-        Float, ...
-    ] = ()  # (ny, nx): elevation by all frames, by fewer and by the nearest two, metres
-
-
-def z_at_mid_time(
-    surfaces: Surfaces,
-    flow: tuple[float, float],
-    x: Float,
-    y: Float,
-    times: Float | None = None,
-    late: Float | None = None,
-) -> Float:
-    """Elevation at mid-time at nodes x, y (ny, nx), metres, from six frames, following the mean flow.
-    Times of frames, and by how much later than at these each node is seen (late, ny, nx), are in intervals.
-    """
-    # a current carries short waves past a node faster than frames follow: in water that moves with it (U, the
-    # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
-    # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
-    # frames are missing; beads repeat their errors in all frames, so these do not average out
-    return z_by_orders(surfaces, flow, x, y, times, late)[0]
+    orders: tuple[Float, ...]  # (ny, nx): elevation by all frames, by fewer and by the nearest two, metres
 
 
 def z_by_orders(
@@ -55,7 +35,13 @@ def z_by_orders(
     times: Float | None = None,
     late: Float | None = None,
 ) -> tuple[Float, ...]:
-    """`z_at_mid_time`, then the same from fewer frames, the nearest two at last: how fast these converge."""
+    """Elevation at mid-time at nodes x, y (ny, nx), metres: by all frames, by fewer, by the nearest two.
+    Times of frames, and by how much later than at these each node is seen (late, ny, nx), are in intervals.
+    """
+    # a current carries short waves past a node faster than frames follow: in water that moves with it (U, the
+    # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
+    # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
+    # frames are missing; beads repeat their errors in all frames, so these do not average out
     count = frames_used(surfaces)
     weights = [ELEVATION_WEIGHTS[n] for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
     if surfaces[4] is None:

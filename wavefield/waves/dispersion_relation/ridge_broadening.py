@@ -1,6 +1,6 @@
 """Shift and width of the dispersion ridge by wavenumber: what waves have beyond linear theory."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,16 +13,15 @@ from wavefield.water import GAMMA, dispersion, group_velocity
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_relation.plane_spectrum import PlaneSpectrum
 from wavefield.waves.estimation.inputs import a_field, takes
-from wavefield.waves.estimation.segments import segment_length
+from wavefield.waves.estimation.segments import short_segments
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.windowed_dispersion import SpectralCells, windowed_waves
 from wavefield.waves.spectra.field_spectra import spectrum
 
 Array = NDArray[Any]
 
-SEGMENTS = 12  # that a record is cut into, overlapping by half
 MIN_SEGMENTS = 8  # for an uncertainty
-MAX_SEGMENT = 256  # steps: the correlation is used over a small part of it
+GROUPS = 12  # of segments, each left out in turn for the uncertainty
 FIRST_CELLS = 3.0  # of the k plane: nearer to zero the windows mix waves k and -k
 RING_CELLS = 1.5  # width of a ring
 HIGHEST = 0.8  # of the Nyquist wavenumber
@@ -164,11 +163,7 @@ def ridge_broadening(
     True
     """
     record = find_record(field) if record is None else record
-    if segment is None:
-        longest = min(2 * record.longest // (SEGMENTS + 1), MAX_SEGMENT)
-        segment = max(longest - longest % 2, 8)
-    segment = segment_length(record, segment)
-    starts = [a for first, last in record.runs for a in range(first, last - segment + 1, segment // 2)]
+    segment, starts = short_segments(record, segment)
     if len(starts) < MIN_SEGMENTS:
         raise CubeError(
             f"the record holds {len(starts)} segments of {segment} steps, and the width of the ridge needs"
@@ -189,9 +184,7 @@ def ridge_broadening(
     noise = rings.sums(plane.noise)
     parts = []
     for a in starts:
-        bridged = tuple(n for n in record.bridged if a <= n < a + segment)
-        part = replace(record, runs=((a, a + segment),), bridged=bridged)
-        E = spectrum(field, segment=segment, record=part)["E"].values
+        E = spectrum(field, segment=segment, record=record.part(a, a + segment))["E"].values
         parts.append(rings.sums(E.reshape(plane.omega.size, -1)) - noise)
     out = _label(np.array(parts), rings, plane, model, noise)
     resultant = out["resultant"]
@@ -239,7 +232,7 @@ def _label(parts: Array, rings: _RidgeRings, plane: PlaneSpectrum, model: Array,
     rest = np.where(used, rest, 0.0)
     rest[~enough, 1:3] = 1.0
     width2, shift, *misfits = _fit(mean / of_model, rest, rings.lags)
-    groups = np.array_split(np.arange(len(parts)), min(len(parts), SEGMENTS))
+    groups = np.array_split(np.arange(len(parts)), min(len(parts), GROUPS))
     without = [np.delete(parts, group, axis=0).mean(axis=0) / of_model for group in groups]
     deviations = [part - part.mean(axis=0) for part in _fit(np.array(without), rest, rings.lags)[:2]]
     chance = [np.sqrt((len(groups) - 1) / len(groups) * (part**2).sum(axis=0)) for part in deviations]

@@ -23,6 +23,7 @@ from wavefield.waves.estimation.windows import choose_segment, hann, segment_cou
 STEPS_AT_ONCE = 4  # transformed in space: they fit the cache
 CELLS = 128  # cells transformed in time at once: so do their segments
 CHAIN_LENGTH = 8  # segments in a row that are summed one after the other
+SHORT_SEGMENTS, MAX_SHORT_SEGMENT = 12, 256  # that a record is cut into for a change in time; steps
 
 Sums = dict[str, np.ndarray]  # by name, of one half segment or of many
 Transform = Callable[..., Sums]  # of the blocks of half a segment
@@ -41,6 +42,15 @@ def segment_length(record: Record, segment: int | None) -> int:
             f" choose a segment of at most {longest - longest % 2} steps"
         )
     return segment
+
+
+def short_segments(record: Record, segment: int | None) -> tuple[int, list[int]]:
+    """Length and starts of segments that overlap by half; of twelve, 256 steps at most, if none is given."""
+    if segment is None:
+        longest = min(2 * record.longest // (SHORT_SEGMENTS + 1), MAX_SHORT_SEGMENT)
+        segment = max(longest - longest % 2, 8)
+    segment = segment_length(record, segment)
+    return segment, [a for b, c in record.runs for a in range(b, c - segment + 1, segment // 2)]
 
 
 def count_segments(record: Record, segment: int) -> int:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -69,6 +69,12 @@ class Record:
     def steps_in_runs(self, shortest: int = 1) -> int:
         """Steps of all runs that have so many steps at least."""
         return sum(b - a for a, b in self.runs if b - a >= shortest)
+
+    def part(self, first: int, stop: int) -> "Record":
+        """The record of some steps of one run."""
+        return replace(
+            self, runs=((first, stop),), bridged=tuple(n for n in self.bridged if first <= n < stop)
+        )
 
 
 def _spacing(array: xr.DataArray | xr.Dataset, name: str) -> float:

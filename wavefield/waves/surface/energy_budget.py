@@ -106,9 +106,7 @@ class EnergyBlocks:
         """Energy, flux along x and y, viscous loss and noise of each band in an area, (blocks, 5, bands)."""
         frames, out = frames_of(self.field), []
         for block in self.blocks:
-            bridged = tuple(n for n in area.bridged if block[0] <= n < block[1])
-            part = replace(area, runs=(block,), bridged=bridged)
-            E = spectrum(self.field, segment=self.segment, record=part)["E"].compute()
+            E = spectrum(self.field, segment=self.segment, record=area.part(*block))["E"].compute()
             level = noise_level(E.values.reshape(E.sizes["omega"], -1), WavenumberPlane.of(E))
             noise = E.copy(data=level.reshape(E.shape))
             both = [_sums(e, self.water, self.least_k / 2, self.edges, frames) for e in (E - noise, noise)]

@@ -11,14 +11,13 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import DENSITY, dispersion, water_of, wavenumber
 from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.segments import segment_length
+from wavefield.waves.estimation.segments import short_segments
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import frames_of
 from wavefield.waves.surface.energy_budget import BANDS, VISCOSITY, EnergyBlocks, WaterProperties
 
 Array = NDArray[Any]
 
-SEGMENTS = 12  # that a record is cut into, overlapping by half
 MIN_SEGMENTS = 8  # with fewer the scatter about the decay is unknown
 MIN_LINES = 2.0  # of a segment's spectrum in a band: narrower ones are mixed by the window
 ENERGY_ERROR = 0.05  # of the energy: windows mix neighbouring bands
@@ -104,11 +103,7 @@ def energy_flux(
     depth, gamma = water_of(cube.attrs, depth)
     water = WaterProperties(depth, gamma, current, density, viscosity)
     edges = np.asarray(frequencies, float)
-    if segment is None:
-        longest = min(2 * record.longest // (SEGMENTS + 1), 256)
-        segment = max(longest - longest % 2, 8)
-    segment = segment_length(record, segment)
-    starts = [a for first, last in record.runs for a in range(first, last - segment + 1, segment // 2)]
+    segment, starts = short_segments(record, segment)
     line, count = 1 / (segment * record.dt), len(starts)
     if count < MIN_SEGMENTS or np.diff(edges).min() < MIN_LINES * line:
         raise CubeError(
