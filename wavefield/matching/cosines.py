@@ -100,23 +100,24 @@ class Cosines:
         """Quarters from coefficients by parity."""
         _, my, _, c, mx = by_parity.shape
         hy, hx = self._half
-        part = np.matmul(self._rows_t, by_parity.reshape(2, my, 2 * c * mx)).reshape(2 * hy, 2, c, mx)
-        out = np.empty((2 * hy, 2, c, hx), F)
+        # rows in the middle: modes along y are the smaller part of their cosines
+        part = np.empty((2 * my, 2, c, hx), F)
+        flat = by_parity.reshape(2 * my, 2, c, mx)
         for parity in range(2):
             for n in range(c):
-                np.matmul(part[:, parity, n], self._columns[parity], out=out[:, parity, n])
+                np.matmul(flat[:, parity, n], self._columns[parity], out=part[:, parity, n])
+        out: Float = np.matmul(self._rows_t, part.reshape(2, my, 2 * c * hx))
         return out.reshape(2, hy, 2, c, hx)
 
     def coefficients_of(self, quarters: Float) -> Float:
         """Coefficients by parity from quarters."""
         _, hy, _, c, hx = quarters.shape
         my, mx = self.shape[0] // 2, self.shape[1] // 2
-        flat = quarters.reshape(2 * hy, 2, c, hx)
-        part = np.empty((2 * hy, 2, c, mx), F)
+        part = np.matmul(self._rows, quarters.reshape(2, hy, 2 * c * hx)).reshape(2 * my, 2, c, hx)
+        out = np.empty((2 * my, 2, c, mx), F)
         for parity in range(2):
             for n in range(c):
-                np.matmul(flat[:, parity, n], self._columns_t[parity], out=part[:, parity, n])
-        out: Float = np.matmul(self._rows, part.reshape(2, hy, 2 * c * mx))
+                np.matmul(part[:, parity, n], self._columns_t[parity], out=out[:, parity, n])
         return out.reshape(2, my, 2, c, mx)
 
 

@@ -22,7 +22,7 @@ from wavefield.measurement.map_elevation import (
 from wavefield.measurement.model import Model
 from wavefield.measurement.outlier_detection import inconsistent_pairs
 from wavefield.measurement.pair_surface import PairMatch, match_pair
-from wavefield.measurement.regrid import coefficients, read_surface
+from wavefield.measurement.regrid import blocks_below, coefficients, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -70,9 +70,10 @@ def surface_of(
     lattice, centre = geometry.lattice, geometry.rig[matches[0].pair[0]].centre
 
     def read(x: Float, y: Float) -> Float:
-        return np.asarray(read_surface(spline, lattice, centre, x, y)[0][0])
+        return read_surface(spline, lattice, centre, x, y)
 
-    (z,), block = read_surface(spline, lattice, centre, geometry.x, geometry.y)
+    z = read(geometry.x, geometry.y)
+    block = blocks_below(lattice, centre, geometry.x, geometry.y, z)
     jitter = _jitter_variance(matches, geometry, model.record.camera_jitter[0])
     variance = np.float32(_NOISE_ALONG / NOISE_MARGIN) * noise + missing
     variance += np.float32(estimate.epipolar**2 + jitter)
@@ -139,5 +140,6 @@ def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)
     spline, centre = coefficients(np.moveaxis(blocks.filled, 0, -1)), geometry.rig[matches[0].pair[0]].centre
-    (z,), block = read_surface(spline, geometry.lattice, centre, geometry.x, geometry.y)
+    z = read_surface(spline, geometry.lattice, centre, geometry.x, geometry.y)
+    block = blocks_below(geometry.lattice, centre, geometry.x, geometry.y, z)
     return np.where(blocks.valid.ravel()[block], z, np.float32(np.nan))

@@ -11,6 +11,7 @@ from wavefield.compiled import compiled
 
 Float = NDArray[Any]
 Mask = NDArray[Any]
+READING_TOLERANCE = 2e-3  # blocks: last correction of an elevation, of which the slope is known to a tenth
 Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # of four blocks in a row
 
 
@@ -155,64 +156,82 @@ def place_of(p: float, n: int) -> tuple[int, np.float32]:
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _read_surface(
+def _read_along_lines(
     c: Float,
-    shape: tuple[int, int, int],
+    shape: tuple[int, int],
     x: Float,
     y: Float,
     lattice: tuple[float, float, float],
     centre: tuple[float, float, float],
+    height: Float,
     out: Float,
-    p: NDArray[np.int64],
-    q: NDArray[np.int64],
 ) -> None:
-    """Fill out (F, n), and block indices p along x and q along y (n,)."""
-    ny, nx, fields = shape
-    x0, y0, step = lattice
+    """Elevation out (n,) where the lines of sight to places x, y (n,) on z = 0 reach a height (n,)."""
+    x0, y0, across = lattice
     cx, cy, cz = centre
-    across = 1.0 / step
-    step_x, step_y = np.uintp(fields), np.uintp(nx * fields)
-    shrink = 1.0
-    for k in range(x.size):
-        # the node before is a good guess
-        xa, ya = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
-        i, j = 1, 1
-        t = s = np.float32(0.0)
-        wx = wy = spline_weights(t)
-        first = np.uintp(0)
-        z = 0.0
+    ny, nx = shape
+    down = np.uintp(nx)
+    for k in range(len(out)):
+        shrink = 1.0 / (1.0 - np.float64(height[k]) / cz)
+        i, t = place_of((cx + (x[k] - cx) * shrink - x0) * across, nx)
+        j, s = place_of((cy + (y[k] - cy) * shrink - y0) * across, ny)
+        first = np.uintp((j - 1) * nx + i - 1)
+        out[k] = spline_at(c, first, np.uintp(1), down, spline_weights(t), spline_weights(s))
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _read_surface(
+    c: Float,
+    shape: tuple[int, int],
+    x: Float,
+    y: Float,
+    lattice: tuple[float, float, float],
+    centre: tuple[float, float, float],
+    tolerance: np.float32,
+    out: Float,
+) -> None:
+    """Fill out (rows, n): nodes of a row are independent of each other, which is several times as fast."""
+    n = x.shape[1]
+    before, height, found = np.zeros(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    half = np.float32(0.5)
+    for row in range(len(x)):  # begins from the row before
+        _read_along_lines(c, shape, x[row], y[row], lattice, centre, before, height)
         for _ in range(30):
-            i, t = place_of((xa - x0) * across, nx)
-            j, s = place_of((ya - y0) * across, ny)
-            wx, wy = spline_weights(t), spline_weights(s)
-            first = np.uintp(((j - 1) * nx + i - 1) * fields)
-            z = float(spline_at(c, first, step_x, step_y, wx, wy))
-            shrink = 1.0 / (1.0 - z / cz)
-            xn, yn = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
-            move = abs(xn - xa) + abs(yn - ya)
-            xa, ya = xn, yn
-            if move < 8e-4 * step:  # what is left is the slope of the sight line times that of z of it
+            _read_along_lines(c, shape, x[row], y[row], lattice, centre, height, found)
+            largest = np.float32(0)
+            for k in range(n):  # a secant: the slope of the surface along the line of sight
+                change, rest = height[k] - before[k], found[k] - height[k]
+                slope = min(max(rest / change if change != 0 else np.float32(0), -half), half)
+                more = rest * slope / (np.float32(1) - slope)
+                largest = max(largest, abs(rest))
+                before[k], height[k] = height[k], found[k] + more
+            if largest < tolerance:
                 break
-        out[0, k] = z
-        for f in range(1, fields):
-            out[f, k] = spline_at(c, first + np.uintp(f), step_x, step_y, wx, wy)
-        p[k] = min(i + int(t + 0.5), nx - 1)
-        q[k] = min(j + int(s + 0.5), ny - 1)
+        out[row] = height
+        before[:] = height
 
 
 def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
-) -> tuple[Float, NDArray[np.int64]]:
-    """Fields (F, ...) at physical positions x, y, metres, of a spline (ny, nx, F), and indices of the blocks.
-    Solves x = x_a + D_a(x_a) z(x_a) by fixed point: with straight rays x_a = c + (x - c) / (1 - z / c_z).
+) -> Float:
+    """Elevation at places x, y (ny, nx), metres, of a spline on the lattice.
+    Solves x = x_a + D_a(x_a) z(x_a): with straight rays x_a = c + (x - c) / (1 - z / c_z).
     """
-    nodes = np.broadcast_shapes(np.shape(x), np.shape(y))
-    xs, ys = (np.ascontiguousarray(np.broadcast_to(v, nodes), dtype=np.float64).ravel() for v in (x, y))
-    out = np.empty((spline.shape[2], xs.size), np.float32)
-    p, q = np.empty(xs.size, np.int64), np.empty(xs.size, np.int64)
-    place, camera = (
-        (lattice.x0, lattice.y0, lattice.step),
-        (float(centre[0]), float(centre[1]), float(centre[2])),
+    out = np.empty(x.shape, np.float32)
+    place = lattice.x0, lattice.y0, 1.0 / lattice.step
+    camera = float(centre[0]), float(centre[1]), float(centre[2])
+    tolerance = np.float32(READING_TOLERANCE * lattice.step)
+    _read_surface(spline.ravel(), lattice.shape, x, y, place, camera, tolerance, out)
+    return out
+
+
+def blocks_below(
+    lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
+) -> NDArray[np.intp]:
+    """Number of the block in which the camera sees each place x, y, z (ny, nx), metres."""
+    shrink = 1.0 / (1.0 - z / centre[2])
+    row, column = (
+        np.clip(np.rint((c + (at - c) * shrink - first) / lattice.step), 1, n - 2).astype(np.intp)
+        for c, at, first, n in zip(centre[1::-1], (y, x), (lattice.y0, lattice.x0), lattice.shape)
     )
-    _read_surface(spline.ravel(), spline.shape, xs, ys, place, camera, out, p, q)
-    return out.reshape(-1, *nodes), (q * lattice.shape[1] + p).reshape(nodes)
+    return np.asarray(row * lattice.shape[1] + column)
