@@ -2,9 +2,10 @@
 
 Gaussian seas of exact free waves are drawn at random: depth, current, directions (isotropic to s = 50, one or
 two parts), band, slope, noise, length, window, gaps, sampling. `analyze` is run on two draws of each. Counted
-by product: the 95 % intervals that hold, judged by both estimates, whose truth is the same; the nulls of 5 %
-that are exceeded where there is no relation; the discoveries where there is nothing; and what was refused.
-Worst products come first, each with its worst family.
+by product: 95 % intervals that hold the truth, of currents and of bound waves, of which there are none; of
+other products those of the difference of both, whose truth is the same; nulls of 5 % that are exceeded
+where there is no relation; discoveries where there is nothing; and what was refused. Worst products come
+first, each with its family that is furthest off for its number of seas, and standard errors.
 
 With ``--currents``: six families of linear seas (broad and clean; tails in noise; rolling off; ending at 2.5
 to 4 Hz; bimodal; shallow) with currents to 0.4 m/s in any direction, spreads from isotropic to s = 50, 16 to
@@ -37,6 +38,18 @@ Array = NDArray[Any]
 
 STRONG = 1e-3  # of the largest energy: weaker cells are not counted
 HALF_INTERVAL = 1.96  # standard uncertainties
+# whose truth is known, and place of it: the current along x and y, and no bound waves
+TRUTH = {
+    ("kinematics", "mean_current_x"): 0,
+    ("kinematics", "mean_current_y"): 1,
+    ("dispersion", "current_x"): 0,
+    ("dispersion", "current_y"): 1,
+    ("shear", "current_x"): 0,
+    ("shear", "current_y"): 1,
+    ("shear", "doppler_x"): 0,
+    ("shear", "doppler_y"): 1,
+    ("bound", "bound_fraction"): 2,
+}
 # whose standard deviation is no uncertainty, or that list other waves in every record
 SPREADS = {"pdf", "static", "triad_coherence", "quartet_coherence", "triad_mismatch", "quartet_mismatch"}
 FEW = 5  # draws: a family with fewer is not named
@@ -98,7 +111,9 @@ def _intervals(one: xr.DataTree, other: xr.DataTree) -> Iterator[Count]:
             yield "interval", f"{group}: {product}", float(inside[there & there_b].mean())
         for name in one[group].data_vars:
             value = str(name).removesuffix("_std")
-            if value == name or value in SPREADS or not {value, name} <= {*other[group].data_vars}:
+            if value == name or value in SPREADS or (group, value) in TRUTH:
+                continue
+            if not {value, name} <= {*other[group].data_vars}:
                 continue
             if value not in one[group]:
                 continue
@@ -111,6 +126,15 @@ def _intervals(one: xr.DataTree, other: xr.DataTree) -> Iterator[Count]:
                     apart = np.angle(np.exp(1j * apart))
                 inside = np.abs(apart) <= HALF_INTERVAL * np.hypot(std_a, std_b)
                 yield "interval", f"{group}: {value}", float(inside[there].mean())
+
+
+def _against_truth(tree: xr.DataTree, current: tuple[float, float]) -> Iterator[Count]:
+    """Fraction of intervals that hold a truth which is known."""
+    for (group, name), place in TRUTH.items():
+        if group in tree.children and name in tree[group].data_vars:
+            value, std = (tree[group][n].values for n in (name, f"{name}_std"))
+            inside = np.abs(value - (*current, 0.0)[place]) <= HALF_INTERVAL * std
+            yield "truth", f"{group}: {name.removesuffix('_x').removesuffix('_y')}", float(inside.mean())
 
 
 def _nulls(tree: xr.DataTree, mixed: xr.Dataset) -> Iterator[Count]:
@@ -161,11 +185,7 @@ def counts_of(seed: int) -> SeaCounts:
             line.partition(":")[0] for line in tree.attrs["notes"].splitlines() if line.startswith("No ")
         ]
         out += [("refusal", note, 1.0) for note in notes]
-        if "dispersion" in tree.children and "current_x" in tree["dispersion"].data_vars:
-            for true, axis in zip(sea.current, "xy"):
-                value, std = (float(tree["dispersion"][f"current_{axis}{e}"]) for e in ("", "_std"))
-                inside = abs(value - true) <= HALF_INTERVAL * std
-                out.append(("truth", "dispersion: current against the truth", float(inside)))
+        out += _against_truth(tree, sea.current)
     return seed, families, out
 
 
@@ -185,6 +205,17 @@ def counts_of_all(seeds: Sequence[int], processes: int, file: Path | None) -> li
     return sorted(out, key=lambda found: found[0])
 
 
+def _mean(fractions: Sequence[float]) -> tuple[float, float]:
+    """Mean of fractions of several draws, and its standard error."""
+    error = np.std(fractions, ddof=1) / np.sqrt(len(fractions)) if len(fractions) > 1 else np.nan
+    return float(np.mean(fractions)), float(error)
+
+
+def _off(expected: float, mean: float, error: float) -> float:
+    """How far a mean is from what is expected, in standard errors; one of equal fractions has a small one."""
+    return abs(mean - expected) / max(error, 0.01)
+
+
 def products_table(seeds: Sequence[int], processes: int, file: Path | None = None) -> list[list[str]]:
     """Print and return the table of products."""
     found: dict[tuple[str, str], list[tuple[float, list[str]]]] = defaultdict(list)
@@ -194,27 +225,17 @@ def products_table(seeds: Sequence[int], processes: int, file: Path | None = Non
     rows = []
     for (kind, product), values in found.items():
         expected = {"interval": 0.95, "truth": 0.95, "null": 0.05}.get(kind, 0.0)
-        mean = float(np.mean([fraction for fraction, _ in values]))
+        mean, error = _mean([fraction for fraction, _ in values])
         by_family = defaultdict(list)
         for fraction, families in values:
             for name in families:
                 by_family[name].append(fraction)
-        worst = max(
-            (
-                (abs(np.mean(v) - expected), name, float(np.mean(v)))
-                for name, v in by_family.items()
-                if len(v) >= FEW
-            ),
-            default=(0.0, "", np.nan),
-        )
+        of_family = {name: _mean(v) for name, v in by_family.items() if len(v) >= FEW}
+        worst = max(of_family, default="", key=lambda name: _off(expected, *of_family[name]))
         count = f"{len(values)}" if kind != "refusal" else f"{len(values)} of {2 * len(seeds)}"
-        mean_text = f"{mean:.3f}" if kind != "refusal" else ""
-        rows.append(
-            (
-                abs(mean - expected),
-                [kind, product, count, mean_text, f"{worst[1]} {worst[2]:.3f}" if worst[1] else ""],
-            )
-        )
+        mean_text = f"{mean:.3f} ± {error:.3f}" if kind != "refusal" else ""
+        worst_text = "{} {:.3f} ± {:.3f}".format(worst, *of_family[worst]) if worst else ""
+        rows.append((abs(mean - expected), [kind, product, count, mean_text, worst_text]))
     order = ("interval", "truth", "null", "discovery", "refusal")
     rows.sort(key=lambda row: (order.index(row[1][0]), -row[0]))
     print("| " + " | ".join(PRODUCT_COLUMNS) + " |\n|" + "---|" * len(PRODUCT_COLUMNS))

@@ -22,6 +22,13 @@ def second_order_sea(seed, depths=(0.2, 0.4, 5.0)):
     return xr.Dataset({"z": z}, attrs=GRAVITY_WAVES | {"water_depth": depth}), free, current
 
 
+def errors_of(seed):
+    """Errors over standard uncertainties, by quantity."""
+    cube, free, current = second_order_sea(seed)
+    found = wf.linear_surface(cube, current=current)
+    return {"z": (found.z_linear - free).values / float(found.linear_std)}
+
+
 def test_the_linear_part_of_second_order_seas_is_found_within_its_uncertainty():
     within = []
     for seed in range(200, 206):

@@ -52,18 +52,33 @@ def inside(found, depth):
     return found, still_frequency(found.k.values, depth)
 
 
+def broadened(seed):
+    """What is found in a sea; frequencies; true width and shift, rad/s."""
+    width, shift = (0.03, 0.05)[seed % 2], (0.0, 0.01, 0.03)[seed % 3]
+    field, current, depth = sea(seed, width, shift)
+    found, omega = inside(wf.ridge_broadening(field, current=current), depth)
+    return found, omega, width * omega, shift * omega
+
+
+def errors_of(seed):
+    """Errors over standard uncertainties, by quantity."""
+    found, _, width, shift = broadened(seed)
+    return {
+        "width": ((found.width - width) / found.width_std).values,
+        "shift": ((found.frequency_shift - shift) / found.frequency_shift_std).values,
+    }
+
+
 def test_widths_and_shifts_are_known_within_their_uncertainties():
-    of_width, of_shift, limits = [], [], []
+    limits, errors = [], {"width": [], "shift": []}
     for seed in range(600, 610):
-        width, shift = (0.03, 0.05)[seed % 2], (0.0, 0.01, 0.03)[seed % 3]
-        field, current, depth = sea(seed, width, shift)
-        found, omega = inside(wf.ridge_broadening(field, current=current), depth)
-        of_width.append((found.width - width * omega) / found.width_std)
-        of_shift.append((found.frequency_shift - shift * omega) / found.frequency_shift_std)
-        limits.append(width * omega < found.width_limit)
+        found, omega, width, shift = broadened(seed)
+        errors["width"].append((found.width - width) / found.width_std)
+        errors["shift"].append((found.frequency_shift - shift) / found.frequency_shift_std)
+        limits.append(width < found.width_limit)
         np.testing.assert_allclose(found.tau_linear, 1 / omega, rtol=1e-6)
         np.testing.assert_allclose(found.tau_nonlinear, 1 / found.width)
-    for off in map(np.concatenate, (of_width, of_shift)):
+    for off in map(np.concatenate, errors.values()):
         off = off[np.isfinite(off)]
         assert off.size > 40
         assert 0.55 < (abs(off) < 1).mean() < 0.88

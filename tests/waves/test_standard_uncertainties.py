@@ -6,7 +6,7 @@ from independent_seas import Sea, still_frequency
 
 import wavefield as wf
 from wavefield.waves import ResonanceSettings
-from wavefield.waves.surface.statistics_errors import difference_gain, peak_std
+from wavefield.waves.surface.statistics_errors import difference_gain, peak_and_std
 
 
 @pytest.fixture(scope="module")
@@ -68,15 +68,17 @@ def test_the_slope_of_waves_of_three_nodes_is_that_of_the_sea():
     assert float(difference_gain(k.max(), sea.dx)) < 0.83  # without the correction it is lower
 
 
-def test_a_peak_is_as_certain_as_its_neighbours_differ():
-    omega = np.arange(60) * 0.4
-    sharp = np.exp(-(((omega - 9.2) / 0.5) ** 2))
-    broad = np.exp(-(((omega - 9.2) / 3.0) ** 2))
-    dof = np.full(60, 60.0)
-    stds = [peak_std(E, dof, omega) for E in (sharp, broad)]
-    assert 0.4 / np.sqrt(12) <= stds[0] < 0.25
+def test_a_peak_lies_between_lines_and_is_as_certain_as_its_neighbours_differ():
+    omega, every, dof = np.arange(60) * 0.4, np.ones(60, bool), np.full(60, 60.0)
+    sharp, broad = (np.exp(-(((omega - 9.31) / width) ** 2)) for width in (0.5, 3.0))
+    found, stds = zip(*(peak_and_std(E, every, dof, omega) for E in (sharp, broad)))
+    assert found == pytest.approx((9.31, 9.31), abs=1e-6)
+    assert 0.01 < stds[0] < 0.4 / np.sqrt(12)
     assert stds[1] > 3 * stds[0]
-    assert peak_std(broad, dof / 9, omega) > 1.3 * stds[1]
+    assert peak_and_std(broad, every, dof / 9, omega)[1] > 1.3 * stds[1]
+    assert peak_and_std(broad, omega > 9.5, dof, omega)[0] == pytest.approx(
+        9.4
+    )  # half a line of what is valid
 
 
 def test_the_uncertainty_of_the_mean_coherence_is_determined_by_all_surrogates():

@@ -40,23 +40,33 @@ def two_systems(seed, spread, together=False):
     return field, omega, k * np.cos(angle), k * np.sin(angle), abs(a) ** 2, first
 
 
+def compared(seed):
+    """Errors of directions, rad, their standard uncertainties, and relative errors of k."""
+    z, omega, kx, ky, power, first = two_systems(seed, (0.0, 0.1, 0.2, 0.3)[seed % 4])
+    found = wf.wavelet_directions(z, FREQUENCIES, interval=1.0)
+    rows = []
+    for f in FREQUENCIES:
+        one = found.sel(frequency=f)
+        one = one.sel(time=abs(one.time - CHANGE) > 21 / (2 * np.pi * f) + 1.0)
+        shares = power * np.exp(-((6 * (omega / (2 * np.pi * f) - 1)) ** 2))
+        parts = [shares * part for part in (kx, ky, np.hypot(kx, ky), 1)]
+        sums = [[part[of].sum() for part in parts] for of in (first, ~first)]
+        x, y, k, total = np.where((one.time.values < CHANGE)[:, None], *sums).T
+        turn = (one.direction - np.arctan2(y, x) + np.pi) % (2 * np.pi) - np.pi
+        rows.append(np.stack([turn, one.direction_std, one.k / (k / total) - 1, one.k_std / (k / total)]))
+    return np.concatenate(rows, axis=1)
+
+
+def errors_of(seed):
+    """Errors over standard uncertainties, by quantity."""
+    turn, std, of_k, k_std = compared(seed)
+    return {"direction": turn / std, "k": of_k / k_std}
+
+
 def test_directions_and_wavenumbers_of_two_systems_are_those_of_their_time():
-    off, of_k = [], []
-    for seed in range(500, 512):
-        z, omega, kx, ky, power, first = two_systems(seed, (0.0, 0.1, 0.2, 0.3)[seed % 4])
-        found = wf.wavelet_directions(z, FREQUENCIES, interval=1.0)
-        for f in FREQUENCIES:
-            one = found.sel(frequency=f)
-            one = one.sel(time=abs(one.time - CHANGE) > 21 / (2 * np.pi * f) + 1.0)
-            shares = power * np.exp(-((6 * (omega / (2 * np.pi * f) - 1)) ** 2))
-            parts = [shares * part for part in (kx, ky, np.hypot(kx, ky), 1)]
-            sums = [[part[of].sum() for part in parts] for of in (first, ~first)]
-            x, y, k, total = np.where((one.time.values < CHANGE)[:, None], *sums).T
-            turn = (one.direction - np.arctan2(y, x) + np.pi) % (2 * np.pi) - np.pi
-            assert abs(turn).max() < 0.5
-            off.append((turn / one.direction_std).values)
-            of_k.append(((one.k / (k / total)) - 1).values)
-    off, of_k = (np.concatenate(part) for part in (off, of_k))
+    turn, std, of_k, _ = np.concatenate([compared(seed) for seed in range(500, 512)], axis=1)
+    assert np.nanmax(abs(turn)) < 0.5
+    off = turn / std
     assert np.isfinite(off).mean() > 0.75
     assert 0.6 < (abs(off[np.isfinite(off)]) < 1).mean() < 0.85
     assert abs(np.nanmedian(of_k)) < 0.02

@@ -113,7 +113,9 @@ def covariance_of(points: RelationPoints, depth: float, fit: Array) -> Array:
     freedom = len(points) - 3
     if freedom <= 2 or np.linalg.cond(normal) > 1e12:
         return np.full((3, 3), np.nan)
-    variance = (robust * residual**2).sum() / (freedom - 2)
+    # neighbouring points share their error: half of them count for how well the misfit itself is known
+    independent = max(freedom / 2, 3.0)
+    variance = (robust * residual**2).sum() / freedom * independent / (independent - 2)
     return np.asarray(variance * np.linalg.inv(normal) * np.outer([1, 1, 1e-5], [1, 1, 1e-5]))
 
 

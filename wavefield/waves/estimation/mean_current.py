@@ -13,7 +13,7 @@ from wavefield.waves.estimation.wave_record import Record, piece
 Array = NDArray[np.float64]
 
 _CURRENT_STEPS = 256  # steps, evenly spread over the record, that the mean is taken over
-_PARTS = 16  # of the record, whose means show the uncertainty
+_SLOWEST = 8  # Fourier lines of the means next to the mean itself, which show its uncertainty
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
@@ -41,5 +41,6 @@ def _mean_and_uncertainty(means: list[list[float]]) -> tuple[Array, Array]:
     values = values[np.isfinite(values).all(axis=1)]
     if values.shape[0] < 2:
         return np.zeros(2) if not values.size else values[0], np.full(2, np.nan)
-    parts = np.array([part.mean(axis=0) for part in np.array_split(values, min(_PARTS, len(values)))])
-    return values.mean(axis=0), parts.std(axis=0, ddof=1) / np.sqrt(len(parts))
+    # the mean is the line at zero: it has the noise of its neighbours, and as little of the waves
+    lines = np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)[1 : _SLOWEST + 1]) ** 2
+    return values.mean(axis=0), np.sqrt(lines.mean(axis=0)) / len(values)

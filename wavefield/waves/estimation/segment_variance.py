@@ -75,10 +75,12 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     correlation, of_sums = correlation_of(power, welch)
     if welch.count >= MIN_SEGMENTS_FOR_CORRELATION:
         with np.errstate(divide="ignore", invalid="ignore"):
+            alone = _about_true_mean(between, correlation, welch.count) * correlation
             more = _smooth(together * independent, CORRELATION_SIZE) / _smooth(
-                between * independent * correlation, CORRELATION_SIZE
+                alone * independent, CORRELATION_SIZE
             )
         correlation = correlation * np.nan_to_num(more, nan=1.0).clip(1, None)
+    between = _about_true_mean(between, correlation, welch.count)
     # the ratio is averaged over 5 rings and 11 lines, over more of both if K is small; products of waves make
     # cells rise and fall as one: of these, two values are independent in E(k, omega), three in sums
     ratio, near = np.ones_like(cells), _variance_size(welch.count, ENOUGH_FOR_REACH[gaussian])
@@ -221,13 +223,17 @@ def _student(number: Array) -> Array:
     return np.asarray((number - 1) / (number - 3))
 
 
+def _about_true_mean(between: Array, correlation: Array, count: int) -> Array:
+    """Variance between segments, of which those that are correlated vary less about their own mean."""
+    return np.asarray(between * (count - 1) / np.maximum(count - correlation, 1.0))
+
+
 def _of_sum(
     powers: Array, starts: Array, welch: Welch, expected: Array, correlation: Array, gaussian: bool
 ) -> Array:
     """Degrees of freedom of sums (segments, n), from those expected if segments were independent."""
     between, _ = _variances(powers, starts, welch)
-    # segments that are correlated vary less about their own mean
-    between = between * (welch.count - 1) / np.maximum(welch.count - correlation, 1.0)
+    between = _about_true_mean(between, correlation, welch.count)
     ratio = _smooth(between * expected / 2, SUM_SIZE).clip(1e-9 * expected, None)
     single = expected / (welch.count * ratio)  # of one segment's sum
     apart = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0) if gaussian else PRODUCTS_APART[1]

@@ -31,6 +31,7 @@ RELATION_CELLS = (
 STRIP_CELLS = 0.5  # width of the strip next to the relation, from which bound waves under it are estimated
 MIN_VISIBLE = 0.5  # of the bound waves that theory expects: with less, the rest is no measurement
 STRIP_SUFFICES = 0.8  # of the bound waves visible: then the strip determines those under the relation
+UNDER_ERROR, LEAKAGE_ERROR = 0.5, 0.2  # of the bound waves under the relation, and of the leakage taken off
 PAIRS = 100_000  # of simulated waves, whose bound waves are averaged
 SIMULATED_WAVES = 600  # single waves whose leakage through the windows is averaged
 NEAR_CELLS = 5  # cells to either side of a simulated wave
@@ -229,8 +230,9 @@ def free_and_bound(
     force at second order (Sharma and Dean 1981) passed through the windows. Where more than a fifth of these
     is under the relation, what is left is divided by the part that is off it; elsewhere the bound energy
     under the relation is taken to be that of the strip of half a cell next to it. The uncertainty joins
-    chance with half of these two corrections. The two lowest lines are left out: removing the trend in time
-    leaves 1e-4 of the variance there. Energy that breaking or wind spreads off the relation counts as bound.
+    chance, half of what is added under the relation, and a fifth of the leakage. The two lowest lines are
+    left out: removing the trend in time leaves 1e-4 of the variance there. Energy that breaking or wind
+    spreads off the relation counts as bound.
 
     Examples
     --------
@@ -333,7 +335,7 @@ def _label(
     else:  # measured: that under the relation is as much as next to it
         bound_lines = bound_lines + lines[CellKind.STRIP] * (2.0 if sums[CellKind.STRIP] > 0 else 1.0)
     bound = float(bound_lines.sum())
-    corrections = 0.5 * np.hypot(bound - off, energies.leaked)
+    corrections = np.hypot(UNDER_ERROR * (bound - off), LEAKAGE_ERROR * energies.leaked)
     spectra = {
         "E_free": lines.sum(axis=0) - bound_lines,
         "E_bound": bound_lines,

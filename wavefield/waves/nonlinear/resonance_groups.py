@@ -49,6 +49,12 @@ class Waves:
         """Nearest fine lines to frequencies."""
         return np.asarray(np.rint(omega * FINE / self.width), np.int64)
 
+    def rank(self, cells: Array) -> NDArray[np.int64]:
+        """Places of cells among the free waves, 0 for the strongest, and for cells without one."""
+        rank = np.zeros(len(self.n), np.int64)
+        rank[self.modes] = np.arange(self.modes.size)
+        return np.asarray(rank[cells])
+
     def cell(self, n: Array) -> NDArray[np.int64]:
         """Cells at rows and columns (..., 2), -1 where there is none."""
         reach = np.abs(self.n).max(axis=0)
@@ -69,7 +75,7 @@ class Groups:
     mismatch: Array  # (groups,) rad/s that the last wave is off the frequency of a free one
     mismatch_std: Array  # (groups,)
 
-    def __getitem__(self, chosen: Array) -> "Groups":
+    def __getitem__(self, chosen: Array | slice) -> "Groups":
         return Groups(*(values[chosen] for values in vars(self).values()))
 
 

@@ -13,7 +13,7 @@ from wavefield.errors import CubeError
 from wavefield.waves.estimation.segments import Reader, spatial_window
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.windows import hann
-from wavefield.waves.nonlinear.resonance_groups import FINE
+from wavefield.waves.nonlinear.resonance_groups import FINE, RIDGE
 
 Array = NDArray[Any]
 
@@ -25,42 +25,47 @@ TESTS_AT_A_TIME, STEPS_AT_A_TIME = 512, 256  # that fit the cache
 
 
 def lines_of(
-    field: xr.DataArray, record: Record, places: tuple[Array, Array], segment: int
-) -> tuple[Array, list[int]]:
+    field: xr.DataArray, record: Record, places: tuple[Array, Array], segment: int, kept: Array
+) -> tuple[Array, list[int], list[Array]]:
     """Fourier lines (places, segments) of Hann-windowed segments at cells (places, 2) and fine lines.
-    Amplitudes of exp(i (k . x - omega t)), and where runs end. The record is read once, in pieces.
+    Amplitudes of exp(i (k . x - omega t)); where runs end; and for each run the amplitudes (kept, steps) in
+    time of the cells (kept, 2). The record is read once, in pieces.
     """
     ny, nx = record.shape
     window = spatial_window(ny, nx).astype(np.float32)
-    cells, index = np.unique(places[0], axis=0, return_inverse=True)
+    cells, index = np.unique(np.concatenate([places[0], kept]), axis=0, return_inverse=True)
+    index, of_kept = np.split(index.ravel(), [len(places[0])])
     row, column = cells.T
     mirrored = column < 0  # F(-k) = F(k)* of a real field
     row, column = np.where(mirrored, -row, row) % ny, np.abs(column)
     in_time, hop = hann(segment).astype(np.float32), segment // HOPS
     read = Reader([field], record)
     lines: list[Array] = []
-    ends = []
+    ends, in_runs = [], []
     for run in record.runs:
         amplitudes = np.zeros((len(cells), 0), np.complex64)
+        in_time_of_kept = []
         for (block,) in read.blocks(run, STEPS_AT_A_TIME):
             along_x = fft.rfft(block * window, axis=2)[:, :, : column.max() + 1]
             transform = fft.fft(along_x, axis=1)[:, row, column]
             new = np.where(mirrored, transform.conj(), transform).T.astype(np.complex64)
+            in_time_of_kept.append(new[of_kept])
             amplitudes = np.concatenate([amplitudes, new], axis=1)
             while amplitudes.shape[1] >= segment:
                 part = amplitudes[:, :segment]
                 part = (part - part.mean(axis=1, keepdims=True)) * in_time
                 # the origin of time is that of the segment: in groups whose lines add up it cancels
-                lines.append(fft.ifft(part, n=FINE * segment, axis=1)[index.ravel(), places[1]])
+                lines.append(fft.ifft(part, n=FINE * segment, axis=1)[index, places[1]])
                 amplitudes = amplitudes[:, hop:]
         ends.append(len(lines))
+        in_runs.append(np.concatenate(in_time_of_kept, axis=1))
     halves = 2 * len(lines) // HOPS + 1
     if halves < MIN_SEGMENTS:
         raise CubeError(
             f"the record holds {halves} segments of {segment} steps: coherences of wave vectors need"
             f" {MIN_SEGMENTS}"
         )
-    return np.stack(lines, axis=1), ends
+    return np.stack(lines, axis=1), ends, in_runs
 
 
 def scaled(lines: Array) -> Array:
@@ -180,9 +185,29 @@ def coherences_of(x: Array, memory: Array, places: Array, scored: bool = True) -
     )
 
 
-def driven(x: Array, places: Array, share: float) -> list[Array]:
+def products_of_waves(
+    in_runs: list[Array], at: Array, omega: Array, line: Array, dt: float, segment: int
+) -> Array:
+    """Fine lines (groups,) of what three waves drive, a1 a2 a3*, in all segments, (groups, segments).
+    Waves are the rows at (groups, 3) of amplitudes in time, near the frequencies omega (groups, 3), rad/s.
+    """
+    width = 2 * np.pi / (segment * dt)
+    turn = np.exp(2j * np.pi / (FINE * segment) * line[:, None] * np.arange(segment)) * hann(segment)
+    out = []
+    for run in in_runs:
+        spectra, frequency = fft.ifft(run, axis=1), 2 * np.pi * np.fft.fftfreq(run.shape[1], dt)
+        first, second, third = (
+            fft.fft(spectra[row] * (np.abs(frequency - own[:, None]) < RIDGE * width), axis=1)
+            for row, own in zip(at.T, omega.T)
+        )
+        product = first * second * third.conj()
+        starts = range(0, run.shape[1] - segment + 1, segment // HOPS)
+        out += [(product[:, a : a + segment] * turn).sum(axis=1) for a in starts]
+    return np.stack(out, axis=1)
+
+
+def driven(x: Array, places: Array, product: Array, share: float) -> list[Array]:
     """Lines of quartets with a share of the fourth's power driven by the product of the other three."""
     waves = [x[at] for at in places.T]
-    product = scaled(waves[0] * waves[1] * waves[2].conj())
-    waves[3] = np.sqrt(share) * product + np.sqrt(1 - share) * scaled(waves[3])
+    waves[3] = np.sqrt(share) * scaled(product) + np.sqrt(1 - share) * scaled(waves[3])
     return waves

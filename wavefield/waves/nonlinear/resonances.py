@@ -135,7 +135,8 @@ def resonances(
     of the other three (of N samples q^(N - 1) of Gaussian waves have more than 1 - q by chance), in segments
     divided by the rms of all waves in them. Probabilities are those of records whose lines have the same
     spectra and random phases, pooled over all quartets; discoveries are controlled over all tests (Benjamini
-    and Hochberg 1995), and the power is that of a single one among them. See Aubourg and Mordant 2015 (arXiv
+    and Hochberg 1995), weighted by one over the squared rank of the weakest wave (Genovese et al. 2006), and
+    the power is that of a single one among them. See Aubourg and Mordant 2015 (arXiv
     1503.04110), Campagne et al. 2019 (arXiv 1906.06385). With N samples a single squared coherence is
     determined to 1 / N: smaller ones show in ``coherence_excess``.
 
@@ -174,7 +175,7 @@ def resonances(
         "off resonance": all_quartets[~resonant],
         "map": quartets_of_pair(waves, pair),
     }
-    x, places, ends = _lines(field, record, waves, kinds, settings.segment)
+    x, places, ends, sea, in_runs = _lines(field, record, waves, kinds, settings.segment)
     memory = rl.autocorrelation(x, ends)
     correlation, by_chance = rl.correlations(x, memory, places.pop("own"))
     for kind in ("quartet", "triad", "off resonance"):
@@ -183,14 +184,16 @@ def resonances(
     tested = "quartet", "triad"
     measured = {kind: rl.coherences_of(x, memory, at, kind in tested) for kind, at in places.items()}
     nulls: dict[str, list[rl.Coherences]] = {kind: [] for kind in kinds}
-    tried = places["quartet"][:: max(1, -(-len(places["quartet"]) // TRIED))]
-    planted: list[list[Array]] = []
+    every = slice(None, None, max(1, -(-len(places["quartet"]) // TRIED)))
+    tried, at = kinds["quartet"][every], places["quartet"][every]
+    rows, line = waves.rank(tried.cells[:, :3]), tried.line[:, 3]
+    product = rl.products_of_waves(in_runs, rows, tried.omega[:, :3], line, record.dt, settings.segment) / sea
+    own = [memory[place] for place in at.T]
+    planted = [rl.coherences(rl.driven(x, at, product, share), own).score for share in SHARES]
     for surrogate in rl.surrogates(x, settings.surrogates, np.random.default_rng(0)):
         own_memory = rl.autocorrelation(surrogate, ends)
         for kind, at in places.items():
             nulls[kind].append(rl.coherences_of(surrogate, own_memory, at, kind in tested))
-        own = [own_memory[at] for at in tried.T]
-        planted.append([rl.coherences(rl.driven(surrogate, tried, share), own).score for share in SHARES])
     out: dict[str, Any] = {"modes": ((), waves.modes.size), "samples": ((), x.shape[1])}
     coords = {
         "mismatch": np.arange(-settings.mismatch, settings.mismatch + 1) * waves.width,
@@ -208,16 +211,17 @@ def resonances(
         p = np.ones(len(groups.cells))
         if chance.size > LEAST_NULL:
             p = probabilities(coherence.score, chance)
-        # Benjamini and Hochberg (1995)
-        significant = stats.false_discovery_control(p) <= settings.false_discovery
-        first = np.argsort(p, kind="stable")[: settings.listed]
+        # Benjamini and Hochberg (1995), weighted (Genovese et al. 2006)
+        part = _part_of_level(waves, groups)
+        significant = stats.false_discovery_control((p / part).clip(None, 1)) <= settings.false_discovery
+        first = np.argsort(p / part, kind="stable")[: settings.listed]
         out |= _listed(kind, waves, groups[first], coherence[first], p[first], significant[first])
         out[f"{kind}_tests"] = ((), p.size)
         if kind == "quartet":
             power = np.full(SHARES.size, np.nan)
             if chance.size > LEAST_NULL:
-                alone = settings.false_discovery / p.size
-                power = (probabilities(np.stack(planted), chance) <= alone).mean(axis=(0, 2))
+                alone = settings.false_discovery / p.size * part[every]
+                power = (probabilities(np.stack(planted), chance) <= alone).mean(axis=1)
             out["power"] = ("share", power)
     found = xr.Dataset(out, coords, {"segment": settings.segment})
     return annotate(
@@ -256,22 +260,35 @@ def _waves(
 
 def _lines(
     field: xr.DataArray, record: Record, waves: Waves, kinds: dict[str, Groups], segment: int
-) -> tuple[Array, dict[str, Array], list[int]]:
-    """Lines (places, segments) over the rms of the sea in each segment, places of groups, ends of runs."""
+) -> tuple[Array, dict[str, Array], list[int], Array, list[Array]]:
+    """Lines (places, segments) over the rms of the sea in each segment, places of groups, ends of runs.
+    Also that rms, (segments,), and the amplitudes of free waves in time in each run, (modes, steps).
+    """
     size = waves.last + 1
     keys = {kind: groups.cells * size + groups.line for kind, groups in kinds.items()}
     own = waves.modes * size + waves.line(waves.omega)
     unique, index = np.unique(
         np.concatenate([own, *(key.ravel() for key in keys.values())]), return_inverse=True
     )
-    lines, ends_of_runs = rl.lines_of(field, record, (waves.n[unique // size], unique % size), segment)
+    lines, ends_of_runs, in_runs = rl.lines_of(
+        field, record, (waves.n[unique // size], unique % size), segment, waves.n[waves.modes]
+    )
     x = rl.scaled(lines)
     # seas that grow or come in groups: what all waves have in common is no coupling
-    x /= np.sqrt((np.abs(x[index[: own.size]]) ** 2).mean(axis=0))
+    sea = np.sqrt((np.abs(x[index[: own.size]]) ** 2).mean(axis=0))
+    x /= sea
     ends = np.cumsum([own.size, *(key.size for key in keys.values())])
     own_places, *parts = np.split(index, ends[:-1])
     places = {kind: part.reshape(keys[kind].shape) for kind, part in zip(keys, parts)}
-    return rl.scaled(x), {"own": own_places, **places}, ends_of_runs
+    return rl.scaled(x), {"own": own_places, **places}, ends_of_runs, sea, in_runs
+
+
+def _part_of_level(waves: Waves, groups: Groups) -> Array:
+    """Part of the level that a test has over the mean one, one over the squared rank of its weakest wave.
+    The strongest waves exchange most, and few groups are made of them alone.
+    """
+    part = 1.0 / (1 + waves.rank(groups.cells).max(axis=1, initial=0)) ** 2
+    return np.asarray(part / part.mean()) if part.size else part
 
 
 def _share_no_waves(correlation: Array, by_chance: Array, waves: Waves, groups: Groups) -> NDArray[np.bool_]:
@@ -285,9 +302,7 @@ def _share_no_waves(correlation: Array, by_chance: Array, waves: Waves, groups: 
     apart = ~repeats[groups.cells].any(axis=1)
     if groups.cells.shape[1] == 4:
         shared = np.sqrt(np.maximum(correlation - LEAST_SHARED * by_chance, 0.0))
-        mode = np.zeros(len(waves.n), np.int64)
-        mode[waves.modes] = np.arange(waves.modes.size)
-        a, b, c, d = mode[groups.cells].T
+        a, b, c, d = waves.rank(groups.cells).T
         limit = SHARED * np.sqrt(by_chance.min())
         apart &= shared[a, c] * shared[b, d] + shared[a, d] * shared[b, c] < limit
     return np.asarray(apart)

@@ -24,7 +24,7 @@ from wavefield.waves.products import Noted, Product, register
 from wavefield.waves.surface.statistics_errors import (
     moment_stds,
     of_elevation,
-    peak_std,
+    peak_and_std,
     power_gain_of_slopes,
     sampled_slope_gain,
     steepness_std,
@@ -298,17 +298,15 @@ def _error_sums(
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Add the spectral peak and the steepness."""
-    method = "cross"
-    best = fused["Ez_cross"].where(fused["valid_cross"], 0.0)
-    if not float(best.max()) > 0:
-        method = "stereo"
-        best = fused["Ez_stereo"].where(np.arange(fused.sizes["omega"]) > 0, 0.0)
-    peak = float(best["omega"][int(np.argmax(best.values))])
+    """Add the spectral peak, between the lines, and the steepness."""
+    method, valid = "cross", fused["valid_cross"].values
+    if not float(fused["Ez_cross"].where(fused["valid_cross"], 0.0).max()) > 0:
+        method, valid = "stereo", np.arange(fused.sizes["omega"]) > 0
+    energy, dof = (fused[f"{name}_{method}"].values for name in ("Ez", "dof"))
+    peak, std = peak_and_std(energy, valid, dof, fused["omega"].values)
     k_peak = float(wavenumber(peak, depth, gamma))
     steepness = k_peak * float(statistics["std"].sel(quantity="z"))
     peaks = {"peak_frequency": peak / (2 * np.pi), "peak_k": k_peak, "steepness": steepness}
-    std = peak_std(best.values, fused[f"dof_{method}"].values, best["omega"].values)
     return annotate(steepness_std(statistics.assign(peaks), std, depth, gamma), "statistics")
 
 
@@ -347,7 +345,8 @@ def _statistics_group(
             f"Values beyond six standard deviations: {counts}. A single wild value lifts the floor of its"
             " spectra: check them before you use spectra decades below the peak."
         )
-    stds = moment_stds(spectra["E_komega_z"], spectra["dof_E_z"].values, welch.dof)
+    longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
+    stds = moment_stds(spectra["E_komega_z"], spectra["dof_E_z"].values, welch.dof, longer)
     out = spectral_peak(with_stds(moments, stds).assign(errors.data_vars), fused, depth, gamma)
     limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)
     return Noted(limited.value, [*notes, *limited.notes])

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from wavefield.errors import CubeError
+from wavefield.parabola import parabola_vertex
 from wavefield.water import group_velocity
 from wavefield.waves.estimation import rings
 from wavefield.waves.estimation.degrees_of_freedom import hann_correlation, sum_freedom
 from wavefield.waves.estimation.segments import spatial_window
 from wavefield.waves.estimation.wave_record import Record, piece
-from wavefield.waves.estimation.windows import CORRELATED_CELLS
+from wavefield.waves.estimation.windows import CORRELATED_CELLS, effective_duration
 from wavefield.waves.spectra.field_spectra import frequency_spectrum, komega
 
 Array = NDArray[np.float64]
@@ -20,7 +21,6 @@ Array = NDArray[np.float64]
 NODES_A_WAVE = 3.0  # shortest waves whose slope is corrected
 SAMPLED_STEPS = 32  # whose spectrum in space gives the gain of the slopes
 PEAK_DRAWS = 400
-PEAK_SMOOTHING = np.array([1.0, 2.0, 1.0]) / 4  # lines
 
 
 def difference_gain(k: Array, step: float) -> Array:
@@ -64,15 +64,16 @@ def relative_std(power: Array, dof: Array, overlap: Array) -> float:
     return float(np.sqrt(2 / sum_freedom(power[:, None], np.maximum(dof, 1)[:, None], overlap)[0]))
 
 
-def moment_stds(energy: xr.DataArray, dof: Array, of_cell: float) -> dict[str, float]:
+def moment_stds(energy: xr.DataArray, dof: Array, of_cell: float, longer: float) -> dict[str, float]:
     """Relative standard uncertainties of the variance and of the mean square slope of all nodes.
-    From E(omega, k) and the degrees of freedom of E(omega), dof, and of one cell.
+    From E(omega, k) and the degrees of freedom of E(omega), dof, and of one cell; and how much longer the
+    record is than by the weights of its segments: in moments all steps count alike.
     """
     energy = energy.fillna(0.0)
     # waves of a line lie along an arc of the k plane, on which Hann windows make `CORRELATED_CELLS` cells
     # one; moments are of all nodes alike, without a window: on a long arc that many more are independent
     arc = np.maximum(dof / of_cell, 1.0)
-    dof = dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc
+    dof = dof * longer * (1 + (arc - 1) * CORRELATED_CELLS) / arc
     overlap = hann_correlation(energy.sizes["omega"])
     sums = {"variance": energy.sum("k"), "slope": (energy * energy["k"] ** 2).sum("k")}
     return {name: relative_std(power.values, dof, overlap) for name, power in sums.items()}
@@ -85,21 +86,27 @@ def of_elevation(z: xr.DataArray, record: Record) -> dict[str, float]:
     except CubeError:
         return {"variance": np.nan, "slope": np.nan}
     dof = frequency_spectrum(both)["dof"].values
-    return moment_stds(both["E"], dof, float(both.attrs["degrees_of_freedom"]))
+    weighted = effective_duration(both.attrs["segments"], both.attrs["segment"] * record.dt)
+    longer = record.steps_in_runs() * record.dt / weighted
+    return moment_stds(both["E"], dof, float(both.attrs["degrees_of_freedom"]), longer)
 
 
-def peak_std(energy: Array, dof: Array, omega: Array) -> float:
-    """Standard uncertainty of the line of the largest energy, rad/s, over draws about the smoothed spectrum.
-    Draws have each line's degrees of freedom and the correlation of a Hann window; plus a line over root 12.
+def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
+    """Frequency of the largest energy, of the parabola through its line and the next ones, rad/s; its std.
+    The std is that of draws about the spectrum, with each line's degrees of freedom and a Hann window's
+    correlation.
     """
-    if not (np.isfinite(dof).any() and energy.max() > 0):
-        return np.nan
-    base = np.log(np.maximum(ndimage.convolve1d(energy, PEAK_SMOOTHING, mode="nearest"), 1e-9 * energy.max()))
+    measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((PEAK_DRAWS, energy.size + 2))
     # squared, (1/2, 1, 1/2) over its norm has the correlation of a Hann window's powers: 4/9, 1/36
     noise = ndimage.convolve1d(white, np.array([0.26, 1.0, 0.26]) / np.sqrt(1 + 2 * 0.26**2), axis=1)[:, 1:-1]
-    found = omega[np.argmax(base + np.sqrt(2 / np.maximum(dof, 1)) * noise, axis=1)]
-    return float(np.sqrt(((found - omega[np.argmax(energy)]) ** 2).mean() + (omega[1] - omega[0]) ** 2 / 12))
+    drawn = measured + np.sqrt(2 / np.maximum(np.nan_to_num(dof, nan=1.0), 1)) * noise
+    levels = np.vstack([measured, drawn])
+    line = np.argmax(np.where(valid, levels, -np.inf), axis=1).clip(1, omega.size - 2)
+    near = (levels[np.arange(len(line)), line + side] for side in (-1, 0, 1))
+    found = omega[line] + parabola_vertex(*near).clip(-0.5, 0.5) * (omega[1] - omega[0])
+    std = np.sqrt(((found[1:] - found[0]) ** 2).mean()) if np.isfinite(dof).any() else np.nan
+    return float(found[0]), float(std)
 
 
 def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
