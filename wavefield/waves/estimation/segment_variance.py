@@ -135,9 +135,9 @@ def samples(
 
     With a product of waves, which shares no ridge with them, the variance of the cross spectrum between
     segments over what follows from the cells is undone, as an average over 5 rings and 11 lines of 28
-    segments or more (as many more cells as segments are missing), times Student's variance as in `freedom`;
-    for k over 5 rings. Such a product keeps no
-    phase: only the overlap of half of the windows, 1 / 6, correlates its segments.
+    segments or more (as many more cells as segments are missing), for k over 5 rings, times Student's
+    variance as in `freedom`. Such a product keeps no phase: only the overlap of half of the windows, 1 / 6,
+    correlates its segments.
     """
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
@@ -168,10 +168,13 @@ def samples(
             ratio = np.nan_to_num(welch.count * segments.var(axis=0, ddof=1) / squares, posinf=0.0)
             over_k = np.nan_to_num(welch.count * segments.sum(axis=2).var(axis=0, ddof=1) / product_of_k)
         size = _variance_size(welch.count, ENOUGH_FOR_REACH[False])
+        ratio = _about_true_mean(_smooth(ratio, size), correlation, welch.count)
         student = _student(PRODUCTS_APART[0] * welch.count / correlation)
-        both = both / (_smooth(ratio, size) * student).clip(1 / MAX_RATIO, MAX_RATIO)
+        both = both / (ratio * student).clip(1 / MAX_RATIO, MAX_RATIO)
         expected = _smooth(1 / of_k, PRODUCT_RINGS)
-        of_k = of_k * expected / np.maximum(_smooth(over_k, PRODUCT_RINGS), 1e-2 * expected)
+        over_k = _about_true_mean(_smooth(over_k, PRODUCT_RINGS), of_sum, welch.count)
+        student = _student(PRODUCTS_APART[1] * welch.count / of_sum)
+        of_k = of_k * expected / np.maximum(over_k * student, 1e-2 * expected)
     return {"both": (both / correlation).clip(1, None), "k": (of_k / of_sum).clip(1, None)}
 
 
