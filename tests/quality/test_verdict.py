@@ -5,7 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-import zarr
 
 from wavefield.commands.cli import main
 from wavefield.images import read_image, write_image
@@ -62,9 +61,7 @@ def test_the_verdict_names_a_camera_without_which_much_was_measured():
     quality = np.full((2, 10, 10), int(Quality.MEASURED), np.uint16)
     quality[:, :, :3] |= np.uint16(Quality.without(1))
     quality[0, 0, 9] |= np.uint16(Quality.without(2))  # not worth a word
-    group = zarr.group(attributes={"cameras": ["left", "middle", "right"]})
-    group.create_array("quality", data=quality)
-    (remark,) = _left_out(group, [0, 1])
+    (remark,) = _left_out(quality, ["left", "middle", "right"])
     assert (remark.subject, remark.kind) == ("middle", "left out")
     assert remark.weight == "remark"
     assert "30.0 % of the nodes were measured without middle" in remark.sentence

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
-from wavefield.pipeline.cost import fraction_measured, has_step, in_view, whole_step
+from wavefield.pipeline.cost import fraction_measured, in_view, whole_step
 from wavefield.pipeline.prepare import PreparedRun
+from wavefield.quality.frame_remarks import complete_steps
 from wavefield.store.verdict import Remark
 from wavefield.variables import Quality
 
@@ -32,27 +33,25 @@ _WHY = {
 
 def advise(prepared: PreparedRun, measured: float, wrong: Sequence[Remark] = ()) -> str:
     """What would measure more: a camera of the remarks, or settings, tried on the step of the forecast."""
-    if measured >= ENOUGH or not has_step(prepared.series):
+    if measured >= ENOUGH or not complete_steps(prepared.series).any():
         return ""
+    settings, found = prepared.geometry.settings, f"advice: only {100 * measured:.0f} % measured"
     if wrong:
-        return f"advice: only {100 * measured:.0f} % measured: {_of_cameras(prepared, wrong)}"
-    settings = prepared.geometry.settings
+        return f"{found}: {_of_cameras(prepared, wrong)}"
     tried = {name: fraction_measured(_quality(prepared, settings.adjusted(name))) for name in _OTHERS}
     best = max(tried, key=lambda name: tried[name])
     if tried[best] > measured + _GAIN:
         return (
-            f"advice: only {100 * measured:.0f} % measured; with `settings: {{preset: {best}}}`, for "
-            f"{_OTHERS[best]}, the same step measures {100 * tried[best]:.0f} %, short waves less well"
+            f"{found}; with `settings: {{preset: {best}}}`, for {_OTHERS[best]}, the same step measures "
+            f"{100 * tried[best]:.0f} %, short waves less well"
         )
-    return (
-        f"advice: only {100 * measured:.0f} % measured, mostly because {_why(_quality(prepared, settings))}"
-    )
+    return f"{found}, mostly because {_why(_quality(prepared, settings))}"
 
 
 def grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:
     """Remarks on single cameras with which nothing good can be measured."""
-    grave = [one for one in remarks if one.weight == "grave"]
-    return [one for one in grave if set(one.subject.split(" and ")) <= set(prepared.rig)]
+    cameras = set(prepared.rig)
+    return [one for one in remarks if one.weight == "grave" and set(one.subject.split(" and ")) <= cameras]
 
 
 def _of_cameras(prepared: PreparedRun, wrong: Sequence[Remark]) -> str:
@@ -81,6 +80,5 @@ def _quality(prepared: PreparedRun, settings: "Settings") -> np.ndarray:
 
     start = whole_step(prepared.series)
     geometry = GridGeometry(prepared.rig, prepared.grid, settings, prepared.geometry.covered)
-    rate = prepared.experiment.frame_rate
-    chunk = measure_chunk(make_chunk(prepared.series, start, start + 1), geometry, rate)
-    return np.asarray(chunk.fields["quality"])
+    chunk = make_chunk(prepared.series, start, start + 1)
+    return measure_chunk(chunk, geometry, prepared.experiment.frame_rate).fields["quality"]

@@ -5,7 +5,7 @@ import tempfile
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,22 +78,18 @@ def analyze_on_workers(
             with open_cluster(workflow, jobs_folder(target), True, True, _PRELOADED) as map_unordered:
                 from wavefield.waves.wave_analysis import analyze  # while the workers start
 
-                return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **options)
+                return analyze(
+                    source, target, each=partial(_in_order, map_unordered, Path(folder)), **options
+                )
         except KeyboardInterrupt as stop:
             raise RunStopped(
                 f"{stopped_by(stop)}; nothing was written, and the same command begins again"
             ) from None
 
 
-@dataclass(frozen=True)
-class _ThroughDisk:
-    """Does the work for an item in a file and writes the result to one: both are too large for messages."""
-
-    work: Callable[[Any], Any]
-    folder: Path
-
-    def __call__(self, numbered: tuple[int, Path]) -> Path:
-        return _dump(self.work(_load(numbered[1])), self.folder)
+def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
+    """Do the work for an item in a file and write the result to one: both are too large for messages."""
+    return _dump(work(_load(numbered[1])), folder)
 
 
 def _load(path: Path) -> object:
@@ -122,26 +118,22 @@ def _not_shared(folder: Path) -> ExperimentError:
     )
 
 
-@dataclass(frozen=True)
-class _InOrder:
-    """Yields results in the order of their items: what is done too early waits on the disk."""
-
-    map_unordered: MapUnordered
-    folder: Path
-
-    def __call__(self, work: Callable[[Any], object], items: Sequence[object]) -> Iterator[Any]:
-        waiting: dict[int, Path] = {}
-        requested = 0
-        if not items:
-            return
-        paths = list(enumerate(_dump(item, self.folder) for item in items))
-        with closing(self.map_unordered(_ThroughDisk(work, self.folder), paths)) as results:
-            for (number, _), result in results:
-                if isinstance(result, BaseException):
-                    raise result
-                waiting[number] = result
-                while requested in waiting:
-                    path = waiting.pop(requested)
-                    yield _load(path)
-                    path.unlink()
-                    requested += 1
+def _in_order(
+    map_unordered: MapUnordered, folder: Path, work: Callable[[Any], object], items: Sequence[object]
+) -> Iterator[Any]:
+    """Yield results in the order of their items: what is done too early waits on the disk."""
+    waiting: dict[int, Path] = {}
+    requested = 0
+    if not items:
+        return
+    paths = list(enumerate(_dump(item, folder) for item in items))
+    with closing(map_unordered(partial(_through_disk, work, folder), paths)) as results:
+        for (number, _), result in results:
+            if isinstance(result, BaseException):
+                raise result
+            waiting[number] = result
+            while requested in waiting:
+                path = waiting.pop(requested)
+                yield _load(path)
+                path.unlink()
+                requested += 1

@@ -79,30 +79,32 @@ def make_chunk(
     sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
 ) -> Chunk:
     """Cut out what a chunk needs; departures of all frames from even times."""
-    if departures is not None:
-        departures = np.pad(departures, AROUND)[start : stop + 1 + 2 * AROUND]
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
-    return Chunk(start, stop, windows, first, departures)
+    return Chunk(start, stop, windows, first, _departures_around(departures, start, stop))
 
 
-def read_frame(source: Source, index: int) -> Frame:
-    """Read a frame; one that equals the frame before it in every pixel is no measurement of its moment."""
-    return _read(source, index)[0]
+def early_step(sources: Mapping[str, Source], step: int, departures: np.ndarray | None) -> EarlyStep:
+    """Cut out one step without the frames around it; departures of all frames from even times."""
+    windows = {name: source.window(step, step + 2) for name, source in sources.items()}
+    return EarlyStep(step, step + 1, windows, step, _departures_around(departures, step, step + 1))
 
 
-def _read(
-    source: Source, index: int, before: np.ndarray | None = None
-) -> tuple[Frame, tuple[int, np.ndarray | None]]:
-    """The frame, and its index and image as it was read; ``before`` is the image of the frame before it."""
+def _departures_around(departures: np.ndarray | None, start: int, stop: int) -> np.ndarray | None:
+    return None if departures is None else np.pad(departures, AROUND)[start : stop + 1 + 2 * AROUND]
+
+
+def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
+    """Read a frame; one that equals the frame before it in every pixel is no measurement of its moment.
+    The image of the frame before it is read unless it is given.
+    """
     frame = source.read(index)
-    image = frame.image
-    if image is not None and index:
+    if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before
-        if before is not None and np.array_equal(image, before):
+        if before is not None and np.array_equal(frame.image, before):
             words = "is, bit for bit, the frame before it, and counts as missing"
-            frame = Frame(None, FrameFault.REPEATED, f"{source.place(index)} {words}")
-    return frame, (index, image)
+            return Frame(frame.image, FrameFault.REPEATED, f"{source.place(index)} {words}")
+    return frame
 
 
 class ChunkFrames(Sequence[np.ndarray | None]):
@@ -121,11 +123,8 @@ class ChunkFrames(Sequence[np.ndarray | None]):
         return self._chunk.steps + 2 * AROUND + 1
 
     def __getitem__(self, position: Any) -> Any:
-        if isinstance(position, slice):
-            return [self[i] for i in range(*position.indices(len(self)))]
-        if not -len(self) <= position < len(self):
+        if not 0 <= position < len(self):
             raise IndexError(position)
-        position %= len(self)
         if position not in self._kept:
             self._kept[position] = self._read(position)
             while len(self._kept) > self._KEEP:
@@ -137,12 +136,12 @@ class ChunkFrames(Sequence[np.ndarray | None]):
         inside = index - self._chunk.first
         if not 0 <= inside < len(self._source):
             return None  # before the first or after the last frame: not a fault
-        before = self._latest[1] if self._latest[0] == inside - 1 else None
-        frame, self._latest = _read(self._source, inside, before)
-        if frame.fault:
-            self.faults[index] = frame.fault
-            self.messages[index] = frame.message
-        return frame.image
+        frame = read_frame(self._source, inside, self._latest[1] if self._latest[0] == inside - 1 else None)
+        self._latest = inside, frame.image
+        if not frame.fault:
+            return frame.image
+        self.faults[index], self.messages[index] = frame.fault, frame.message
+        return None
 
 
 class ChunkMasks(Sequence[np.ndarray | None]):

@@ -15,6 +15,7 @@ from wavefield.pipeline.chunk import Measured, Source, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.pipeline.reading_speed import ReadingSpeed, measure_reading_speed
+from wavefield.quality.frame_remarks import complete_steps
 from wavefield.series import Frame, FrameSeries
 from wavefield.store.layout import COMPRESSION
 from wavefield.text import spell_time
@@ -55,8 +56,8 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
     one, step = _measured(prepared, start, stop)
     if (one.frame_status == FrameStatus.FAILED).all():
         raise ExperimentError(
-            f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; "
-            "check its images, the rig and the grid"
+            f"the step of frame {prepared.first_frame + start} could not be measured; check its images, the "
+            "rig and the grid"
         )
     workers = count_workers(prepared.workflow)
     frames_measured = prepared.steps * (1 + 5 / prepared.chunk_steps)
@@ -125,20 +126,11 @@ def spell_size(count: float) -> str:
 
 def whole_step(series: Mapping[str, FrameSeries]) -> int:
     """A step near the middle whose frames are there in all cameras."""
-    steps = _steps(series)
+    complete = complete_steps(series)
+    steps = np.flatnonzero(complete)
     if steps.size == 0:
         raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
-    return int(steps[np.argmin(np.abs(steps - (len(next(iter(series.values()))) - 1) // 2))])
-
-
-def has_step(series: Mapping[str, FrameSeries]) -> bool:
-    """Whether two consecutive frames are there in all cameras."""
-    return bool(_steps(series).size)
-
-
-def _steps(series: Mapping[str, FrameSeries]) -> np.ndarray:
-    there = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
-    return np.flatnonzero(there[:-1] & there[1:])
+    return int(steps[np.argmin(np.abs(steps - len(complete) // 2))])
 
 
 def in_view(quality: np.ndarray) -> np.ndarray:

@@ -8,19 +8,16 @@ one is measured depends on the speed of this machine, and is kept in the preview
 import logging
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
 
 from wavefield.execution.cluster import count_workers
 from wavefield.execution.worker_settings import one_thread
-from wavefield.pipeline.chunk import EarlyStep, Source, measure_chunk
+from wavefield.pipeline.chunk import EarlyStep, early_step, measure_chunk
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.store.early_preview import create_early, early_every, early_steps
 from wavefield.store.preview import create_preview, open_preview
 from wavefield.store.read import open_group
-from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.run")
 
@@ -41,7 +38,7 @@ def plan_early(
     if preview is None:
         create_preview(path, group)
         preview = open_preview(path, group, "r+")
-    assert preview is not None
+        assert preview is not None
     every = early_every(preview)
     if not every:
         every = _choose_every(prepared, sum(stop - start for start, stop in todo), until)
@@ -54,7 +51,7 @@ def plan_early(
     left = {k for start, stop in todo for k in range(start, stop)} - there
     log.info("preview: one step in %d, %d of them to measure", every, sum(k in left for k in steps))
     chosen = [steps[k] for k in bisecting(len(steps)) if steps[k] in left]
-    return [_early_step(prepared.series, k, prepared.departures) for k in chosen]
+    return [early_step(prepared.series, k, prepared.departures) for k in chosen]
 
 
 def bisecting(count: int) -> list[int]:
@@ -63,21 +60,13 @@ def bisecting(count: int) -> list[int]:
     return sorted(range(count), key=lambda k: int(f"{k:0{digits}b}"[::-1], 2))
 
 
-def _early_step(sources: Mapping[str, Source], step: int, departures: np.ndarray | None) -> EarlyStep:
-    """A step without the frames around it."""
-    if departures is not None:
-        departures = np.pad(departures, AROUND)[step : step + 2 * AROUND + 2]
-    windows = {name: source.window(step, step + 2) for name, source in sources.items()}
-    return EarlyStep(step, step + 1, windows, step, departures)
-
-
 def _choose_every(prepared: PreparedRun, left: int, until: float) -> int:
     """Every how many steps can be measured in the time that is left, by the time that one takes here."""
     middle = prepared.steps // 2
     with one_thread():
         for step in (middle, min(middle + 1, prepared.steps - 1)):  # the first one also compiles
             since = time.perf_counter()
-            early = _early_step(prepared.series, step, prepared.departures)
+            early = early_step(prepared.series, step, prepared.departures)
             measure_chunk(early, prepared.geometry, prepared.experiment.frame_rate, prepared.model)
             seconds = time.perf_counter() - since
     time_left = max(until - _START_SECONDS - time.monotonic(), _LEAST_SECONDS)

@@ -1,6 +1,5 @@
 """What an experiment has, what is missing, and what its run will cost."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from wavefield.pipeline.magnitudes import (
 )
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.pipeline.probe_check import check_probes
+from wavefield.pipeline.reading_speed import file_size
 from wavefield.pipeline.run_quality import clocks, compare_cameras, record_span
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
@@ -142,13 +142,14 @@ class Check:
         out: dict[str, object] = asdict(self)
         del out["shares"], out["sentences"]
         shares = {"coverage": None, "measured": None, **self.shares}
-        sentences = dict.fromkeys(("motion", "heights", "clocks", "advice", "probes"), "") | dict(
-            self.sentences
-        )
-        verdict = self.verdict.to_dict() if self.verdict else None
-        more = {"path": str(self.path), "first_frame": self.first_frame}
-        more |= {"exit_status": self.exit_status, "verdict": verdict}
-        return out | shares | sentences | more
+        names = ("motion", "heights", "clocks", "advice", "probes")
+        more = {
+            "path": str(self.path),
+            "first_frame": self.first_frame,
+            "exit_status": self.exit_status,
+            "verdict": self.verdict.to_dict() if self.verdict else None,
+        }
+        return out | shares | dict.fromkeys(names, "") | dict(self.sentences) | more
 
     @property
     def first_frame(self) -> int:
@@ -188,8 +189,8 @@ class Check:
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
             lines += [f"  {self.cost.reading}"] if self.cost.reading else []
-        texts = (self.sentences.get(name) for name in ("motion", "heights", "advice"))
-        lines += [f"  {text}" for text in texts if text]
+        names = ("motion", "heights", "advice")
+        lines += [f"  {words}" for name in names if (words := self.sentences.get(name))]
         if self.verdict and self.verdict.pairs:
             pairs = [
                 f"{pair} {100 * float(np.median(one['agreement'])):.0f} %, "
@@ -199,8 +200,7 @@ class Check:
             lines.append(f"  patches matched: {'; '.join(pairs)}")
         elif self.verdict and len(self.rig) > 1 and "coverage" in self.shares:
             lines.append("  patches matched: none, the cameras have too small a part of the water in common")
-        lines += [f"  clocks: {self.sentences['clocks']}"] if self.sentences.get("clocks") else []
-        lines += [f"  probes: {self.sentences['probes']}"] if self.sentences.get("probes") else []
+        lines += [f"  {k}: {words}" for k in ("clocks", "probes") if (words := self.sentences.get(k))]
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
@@ -290,11 +290,9 @@ def check(
     remarks += of_probes
     if prepared:
         remarks += _remarks_on_trial(prepared, shares["coverage"], fields or {}, wrong)
-    verdict = None
+    verdict = Verdict.of(remarks) if remarks else None
     if faults:
         verdict = Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
-    elif remarks:
-        verdict = Verdict.of(remarks)
     return Check(
         experiment=experiment.name,
         path=experiment.path,
@@ -342,13 +340,8 @@ def _remark_on_disk(cost: Cost) -> Remark:
 
 def _unusual_files(series: FrameSeries) -> list[int]:
     """Frames whose files are less than half as large as most, and some of other sizes than most."""
-    sizes = {}
-    for index, entry in enumerate(series.entries):
-        if entry is not None and entry.kind == "file":
-            try:
-                sizes[index] = os.stat(entry.path).st_size
-            except OSError:
-                sizes[index] = 0
+    entries = [(index, entry) for index, entry in enumerate(series.entries) if entry is not None]
+    sizes = {index: file_size(entry.path) for index, entry in entries if entry.kind == "file"}
     if not sizes:
         return []
     size = np.array(list(sizes.values()))

@@ -45,10 +45,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     def diagnosed(step: int) -> Diagnosis | None:
         both = (step, step + 1)
         frames = {n: [one.read(k).image for k in both] for n, one in prepared.series.items()}
-        masks = {
-            n: [None if one.mask is None else one.mask.covered(k) for k in both]
-            for n, one in prepared.series.items()
-        }
+        masks = {n: [one.covered(k) for k in both] for n, one in prepared.series.items()}
         try:
             return diagnose(frames, geometry, model, pixel, masks)
         except ValueError:  # a frame is missing or bad

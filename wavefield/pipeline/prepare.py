@@ -75,6 +75,11 @@ class PreparedRun:
         return len(next(iter(self.series.values()))) - 1
 
     @property
+    def first_frame(self) -> int:
+        """Number of the first frame."""
+        return next(iter(self.series.values())).first
+
+    @property
     def step_bytes(self) -> int:
         """Bytes of the results of one step."""
         return int(self.geometry.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
@@ -133,9 +138,10 @@ def prepare(
         geometry = GridGeometry(rig, grid, settings, covered)
         series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
     departures = frame_departures(series, experiment.frame_rate)
-    recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
+    recipe = make_recipe(experiment, series, geometry, workflow.packing)
     if departures is not None:
-        recipe = replace(recipe, departures=_digest(departures))
+        digest = hashlib.sha256(departures.astype("<f8").tobytes()).hexdigest()[:16]
+        recipe = replace(recipe, departures={"sha256": digest})
     return PreparedRun(
         experiment, series, rig, grid, geometry, recipe, workflow, None, motion, heights, departures
     )
@@ -190,12 +196,7 @@ def load_files(
 
 
 def make_recipe(
-    experiment: Experiment,
-    series: Mapping[str, FrameSeries],
-    rig: Rig,
-    grid: Grid,
-    settings: "Settings",
-    packing: str = "float32",
+    experiment: Experiment, series: Mapping[str, FrameSeries], geometry: "GridGeometry", packing: str
 ) -> Recipe:
     """Collect the recipe of a run."""
     one = next(iter(series.values()))
@@ -204,19 +205,14 @@ def make_recipe(
         images={name: image_names(experiment, name) for name in series},
         frames=(one.first, one.first + len(one) - 1),
         frame_rate=experiment.frame_rate,
-        grid=asdict(grid),
-        rig={name: rig[name].to_dict() for name in series},
-        settings=settings.to_dict(),
+        grid=asdict(geometry.grid),
+        rig={name: geometry.rig[name].to_dict() for name in series},
+        settings=geometry.settings.to_dict(),
         packing=packing,
         mask=masks.as_data(experiment.mask, experiment.path.parent),
         background=mean_images.checksums(series),
         algorithm=ALGORITHM,
     )
-
-
-def _digest(departures: np.ndarray) -> dict[str, str]:
-    """Departures of the frames from even times, as plain data of a recipe."""
-    return {"sha256": hashlib.sha256(departures.astype("<f8").tobytes()).hexdigest()[:16]}
 
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
@@ -230,14 +226,12 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
         data["pairs"] = experiment.surface.pairs
     if experiment.velocity:
         data["velocity_cameras"] = experiment.velocity.cameras
-    if delays := [
-        (n, c.row_time * experiment.frame_rate) for n, c in experiment.cameras.items() if c.row_time
-    ]:
-        data["row_delays"] = delays
-    for more in (experiment.settings, workflow.settings):
-        for name, value in more.items():
-            nested = isinstance(value, Mapping) and isinstance(data.get(name), Mapping)
-            data[name] = {**data[name], **value} if nested else value
+    row_times = {name: camera.row_time for name, camera in experiment.cameras.items() if camera.row_time}
+    if row_times:
+        data["row_delays"] = [(name, time * experiment.frame_rate) for name, time in row_times.items()]
+    for name, value in (*experiment.settings.items(), *workflow.settings.items()):
+        nested = isinstance(value, Mapping) and isinstance(data.get(name), Mapping)
+        data[name] = {**data[name], **value} if nested else value
     return Settings.from_dict(data)
 
 

@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,10 +69,11 @@ def _frame_bytes(series: FrameSeries) -> float:
     """Bytes that a frame takes on the disk, on average."""
     entries = [entry for entry in series.entries if entry is not None]
     paths = {entry.path for entry in entries}
-    return sum(_size(path) for path in paths) / len(entries) if entries else 0.0
+    return sum(file_size(path) for path in paths) / len(entries) if entries else 0.0
 
 
-def _size(path: str) -> int:
+def file_size(path: str) -> int:
+    """Bytes of a file; 0 of one that is not there."""
     try:
         return Path(path).stat().st_size
     except OSError:
@@ -93,21 +95,16 @@ def _try_disk(paths: list[str]) -> float | None:
     if not hasattr(os, "posix_fadvise"):
         return None
     count, spent = 0, 0.0
-    for path in paths:
-        if not Path(path).is_file():  # a pipe would be waited for
-            continue
-        try:
-            with open(path, "rb", buffering=0) as stream:
-                os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-                while spent < _SAMPLE_SECONDS and count < _SAMPLE_BYTES:
-                    since = time.perf_counter()
-                    piece = stream.read(_PIECE)
-                    spent += time.perf_counter() - since
-                    count += len(piece)
-                    if len(piece) < _PIECE:
-                        break
-        except OSError:  # a frame that cannot be read is reported elsewhere
-            continue
+    for path in filter(os.path.isfile, paths):  # a pipe would be waited for
+        # a frame that cannot be read is reported elsewhere
+        with suppress(OSError), open(path, "rb", buffering=0) as stream:
+            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+            piece = bytes(_PIECE)
+            while len(piece) == _PIECE and spent < _SAMPLE_SECONDS and count < _SAMPLE_BYTES:
+                since = time.perf_counter()
+                piece = stream.read(_PIECE)
+                spent += time.perf_counter() - since
+                count += len(piece)
         if spent >= _SAMPLE_SECONDS or count >= _SAMPLE_BYTES:
             break
     return count / spent if count >= _LEAST_BYTES and spent > 0 else None

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
@@ -28,9 +29,8 @@ from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.quality.stored_values import remark_on_stored_values
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
-from wavefield.store.cube_group import CubeGroup
 from wavefield.store.ledger import Status
-from wavefield.store.read import open_group, open_without_jitter
+from wavefield.store.read import open_without_jitter
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -64,16 +64,10 @@ def synchrony_of(prepared: PreparedRun, instants: int = LIMITS.instants_for_dela
     """Whether the cameras take their frames at the same moment."""
     count = prepared.steps + 1
     frames = sorted({min(max(k, 2), count - 3) for k in evenly_spaced(count, instants)}) if count >= 5 else []
-    rate = prepared.experiment.frame_rate
+    matcher, rate = _patch_matcher(prepared), prepared.experiment.frame_rate
+    threads = threads_here(prepared.workflow)
     with one_thread():  # each of them
-        return camera_delay.delays(
-            prepared.geometry,
-            prepared.record,
-            _patch_matcher(prepared),
-            frames,
-            rate,
-            threads_here(prepared.workflow),
-        )
+        return camera_delay.delays(prepared.geometry, prepared.record, matcher, frames, rate, threads)
 
 
 def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
@@ -89,23 +83,21 @@ def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
 
 def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
     """The verdict on a cube whose run has ended."""
-    faults = compare_cameras(prepared)
+    experiment, series = prepared.experiment, prepared.series
+    faults, cube = compare_cameras(prepared), open_without_jitter(status.store)
+    sample = cube[["z", "eps_piv", "w", "w_std", "quality"]]
+    sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
+    grave = any(one.weight == "grave" for one in faults.remarks)
     remarks = [
         *faults.remarks,
-        *(
-            []
-            if any(one.weight == "grave" for one in faults.remarks)
-            else _clocks_and_mounts(prepared, status)
-        ),
-        remark_on_rest(prepared.experiment, prepared.rig, _level_std(status.store)),
-        *remark_on_recordings(prepared.experiment, prepared.series),
-        *remark_on_probes(
-            prepared.experiment, status.store, record_span(prepared.experiment, prepared.series)
-        ),
+        *([] if grave else _clocks_and_mounts(prepared, status)),
+        remark_on_rest(experiment, prepared.rig, float(cube.get("z_level_std", np.nan))),
+        *remark_on_recordings(experiment, series),
+        *remark_on_probes(experiment, status.store, record_span(experiment, series)),
         *_steps(status),
-        *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
+        *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
         *_stored_values(prepared, status),
-        *_short_waves(prepared, status),
+        *_short_waves(sample, prepared),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
 
@@ -116,22 +108,13 @@ def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tu
     return float(times[0]), float(times[-1])
 
 
-def _level_std(store: Path) -> float:
-    """Standard uncertainty of z = 0 of a cube, metres; NaN in cubes of earlier versions."""
-    group = open_group(store)
-    return float(group["z_level_std"][()]) if "z_level_std" in group else float("nan")
-
-
 def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
     """Remarks on delays and motion of cameras, from the epipolar errors."""
-    instants = min(
-        LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6)
-    )  # of a short record, not most of its cost
+    # of a short record, not most of its cost
+    instants = min(LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6))
     yield from camera_delay.remarks(synchrony_of(prepared, instants))
-    first = next(iter(prepared.series.values())).first
-    yield from camera_motion.remarks(
-        status.store, prepared.geometry, prepared.record, _patch_matcher(prepared), first
-    )
+    matcher, first = _patch_matcher(prepared), prepared.first_frame
+    yield from camera_motion.remarks(status.store, prepared.geometry, prepared.record, matcher, first)
 
 
 def _steps(status: Status) -> Iterator[Remark]:
@@ -163,50 +146,39 @@ def _stored_values(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
     """What the stored fields show when they are compared with each other."""
     if status.done < LIMITS.steps_compared or prepared.geometry.settings.sheet_thickness is not None:
         return
-    first = next(iter(prepared.series.values())).first
-    yield from remark_on_stored_values(status.store, evenly_spaced(status.steps, LIMITS.steps), first)
+    steps = evenly_spaced(status.steps, LIMITS.steps)
+    yield from remark_on_stored_values(status.store, steps, prepared.first_frame)
 
 
-def _short_waves(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
-    """Waves that are shorter than what images resolve, beside the w that was measured."""
+def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
+    """Waves that are shorter than what images resolve, beside the w that was measured at some steps."""
     record = prepared.record
     if record is None or not record.unresolved[0]:
         return
     rate, (_, wavelength) = prepared.experiment.frame_rate, record.unresolved
     rise = unresolved_std(*record.unresolved, rate)[1]
-    steps = evenly_spaced(status.steps, LIMITS.steps)
-    cube = open_without_jitter(status.store)[["w", "w_std", "quality"]].isel(time=list(steps)).load()
-    measured = cube.quality.values & int(Quality.MEASURED) != 0
+    measured = sample.quality.values & int(Quality.MEASURED) != 0
     if measured.any():
-        w, std = (cube[name].values[measured] for name in ("w", "w_std"))
+        w, std = (sample[name].values[measured] for name in ("w", "w_std"))
         yield from remark_on_unresolved_waves(
             rise * rate, wavelength, float(np.sqrt(np.mean(np.square(w)))), float(np.median(std))
         )
 
 
-def _fields(store: Path, in_view: float) -> Iterator[Remark]:
-    """Remarks on the stored values, at some steps."""
-    group = open_group(store)
-    steps = evenly_spaced(group["z"].shape[0], LIMITS.steps)
-    z = np.stack([np.asarray(group["z"][k]) for k in steps])
-    if group["z"].dtype == np.int16:
-        z = np.where(z == group["z"].attrs["_FillValue"], np.nan, z.astype(np.float32))
-    if not np.isfinite(z).any():
+def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:
+    """Remarks on the stored values of some steps."""
+    if not np.isfinite(sample.z).any():
         return  # the ledger reports it
-    eps = np.stack([np.asarray(group["eps_piv"][k], np.float32) for k in steps])
-    eps *= np.float32(group["eps_piv"].attrs.get("scale_factor", 1.0))
-    yield from remark_on_eps_piv(z, eps)
-    yield from _left_out(group, steps)
-    quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
+    yield from remark_on_eps_piv(sample.z.values, sample.eps_piv.values)
+    yield from _left_out(sample.quality.values, sample.attrs["cameras"])
     yield from remark_on_coverage(in_view)
-    yield from remark_on_holes(fraction_measured(quality))
+    yield from remark_on_holes(fraction_measured(sample.quality.values))
 
 
-def _left_out(group: CubeGroup, steps: Sequence[int]) -> Iterator[Remark]:
+def _left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
     """Cameras without which much was measured."""
-    quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
     has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
-    for number, camera in enumerate(group.attrs["cameras"]):
+    for number, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
         fraction = float(((quality & bit) != 0)[has_value].mean()) if has_value.any() else 0.0
         if fraction > LIMITS.without_camera[0]:

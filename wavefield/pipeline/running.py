@@ -235,8 +235,8 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
     if prepared.recipe.record:
         log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
     grid = prepared.grid
-    first = next(iter(prepared.series.values())).first
-    layout = StoreLayout(prepared.steps, prepared.chunk_steps, tuple(prepared.series), first)
+    cameras = tuple(prepared.series)
+    layout = StoreLayout(prepared.steps, prepared.chunk_steps, cameras, prepared.first_frame)
     attributes = {
         "pixel_size": pixel_size(prepared.rig, grid),
         "fingerprints": json.dumps(fingerprints(prepared.series)),
@@ -264,7 +264,7 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
     faults = np.asarray(group["frame_fault"][:])
     repaired = np.zeros(layout.steps + 1, bool)
     for camera, index in np.argwhere((faults != 0) & (faults != FrameFault.RANGE)):
-        if read_frame(series[layout.cameras[camera]], int(index)).image is not None:
+        if not read_frame(series[layout.cameras[camera]], int(index)).fault:
             repaired[index] = True
     again, todo = [], []
     for start, stop in layout.chunks():

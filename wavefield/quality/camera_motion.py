@@ -18,8 +18,7 @@ from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.sampling import from_first_to_last
-from wavefield.store.preview import read_steps
-from wavefield.store.read import open_group, read_layout
+from wavefield.store.read import open_group, open_without_jitter, read_layout
 from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
@@ -53,27 +52,16 @@ class Knock:
 
 def camera_motion(store: Path, steps: Sequence[int] | None = None) -> CameraMotion:
     """Fit the low-order part of eps_y at steps of a cube."""
-    group = open_group(store)
-    count, ny, nx = group["eps_y"].shape
-    every = max(1, int(np.sqrt(ny * nx / MAX_NODES)))
-    pixel = float(group.attrs["pixel_size"])
-    x, y = np.meshgrid(*(np.linspace(-1, 1, n)[::every] for n in (nx, ny)))
+    cube = open_without_jitter(store)
+    count, ny, nx = cube.eps_y.shape
+    every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_NODES))))
+    x, y = np.meshgrid(*(np.linspace(-1, 1, n)[every] for n in (nx, ny)))
     design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
-    requested = from_first_to_last(count, MAX_STEPS) if steps is None else steps
-    kept, low, std = [], [], []
-    block = read_layout(group).chunk_steps
-    for first in range(0, count, block):
-        inside = [k for k in requested if first <= k < first + block]
-        if not inside:
-            continue
-        values = read_steps(group, "eps_y", first, min(first + block, count))[:, ::every, ::every] / pixel
-        for k in inside:
-            fit = _fit(design, values[k - first].ravel())
-            if fit is not None:
-                kept.append(k)
-                low.append(fit[0])
-                std.append(fit[1])
-    return CameraMotion(np.array(kept, int), np.array(low).reshape(-1, 3), np.array(std).reshape(-1, 3))
+    chosen = from_first_to_last(count, MAX_STEPS) if steps is None else list(steps)
+    values = cube.eps_y.isel(time=chosen, y=every, x=every).values / float(cube.attrs["pixel_size"])
+    fits = {k: fit for k, one in zip(chosen, values) if (fit := _fit(design, one.ravel())) is not None}
+    low, std = (np.array([fit[part] for fit in fits.values()]).reshape(-1, 3) for part in (0, 1))
+    return CameraMotion(np.array(list(fits), int), low, std)
 
 
 def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +41,11 @@ class FrameInspection:
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
     """Indices of the frames to be read: all of a short record, else those of some steps drawn at random."""
-    present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
-    if len(present) <= MAX_FRAMES_READ_ALL:
-        return tuple(range(len(present)))
-    steps = np.flatnonzero(present[:-1] & present[1:])
+    complete = complete_steps(series)
+    if len(complete) < MAX_FRAMES_READ_ALL:
+        return tuple(range(len(complete) + 1))
     # evenly spaced ones would all be good, or all be bad, where every second frame is
-    drawn = np.random.default_rng(0).permutation(steps)[:SAMPLED_STEPS]
+    drawn = np.random.default_rng(0).permutation(np.flatnonzero(complete))[:SAMPLED_STEPS]
     return tuple(sorted({int(frame) for step in drawn for frame in (step, step + 1)}))
 
 
@@ -61,16 +59,13 @@ def inspect_frames(series: FrameSeries, indices: tuple[int, ...]) -> FrameInspec
             continue
         read.append(index)
         image, fault, message = series.read(index)
+        alike = image is not None and image_before is not None and np.array_equal(image, image_before)
         if fault:
             faults[index] = fault, message
-        elif before == index - 1 and _alike(image, image_before):
+        elif alike and before == index - 1:
             repeated.add(index)
         before, image_before = index, image
     return FrameInspection(tuple(read), faults, frozenset(repeated))
-
-
-def _alike(image: NDArray[Any] | None, other: NDArray[Any] | None) -> bool:
-    return image is not None and other is not None and np.array_equal(image, other)
 
 
 def remark_on_frames(
@@ -125,8 +120,7 @@ def _most(fault: FrameFault, frames: int) -> float:
 def _usable(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection], sample: tuple[int, ...]
 ) -> Iterator[Remark]:
-    present = _present(series)
-    complete = present[:-1] & present[1:]
+    complete = complete_steps(series)
     good = {
         name: {index for index in found.read if index not in found.faults}
         for name, found in inspections.items()
@@ -152,12 +146,10 @@ def _usable(
         )
 
 
-def _present(series: Mapping[str, FrameSeries]) -> NDArray[np.bool_]:
-    """Frames that have a file in every camera."""
-    out: NDArray[np.bool_] = np.all(
-        [[entry is not None for entry in one.entries] for one in series.values()], axis=0
-    )
-    return out
+def complete_steps(series: Mapping[str, FrameSeries]) -> NDArray[np.bool_]:
+    """Steps of which both frames have a file in every camera."""
+    present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
+    return np.asarray(present[:-1] & present[1:])
 
 
 def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
@@ -184,15 +176,15 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
         )
     if not series:
         return
-    present = _present(series)
-    share = float((present[:-1] & present[1:]).mean())
+    complete = complete_steps(series)
+    share = float(complete.mean())
     if share < RECORD_LIMITS.usable_steps:
         yield Remark(
             "record",
             "few common steps",
             "grave",
-            f"only {100 * share:.0f} % of {len(present) - 1} steps have both frames of every camera",
+            f"only {100 * share:.0f} % of {len(complete)} steps have both frames of every camera",
             f"{100 * RECORD_LIMITS.usable_steps:.0f} % at least",
             "copy the missing frames; do the frames of one moment have one number (`offset`)?",
-            {"share": share, "steps": len(present) - 1},
+            {"share": share, "steps": len(complete)},
         )

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from wavefield.grid import Grid
 from wavefield.parabola import parabola_vertex
 from wavefield.rig import Rig
+from wavefield.rig.epipolar import parallax
 from wavefield.rig.resolution import pixel_size
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 Read = Callable[[str, int], NDArray[np.generic] | None]  # of camera and frame
 Pair = tuple[str, str]
 
@@ -48,17 +50,13 @@ class PatchMatcher:
     read: Read  # From camera and frame to the image, or None
     rig: Rig  # The cameras
     grid: Grid  # Area that is compared
-    levels: Mapping[int, float] = field(
-        default_factory=dict
-    )  # Height of the patches' plane at some frames, m
-    _maps: dict[tuple[str, float], tuple[NDArray[np.float32], NDArray[np.float32]]] = field(
-        default_factory=dict
-    )
-    _patches: dict[tuple[str, int, str, str], NDArray[np.float32] | None] = field(default_factory=dict)
+    levels: Mapping[int, float] = field(default_factory=dict)  # Height of the patches' plane at frames, m
 
     def __post_init__(self) -> None:
         self.pixel = float(pixel_size(self.rig, self.grid))
         self.x, self.y = self._places()
+        self._maps: dict[tuple[str, float], tuple[Image, Image]] = {}
+        self._patches: dict[tuple[str, int, str, str], Image | None] = {}
 
     def _places(self) -> tuple[Array, Array]:
         """Middles of the patches: spread over what all cameras see."""
@@ -74,22 +72,19 @@ class PatchMatcher:
         chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(MAX_PATCHES, len(chosen))).astype(int)]
         return X[chosen], Y[chosen]
 
-    def _map(self, name: str, level: float = 0.0) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _map(self, name: str, level: float = 0.0) -> tuple[Image, Image]:
         if (name, level) not in self._maps:
             offset = (np.arange(SIDE + 2 * REACH) - (SIDE + 2 * REACH - 1) / 2) * self.pixel
-            column, row = self.rig[name].project(
-                self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None], level
+            column, row = (
+                part.reshape(-1, offset.size).astype(np.float32)
+                for part in self.rig[name].project(
+                    self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None], level
+                )
             )
-            shape = (-1, offset.size)
-            self._maps[name, level] = (
-                column.reshape(shape).astype(np.float32),
-                row.reshape(shape).astype(np.float32),
-            )
+            self._maps[name, level] = column, row
         return self._maps[name, level]
 
-    def patches(
-        self, name: str, frame: int, change: str = "", through: str = ""
-    ) -> NDArray[np.float32] | None:
+    def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
         """Patches of one image with their surroundings, (n, SIDE + 2 REACH, SIDE + 2 REACH) grey levels.
         The image may be flipped (`change`) and taken `through` the lens of another camera.
         """
@@ -104,9 +99,7 @@ class PatchMatcher:
             self._patches[key] = _sampled(image, *places, SIDE + 2 * REACH)
         return self._patches[key]
 
-    def around(
-        self, name: str, frame: int, near: NDArray[np.int64], reach: int
-    ) -> NDArray[np.float32] | None:
+    def around(self, name: str, frame: int, near: NDArray[np.int64], reach: int) -> Image | None:
         """Surroundings (n, SIDE + 2 reach, SIDE + 2 reach) of places `near` (n, 2), px, from the patches."""
         image = self.read(name, frame)
         if image is None or len(near) == 0:
@@ -133,14 +126,10 @@ class PatchMatcher:
         return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
 
     def _rise(self, pair: Pair) -> Array:
-        a, b = (self.rig[name].centre for name in pair)
-        at = np.stack([self.x, self.y], axis=-1)
-        return np.asarray((at - b[:2]) / b[2] - (at - a[:2]) / a[2])
+        return parallax(self.rig, pair, self.x, self.y).T
 
 
-def _sampled(
-    image: NDArray[np.generic] | None, column: NDArray[np.float32], row: NDArray[np.float32], side: int
-) -> NDArray[np.float32] | None:
+def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image, side: int) -> Image | None:
     """Squares (n, side, side) of an image at pixels (n side, side); NaN outside of it."""
     if image is None:
         return None
@@ -153,16 +142,14 @@ def _sampled(
     return np.asarray(sampled, np.float32).reshape(-1, side, side)
 
 
-def middle(patches: NDArray[np.float32]) -> NDArray[np.float32]:
+def middle(patches: Image) -> Image:
     """The patches (n, SIDE, SIDE) without their surroundings."""
     reach = (patches.shape[1] - SIDE) // 2
     return patches[:, reach : reach + SIDE, reach : reach + SIDE]
 
 
 def compare(
-    first: NDArray[np.float32] | None,
-    second: NDArray[np.float32] | None,
-    near: NDArray[np.int64] | None = None,
+    first: Image | None, second: Image | None, near: NDArray[np.int64] | None = None
 ) -> Comparison | None:
     """Find the middle of each patch in another, (n, SIDE + 2 reach, SIDE + 2 reach), sampled `near` px."""
     if first is None or second is None:

@@ -9,8 +9,7 @@ import xarray as xr
 
 from wavefield.errors import ExperimentError
 from wavefield.series import Experiment
-from wavefield.store.preview import read_steps
-from wavefield.store.read import open_group
+from wavefield.store.read import open_without_jitter
 from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
 MAX_STEPS = 1500  # of a long record, in its middle
 MAX_NODES = 2000  # of each
-STEPS_PER_READ = 64  # steps read at once
 
 
 def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> Iterator[Remark]:
@@ -48,7 +46,7 @@ def compare_probes(experiment: Experiment, store: Path) -> "tuple[list[ProbeFit]
     from wavefield.waves.probes.probe_fit import fit_probes  # imports all of the analysis
 
     z = _elevation(store)
-    dt = float(z["time"][1] - z["time"][0]) if z.sizes["time"] > 1 else 1.0
+    dt = float(z["time"][1] - z["time"][0]) if len(z) > 1 else 1.0
     return fit_probes(z, experiment.read_probes()), dt
 
 
@@ -72,18 +70,7 @@ def remark_on_probes(experiment: Experiment, store: Path, span: tuple[float, flo
 
 def _elevation(store: Path) -> xr.DataArray:
     """z of the middle of the record, thinned in space."""
-    group = open_group(store)
-    count, ny, nx = group["z"].shape
-    every = max(1, int(np.sqrt(ny * nx / MAX_NODES)))
-    first = max(0, (count - MAX_STEPS) // 2)
-    last = min(count, first + MAX_STEPS)
-    pieces = [
-        read_steps(group, "z", k, min(k + STEPS_PER_READ, last))[:, ::every, ::every]
-        for k in range(first, last, STEPS_PER_READ)
-    ]
-    coords = {
-        "time": np.asarray(group["time"][first:last]),
-        "y": np.asarray(group["y"][::every]),
-        "x": np.asarray(group["x"][::every]),
-    }
-    return xr.DataArray(np.concatenate(pieces), coords, ("time", "y", "x"))
+    z: xr.DataArray = open_without_jitter(store).z
+    every = slice(None, None, max(1, int(np.sqrt(z[0].size / MAX_NODES))))
+    first = max(0, (len(z) - MAX_STEPS) // 2)
+    return z.isel(time=slice(first, first + MAX_STEPS), y=every, x=every).load()

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
-from wavefield.robust import PER_MEDIAN
+from wavefield.rig.epipolar import parallax
+from wavefield.robust import PER_MEDIAN, reweighted_lstsq
 from wavefield.variables import AROUND
 
 if TYPE_CHECKING:
@@ -31,12 +32,10 @@ MIN_COSINE = 0.9  # cosine: cameras in one line share the direction across their
 
 def refuse_unless_in_a_row(geometry: "GridGeometry") -> None:
     """Make sure that the pairs of cameras share the direction across their sight lines."""
-    middle = np.array([float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))])
     along = {}
-    for a, b in geometry.pairs:
-        one, other = geometry.rig[a].centre, geometry.rig[b].centre
-        rise = (middle - other[:2]) / other[2] - (middle - one[:2]) / one[2]
-        along[a, b] = rise / max(float(np.hypot(*rise)), 1e-12)
+    for pair in geometry.pairs:
+        rise = parallax(geometry.rig, pair, np.mean(geometry.grid.x), np.mean(geometry.grid.y))
+        along[pair] = rise / max(float(np.hypot(*rise)), 1e-12)
     (first, of_first), *others = along.items()
     for pair, direction in others:
         cosine = abs(float(direction @ of_first))
@@ -44,9 +43,8 @@ def refuse_unless_in_a_row(geometry: "GridGeometry") -> None:
             raise ExperimentError(
                 f"`vibration: correct` is for cameras in a row: the sight lines of {'-'.join(first)} and of "
                 f"{'-'.join(pair)} part in directions {np.degrees(np.arccos(cosine)):.0f} degrees apart, and "
-                "which camera shakes cannot be determined; leave `vibration` out of the settings, or "
-                "measure z "
-                "with two cameras (`surface: {pairs: ...}`)"
+                "which camera shakes cannot be determined; leave `vibration` out of the settings, or measure "
+                "z with two cameras (`surface: {pairs: ...}`)"
             )
 
 
@@ -82,9 +80,7 @@ class StabilizedFrames(Sequence[Image | None]):
         return len(self._stabilizer.frames[self._name])
 
     def __getitem__(self, position: Any) -> Any:
-        if isinstance(position, slice):
-            return [self[i] for i in range(*position.indices(len(self)))]
-        return self._stabilizer(int(position) % len(self))[self._name]
+        return self._stabilizer(position)[self._name]
 
 
 def corrected(
@@ -117,7 +113,7 @@ def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict
         for name in names
     }
     found: dict[str, Array] = {geometry.reference: np.zeros(3)}
-    first: Array | None = None
+    normals: list[Array] = []
     cells = np.s_[::BLOCKS_APART, ::BLOCKS_APART]
     design = np.stack([part[cells] for part in _scaled(geometry)], axis=-1)
     for a, b in geometry.pairs:
@@ -125,12 +121,11 @@ def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict
         low = _fit(design[match.matched[cells]], match.eps_y[cells][match.matched[cells]] / geometry.pixel)
         if low is None:
             return {}
-        normal = _across(match.parallax)
-        first = normal if first is None else first
-        turn = float(np.sign(normal @ first)) if abs(normal @ first) > MIN_COSINE else 0.0
-        if turn == 0.0:
+        normals.append(_across(match.parallax))
+        cosine = float(normals[-1] @ normals[0])
+        if not abs(cosine) > MIN_COSINE:
             return {}  # cameras that are not in one line: which one moved is not a matter of signs
-        found[b] = turn * low
+        found[b] = np.sign(cosine) * low
     usual = np.median(list(found.values()), axis=0)
     return {name: low - usual for name, low in found.items()}
 
@@ -142,16 +137,14 @@ def _scaled(geometry: "GridGeometry") -> tuple[Array, Array, Array]:
 
 
 def _fit(design: Array, values: Array) -> Array | None:
+    def huber(residual: Array) -> Array:
+        miss = np.abs(residual)
+        bound = 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9)
+        return np.asarray(np.sqrt(np.minimum(1.0, bound / np.maximum(miss, 1e-12))))
+
     if len(values) < MIN_BLOCKS:
         return None
-    weight: NDArray[Any] = np.ones(len(values))
-    found: Array = np.zeros(3)
-    for _ in range(6):
-        root = np.sqrt(weight)
-        found = np.linalg.lstsq(root[:, None] * design, root * values, rcond=None)[0]
-        miss = np.abs(values - design @ found)
-        weight = np.minimum(1.0, 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9) / np.maximum(miss, 1e-12))
-    return np.asarray(found)
+    return reweighted_lstsq(design, values, np.ones(len(values)), huber, 6)[0]
 
 
 def _across(parallax: Array) -> Array:
@@ -163,12 +156,9 @@ def _across(parallax: Array) -> Array:
 
 def moved(image: Image, low: Array, name: str, geometry: "GridGeometry") -> NDArray[np.float32]:
     """A raw image (row, column) moved back by what its camera has moved, `low` (3,) as from `shifts`."""
-    centre, other = geometry.rig[geometry.pairs[0][0]].centre, geometry.rig[geometry.pairs[0][1]].centre
     x, y = (v[::8, ::8].ravel() for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
     design = np.stack([part[::8, ::8].ravel() for part in _scaled(geometry)], axis=-1)
-    along = (np.stack([x, y]) - other[:2, None]) / other[2] - (np.stack([x, y]) - centre[:2, None]) / centre[
-        2
-    ]
+    along = parallax(geometry.rig, geometry.pairs[0], x, y)
     along /= np.maximum(np.hypot(*along), 1e-12)
     # eps_y is the part of x_b - x_a along (dD_y, -dD_x) / |dD|, and dD = D_b - D_a points against `along`
     size = -(design @ low) * geometry.pixel

@@ -1,10 +1,17 @@
-"""Epipolar error: the misfit of matched pixels of two cameras, whatever the surface."""
+"""What two cameras make of one point: its parallax, and the epipolar error, whatever the surface."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
+from wavefield.rig.rig import Rig
+
+
+def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
+    """How much further along x, y the second camera shows a point above still water, (2, ...), per height."""
+    first, second = (rig[name].sight_line(x, y) for name in pair)
+    return np.subtract(first, second)
 
 
 def epipolar_distance(
