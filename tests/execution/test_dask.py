@@ -15,7 +15,7 @@ import wavefield
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.execution import dask_cluster
 from wavefield.execution.cluster import count_workers, open_cluster
-from wavefield.execution.dask_cluster import Task
+from wavefield.execution.dask_cluster import Task, own_versions
 from wavefield.execution.dask_settings import needs_tls, temporary_credentials
 from wavefield.execution.slurm import count_jobs
 from wavefield.pipeline import Workflow
@@ -84,16 +84,14 @@ def test_jobs_of_other_queues_get_the_credentials_and_settings_of_the_run(tmp_pa
 
 
 def test_workers_of_other_versions_are_refused_with_both():
-    python = sys.version_info[:2]
-    assert Task(abs, python, wavefield.__version__)([-1, -2]) == [1, 2]
-    with pytest.raises(
-        ExperimentError, match=rf"run Python {python[0]}\.{python[1]}, .* but the run Python 2\.7"
-    ):
-        Task(abs, (2, 7), wavefield.__version__)([-1])
+    major, minor = sys.version_info[:2]
+    assert Task(abs, own_versions())([-1, -2]) == [1, 2]
+    with pytest.raises(ExperimentError, match=rf"run Python {major}\.{minor}, .* but the run Python 2\.7"):
+        Task(abs, f"Python 2.7, wavefield {wavefield.__version__}")([-1])
     with pytest.raises(
         ExperimentError, match=r"but the run Python .*, wavefield 0\.0\.1: start both from one"
     ):
-        Task(abs, python, "0.0.1")([-1])
+        Task(abs, f"Python {major}.{minor}, wavefield 0.0.1")([-1])
 
 
 class Future:

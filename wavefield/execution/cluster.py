@@ -8,7 +8,7 @@ from typing import Any
 
 from wavefield.execution.cluster_settings import ClusterSettings
 from wavefield.execution.memory import memory_error
-from wavefield.execution.pool import Pool
+from wavefield.execution.pool import MEASURING, Pool
 from wavefield.execution.worker_settings import one_thread
 
 _MOST_THREADS = 4  # of a run's own process
@@ -42,7 +42,7 @@ def open_cluster(
     logs: Path | None = None,
     ahead: bool = False,
     lasting: bool = False,
-    preloaded: str = "wavefield.pipeline.worker_imports",
+    imports: Sequence[str] = MEASURING,
 ) -> Iterator[MapUnordered]:
     """Give a function that maps work over items on workers that come and go with it."""
     count = count_workers(workflow)
@@ -50,7 +50,7 @@ def open_cluster(
     if workflow.cluster == "none" or (workflow.cluster == "local" and count == 1 and not watched):
         yield _map_here
     elif workflow.cluster == "local" and not watched:
-        with Pool(count, workflow.memory_bytes, lasting, preloaded) as pool:
+        with Pool(count, workflow.memory_bytes, lasting, imports) as pool:
             if ahead:
                 pool.start()
             yield pool.map_unordered

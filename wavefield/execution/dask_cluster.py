@@ -15,6 +15,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import dask
+
 import wavefield
 from wavefield.errors import ExperimentError, StoreError, WavefieldError
 from wavefield.execution import slurm
@@ -37,6 +39,8 @@ if TYPE_CHECKING:  # seconds to import
 
 log = logging.getLogger("wavefield.run")
 Watch = Callable[[], None]
+Work = Callable[[Any], Any]
+Results = Generator[tuple[Any, Any], None, None]
 
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 _POLL_SECONDS = 2.0  # without news, after which the workers are checked
@@ -51,17 +55,16 @@ _TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, s
 class Task:
     """Work as it is sent to a worker: done only by the client's Python and version."""
 
-    work: Callable[[Any], Any]  # The work
-    python: tuple[int, ...]  # Major and minor version of the client's Python
-    version: str  # Of the client's wavefield
+    work: Work  # The work
+    versions: str  # Of the client's Python and wavefield
 
     def __call__(self, items: Sequence[object]) -> list[Any]:
         """Do the work for some items."""
-        here, client = sys.version_info[:2], f"Python {_dotted(self.python)}, wavefield {self.version}"
-        if (here, wavefield.__version__) != (self.python, self.version):
+        here, client = own_versions(), self.versions
+        if here != client:
             raise ExperimentError(
-                f"the workers run Python {_dotted(here)}, wavefield {wavefield.__version__} "
-                f"({sys.executable}), but the run {client}: start both from one environment"
+                f"the workers run {here} ({sys.executable}), but the run {client}: start both from one "
+                "environment"
             )
         settle_worker()
         out = []
@@ -73,23 +76,22 @@ class Task:
         return out
 
 
-def _dotted(version: tuple[int, ...]) -> str:
-    return ".".join(map(str, version))
+def own_versions() -> str:
+    """Versions of Python (major and minor) and wavefield of this process."""
+    return f"Python {sys.version_info[0]}.{sys.version_info[1]}, wavefield {wavefield.__version__}"
 
 
 @contextmanager
 def open_dask_cluster(
     workflow: ClusterSettings, count: int, logs: Path, lasting: bool = False
-) -> Iterator[Callable[[Callable[[Any], Any], Sequence[Any]], Generator[tuple[Any, Any], None, None]]]:
+) -> Iterator[Callable[[Work, Sequence[Any]], Results]]:
     """Give a function that maps work over items on a Dask cluster that it starts and ends."""
     if workflow.cluster == "slurm" or of_jobqueue(workflow):
         slurm.import_jobqueue()
     started: list[tuple[Any, Watch]] = []
     with ExitStack() as stack:
 
-        def map_unordered(
-            work: Callable[[Any], Any], items: Sequence[object]
-        ) -> Generator[tuple[Any, Any], None, None]:
+        def map_unordered(work: Work, items: Sequence[object]) -> Results:
             # the workers end with their work, while the caller still guards the store
             with nullcontext() if lasting else stack:
                 if not started:
@@ -105,7 +107,7 @@ def _start(workflow: ClusterSettings, count: int, logs: Path, stack: ExitStack) 
         settings = dask_settings(workflow)
         if needs_tls(workflow):
             secrets = stack.enter_context(temporary_credentials(logs))
-            settings = _merged(secrets, settings)
+            settings = dask.config.merge(secrets, settings)
         stack.enter_context(configured(settings))
         client, watch = _connect(workflow, count, logs, settings, stack)
     log.info("scheduler: %s", client.scheduler.address)
@@ -117,13 +119,6 @@ def _start(workflow: ClusterSettings, count: int, logs: Path, stack: ExitStack) 
         stack.enter_context(client.as_current())
         stack.enter_context(performance_report(filename=workflow.performance_report))
     return client, watch
-
-
-def _merged(*settings: dict[str, Any]) -> dict[str, Any]:
-    import dask
-
-    out: dict[str, Any] = dask.config.merge(*settings)
-    return out
 
 
 def _connect(
@@ -252,13 +247,11 @@ class _SilentWorkers:
                 )
 
 
-def _map_on(
-    client: "Client", work: Callable[[Any], Any], items: Sequence[object], workers: int, watch: Watch
-) -> Generator[tuple[Any, Any], None, None]:
+def _map_on(client: "Client", work: Work, items: Sequence[object], workers: int, watch: Watch) -> Results:
     """Map work over items, so that the scheduler never holds more than a few tasks for each worker."""
     from distributed import CancelledError
 
-    tasks = _Tasks(client, Task(work, sys.version_info[:2], wavefield.__version__), items, workers)
+    tasks = _Tasks(client, Task(work, own_versions()), items, workers)
     lost = StoreError("the scheduler was lost; what is done is kept: run the same command again to go on")
     silence = _SilentWorkers(client)
     try:

@@ -38,6 +38,10 @@ CHECK_S = 1.0  # between checks of the workers' memory and state
 SUSPENDED_CHECKS = 10  # in a row that find a worker suspended: one that goes on by itself is left in peace
 CRASH_SIGNALS = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT")  # of a process that runs faulty code
 
+# what the process that workers are forked from imports: first what sets its environment, then what all need
+ENVIRONMENT = "wavefield.execution.worker_environment"
+MEASURING = ("wavefield.measurement.measure", "wavefield.pipeline.chunk_worker")
+
 log = logging.getLogger("wavefield.run")
 
 
@@ -56,13 +60,9 @@ class Pool:
     """Worker processes, started by `start` or by the first work, ended by `stop` or after their work."""
 
     def __init__(
-        self,
-        count: int,
-        memory: int | None = None,
-        lasting: bool = False,
-        preloaded: str = "wavefield.pipeline.worker_imports",
+        self, count: int, memory: int | None = None, lasting: bool = False, imports: Sequence[str] = MEASURING
     ) -> None:
-        self._count, self._memory, self._lasting, self._preloaded = count, memory, lasting, preloaded
+        self._count, self._memory, self._lasting, self._imports = count, memory, lasting, imports
         self._workers: list[_Worker] = []
         self._starter: ThreadPoolExecutor | None = None
         self._started: Future[None] | None = None
@@ -82,7 +82,7 @@ class Pool:
         """Start the processes, without waiting for them."""
         if self._started is None:
             if self._context.get_start_method() == "forkserver":
-                self._context.set_forkserver_preload([self._preloaded])
+                self._context.set_forkserver_preload([ENVIRONMENT, *self._imports])
             self._starter = ThreadPoolExecutor(1)
             self._started = self._starter.submit(self._start_all)
 

@@ -19,7 +19,7 @@ from wavefield.execution.workflow import Workflow
 if TYPE_CHECKING:
     import xarray as xr
 
-_PRELOADED = "wavefield.pipeline.worker_imports_waves"
+_WORKER_IMPORTS = ("wavefield.pipeline.analysis", "wavefield.waves.wave_analysis")
 
 
 def analyze_on_workers(
@@ -75,7 +75,7 @@ def analyze_on_workers(
         raise write_error(target, error) from None
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
-            with open_cluster(workflow, jobs_folder(target), True, True, _PRELOADED) as map_unordered:
+            with open_cluster(workflow, jobs_folder(target), True, True, _WORKER_IMPORTS) as map_unordered:
                 from wavefield.waves.wave_analysis import analyze  # while the workers start
 
                 return analyze(

@@ -16,7 +16,7 @@ from dask.delayed import Delayed
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.pipeline.lazy_steps import LazySteps
-from wavefield.pipeline.learning import learn_from, samples
+from wavefield.pipeline.learning import learn_from, once_per_cube, samples
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
@@ -145,7 +145,8 @@ def reconstruct(
     from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
 
     settings = Settings() if settings is None else settings
-    arrays, attributes = _arrays(frames)
+    arrays, masks = _images(frames)
+    attributes = {str(name): value for name, value in getattr(frames, "attrs", {}).items()}
     if not isinstance(rig, Rig):
         sizes = {name: (array.shape[-1], array.shape[-2]) for name, array in arrays.items()}
         rig = load_rig(rig, sizes, list(arrays))
@@ -162,7 +163,6 @@ def reconstruct(
     if record is not None:
         _check_record(record, geometry)
 
-    masks = _masks(frames)
     sources = {name: ArraySource(name, array.variable, masks.get(name)) for name, array in arrays.items()}
     first = next(iter(arrays.values()))
     departures = np.asarray(first["departure"]) if "departure" in first.coords else None
@@ -251,36 +251,24 @@ class _Learner:
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
-    """What the cube holds once for all steps: response to waves, uncertainty of z = 0, frames of a path."""
-    from wavefield.measurement.bead_tilt import level_std
-    from wavefield.measurement.response import tabulated
-
+    """What the cube holds once for all steps, frames of a path among it."""
     geometry, model = known
     record = model.record if model else None
-    level, frames = np.float64(level_std(geometry, record)), np.uint8(record.path_frames if record else 4)
-    return tabulated(geometry, record) | {"z_level_std": np.asarray(level), "path_frames": np.asarray(frames)}
+    frames = np.asarray(record.path_frames if record else 4, np.uint8)
+    return once_per_cube(geometry, record) | {"path_frames": frames}
 
 
-def _arrays(
+def _images(
     frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
-) -> tuple[dict[str, xr.DataArray], dict[str, Any]]:
-    """Images by camera, and the attributes of all of them."""
-    attributes = {str(name): value for name, value in getattr(frames, "attrs", {}).items()}
+) -> tuple[dict[str, xr.DataArray], dict[str, xr.Variable]]:
+    """Images by camera, and what is masked."""
     if isinstance(frames, xr.DataTree):
-        found = {
-            name: node.to_dataset()["image"] for name, node in frames.children.items() if "image" in node
-        }
-        return found, attributes
+        nodes = {name: node.to_dataset() for name, node in frames.children.items()}
+        images = {name: node["image"] for name, node in nodes.items() if "image" in node}
+        return images, {name: node["mask"].variable for name, node in nodes.items() if "mask" in node}
     if isinstance(frames, xr.Dataset):
-        return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, attributes
-    return {str(name): array for name, array in frames.items()}, attributes
-
-
-def _masks(frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray]) -> dict[str, xr.Variable]:
-    """What is masked, by camera."""
-    if not isinstance(frames, xr.DataTree):
-        return {}
-    return {name: node["mask"].variable for name, node in frames.children.items() if "mask" in node}
+        return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, {}
+    return {str(name): array for name, array in frames.items()}, {}
 
 
 def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:

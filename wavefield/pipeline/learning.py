@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from wavefield.execution.worker_settings import one_thread
 from wavefield.pipeline.chunk import Source
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry
+    from wavefield.measurement import GridGeometry, LearnedRecord
 
 _TRIES = 3  # sets of samples, where frames are missing or bad
 
@@ -44,6 +46,15 @@ def learn_from(
         return {name: source.covered(k) for name, source in pair.items()}
 
     steps = [(frames(pair, 0), frames(pair, 1)) for pair in pairs]
+    covered = [(masks(pair, 0), masks(pair, 1)) for pair in pairs]
     with one_thread():  # each of them
-        record = learn(steps, geometry, [(masks(pair, 0), masks(pair, 1)) for pair in pairs], threads)
+        record = learn(steps, geometry, covered, threads)
     return {} if record is None else record.to_dict()
+
+
+def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
+    """What a cube holds once for all steps: its response to waves, and the uncertainty of z = 0."""
+    from wavefield.measurement.bead_tilt import level_std
+    from wavefield.measurement.response import tabulated
+
+    return tabulated(geometry, record) | {"z_level_std": np.asarray(level_std(geometry, record), np.float64)}

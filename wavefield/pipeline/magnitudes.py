@@ -1,6 +1,6 @@
 """Lengths that cannot be metres: a rig, a grid or a range of elevations given in another unit."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,8 +39,7 @@ _MAX_THICKNESS_SHARE = 0.05  # of beads or of a light sheet, likewise
 def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
     """Refuse cameras so far from the water, or so near, that their rig cannot be in metres."""
     refuse_own_frame(rig, rig_file)
-    distances = np.array([np.linalg.norm(_middle(camera)[1]) for camera in rig.cameras.values()])
-    distance = float(np.median(distances))
+    distance = float(np.median(_distances(rig)))
     low, high = _CAMERA_DISTANCES
     if not low <= distance <= high:
         raise RigError(f"{rig_file}: its cameras are {distance:.3g} m away from the water{_remedy(distance)}")
@@ -118,7 +117,7 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
 
 def _suggested_grid(rig: Rig, grid: Grid) -> str:
     """The grid in another unit if most of it is in view then, else what all cameras see."""
-    pixel = min(pixel_sides(camera, *_middle(camera)[0])[1] for camera in rig.cameras.values())
+    pixel = min(_pixels(rig))
     for factor in _UNITS.values():
         (x0, x1), (y0, y1) = ((factor * low, factor * high) for low, high in (grid.x, grid.y))
         for step in (factor * grid.step, grid.step):
@@ -139,11 +138,11 @@ def _spelled(grid: Grid) -> str:
 
 def refuse_fine_grids(experiment: Experiment, rig: Rig, grid: Grid, rig_file: str) -> None:
     """Refuse a grid whose step is so far below a pixel that it or the rig is not in metres."""
-    field = _field(rig)
-    if field is None or experiment.grid == "auto":
+    pixels = _pixels(rig)
+    field = float(np.median([max(camera.size) * p for camera, p in zip(rig.cameras.values(), pixels)]))
+    if not (np.isfinite(field) and field > 0) or experiment.grid == "auto":
         return
-    extent = max(grid.x[1] - grid.x[0], grid.y[1] - grid.y[0])
-    pixel = min(pixel_sides(camera, *_middle(camera)[0])[1] for camera in rig.cameras.values())
+    extent, pixel = max(grid.x[1] - grid.x[0], grid.y[1] - grid.y[0]), min(pixels)
     if grid.step >= _MIN_STEP_PIXELS * pixel:
         return
     if field > _MAX_FIELD_GRIDS * extent:
@@ -164,7 +163,7 @@ def remark_on_depth(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -
     if depth is None:
         return
     lowest = float(np.nanmin(z, initial=0.0)) if np.isfinite(z).any() else 0.0
-    distance = float(np.median([np.linalg.norm(_middle(camera)[1]) for camera in rig.cameras.values()]))
+    distance = float(np.median(_distances(rig)))
     if -lowest > depth:
         found = f"the surface is {-lowest:.2g} m below still water in the step tried"
     elif depth > _MAX_DEPTH_DISTANCES * distance:
@@ -200,15 +199,13 @@ def remark_on_speed(experiment: Experiment, rig: Rig, grid: Grid, pixels: float)
 
 def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
     """Refuse elevations that come near the cameras, and thick beads or sheets: they are not in metres."""
-    distance = min(float(np.linalg.norm(_middle(camera)[1])) for camera in rig.cameras.values())
-    elevation, thickness = (_MAX_ELEVATION_SHARE, 0.025), (_MAX_THICKNESS_SHARE, 0.0002)  # and what is usual
-    lengths: Mapping[str, tuple[tuple[float, float], tuple[float, ...]]] = {
-        "z_range": (elevation, settings.z_range or ()),
-        "bead_height": (thickness, (settings.bead_height,)),
-        "sheet_thickness": (thickness, (settings.sheet_thickness or 0.0,)),
-    }
-    for name, ((share, usual), values) in lengths.items():
-        largest = max((abs(value) for value in values), default=0.0)
+    distance = min(_distances(rig))
+    for name, value, share, usual in (
+        ("z_range", settings.z_range, _MAX_ELEVATION_SHARE, 0.025),
+        ("bead_height", settings.bead_height, _MAX_THICKNESS_SHARE, 0.0002),
+        ("sheet_thickness", settings.sheet_thickness, _MAX_THICKNESS_SHARE, 0.0002),
+    ):
+        largest = float(np.abs(value or 0.0).max())
         if largest > share * distance:
             unit, factor = _unit(largest, usual * distance)
             raise ExperimentError(
@@ -220,9 +217,7 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
 def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
     """Refuse a field of too few blocks of pixels: its spectrum has gaps, and nothing is learned from it."""
     shapes = {"the grid": geometry.lattice.shape}
-    shapes |= {
-        f"what {name} sees of the grid": geometry.sights[name].lattice.shape for name in geometry.sights
-    }
+    shapes |= {f"what {name} sees of the grid": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():
         if max(rows, columns) < _MIN_BLOCKS:
             raise ExperimentError(
@@ -268,8 +263,11 @@ def _middle(camera: Camera) -> tuple[tuple[float, float], np.ndarray]:
     return (x, y), centre - (x, y, 0.0)
 
 
-def _field(rig: Rig) -> float | None:
-    """Width of the water that a camera sees, median over the cameras, metres; None if it is not bounded."""
-    widths = [max(c.size) * pixel_sides(c, *_middle(c)[0])[1] for c in rig.cameras.values()]
-    width = float(np.median(widths))
-    return width if np.isfinite(width) and width > 0 else None
+def _distances(rig: Rig) -> list[float]:
+    """Distance of each camera from the water in the middle of its image, metres."""
+    return [float(np.linalg.norm(_middle(camera)[1])) for camera in rig.cameras.values()]
+
+
+def _pixels(rig: Rig) -> list[float]:
+    """Longer side of each camera's pixel on the water in the middle of its image, metres."""
+    return [pixel_sides(camera, *_middle(camera)[0])[1] for camera in rig.cameras.values()]

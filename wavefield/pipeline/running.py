@@ -26,7 +26,7 @@ from wavefield.pipeline.chunk_worker import Work
 from wavefield.pipeline.early import SECONDS, plan_early
 from wavefield.pipeline.experiment_of_cube import labels
 from wavefield.pipeline.fingerprint import check_images, fingerprints
-from wavefield.pipeline.learning import learn_record
+from wavefield.pipeline.learning import learn_record, once_per_cube
 from wavefield.pipeline.magnitudes import refuse_small_fields
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
@@ -243,11 +243,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         **labels(prepared.experiment, path),
     }
     remove_leftovers(path)
-    from wavefield.measurement.bead_tilt import level_std
-    from wavefield.measurement.response import tabulated
-
-    level = np.float64(level_std(prepared.geometry, prepared.record))
-    once = tabulated(prepared.geometry, prepared.record) | {"z_level_std": level}
+    once = once_per_cube(prepared.geometry, prepared.record)
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, once)
     create_preview(path, open_group(path))
     return prepared, layout
