@@ -167,19 +167,19 @@ def measure_chunk(
     frames = {name: ChunkFrames(source, chunk) for name, source in chunk.sources.items()}
     masks = {name: ChunkMasks(source, chunk) for name, source in chunk.sources.items()}
     given: Mapping[str, Sequence[np.ndarray | None]] = frames
-    stabilizer = None
+    corrections: dict[int, dict[str, np.ndarray]] = {}
     if geometry.settings.vibration == "correct":
-        from wavefield.quality.stabilized import Stabilizer
+        from wavefield.quality.stabilized import StabilizedFrames, Stabilizer
 
         stabilizer = Stabilizer(frames, geometry)
-        given = stabilizer.sequences()
+        given, corrections = {name: StabilizedFrames(stabilizer, name) for name in frames}, stabilizer.shifts
     fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, chunk, geometry)
     _find_ranges(frames, fields, status, chunk, geometry)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
-    shifts = {chunk.start - AROUND + k: found for k, found in stabilizer.shifts.items()} if stabilizer else {}
+    shifts = {chunk.start - AROUND + k: found for k, found in corrections.items()}
     return Measured(fields, status, faults, messages, shifts)
 
 

@@ -33,6 +33,7 @@ from wavefield.quality.patch_matching import (
     scaled,
 )
 from wavefield.quality.quality_limits import CAMERA_LIMITS
+from wavefield.quality.stabilized import prepared
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
@@ -78,23 +79,6 @@ class Synchrony(NamedTuple):
     speed: float = 0.0  # Of the beads, px/s
     row_time: Delay | None = None  # Of each row behind the one above it, beyond what is stated
     rows: int = 0  # Of the highest image
-
-
-def prepared(
-    geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, widths: Mapping[str, float]
-) -> dict[str, Any]:
-    """Images of an instant, ready for matching between cameras; those that cannot be used are left out."""
-    from wavefield.measurement import pair_surface
-    from wavefield.measurement.frame import ready, usable
-
-    images = {name: patch_matcher.read(name, frame) for name in geometry.surface_cameras}
-    return {
-        name: pair_surface.prepare(
-            ready(np.asarray(image), geometry.sights[name].binning, widths[name]), name, geometry
-        )
-        for name, image in images.items()
-        if usable(image, geometry.rig[name].size)
-    }
 
 
 def sample(
@@ -154,9 +138,7 @@ def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) ->
         limit = REACH - reach
         at = np.clip(np.rint(np.where(known[:, None], near, 0)), -limit, limit).astype(np.int64)
         found = compare(now, patch_matcher.around(name, frame + k, at, reach), at)
-        return (
-            None if found is None else Comparison(found.moved, np.where(known, found.peak_correlation, 0.0))
-        )
+        return found and Comparison(found.moved, np.where(known, found.peak_correlation, 0.0))
 
     after = find(1, still.astype(float), furthest)
     if after is None:
@@ -264,7 +246,7 @@ def _widths(geometry: "GridGeometry", patch_matcher: PatchMatcher, frames: Seque
     for name in out:
         images = (patch_matcher.read(name, k) for k in frames)
         one = next((image for image in images if usable(image, geometry.rig[name].size)), None)
-        out[name] = 0.0 if one is None else bead_width(np.asarray(one))
+        out[name] = 0.0 if one is None else bead_width(one)
     return out
 
 
@@ -284,7 +266,8 @@ def delays(
     widths = dict(record.beads) if record else _widths(geometry, patch_matcher, frames)
 
     def sample_at(frame: int) -> list[Sample | None]:
-        flat = prepared(geometry, patch_matcher, frame, widths)
+        images = {name: patch_matcher.read(name, frame) for name in geometry.surface_cameras}
+        flat = prepared(images, geometry, widths)
         return [sample(geometry, patch_matcher, pair, frame, flat) for pair in geometry.pairs]
 
     with ThreadPoolExecutor(threads) as pool:
@@ -337,10 +320,8 @@ def remarks(found: Synchrony) -> Iterator[Remark]:
     if one is None or abs(one.seconds) < ROW_SIGNIFICANCE * one.std:
         return
     late = abs(one.seconds) * found.rows
-    if one.std * found.rows > MAX_READOUT_STD:
-        return
     off = 0.5 * late * found.speed
-    if off < CAMERA_LIMITS.delay_motion:
+    if one.std * found.rows > MAX_READOUT_STD or off < CAMERA_LIMITS.delay_motion:
         return
     yield Remark(
         "cameras",

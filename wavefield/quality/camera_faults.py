@@ -136,22 +136,18 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
     if len(good) == len(table.pairs):
         return set(), []
     inconsistent = {name for name in table.names if not any(name in pair for pair in good)}
-    if (
-        not inconsistent
-    ):  # a wide pair of cameras may see too different pictures; each still agrees with a third
+    if not inconsistent:  # a wide pair may see too different pictures; each still agrees with a third
         return set(), []
     level = table.level()
     if swap := _swapped(table, level):
         return set(table.names), [swap]
-    remarks = []
-    for name in sorted(inconsistent):
-        partners = [n for n in table.names if n != name and n not in inconsistent] or [
-            n for n in table.names if n != name
-        ]
-        remarks.append(_explain(table, name, partners, level, count))
-    named = [remark for remark in remarks if remark.kind != "contradicts"]
-    if len(inconsistent) == len(table.names):  # nobody agrees with anybody: what is explained goes first
-        remarks = named[:1] or [_nobody(table)]
+    consistent = [name for name in table.names if name not in inconsistent]
+    remarks = [
+        _explain(table, name, consistent or [n for n in table.names if n != name], level, count)
+        for name in sorted(inconsistent)
+    ]
+    if not consistent:  # nobody agrees with anybody: what is explained goes first
+        remarks = [one for one in remarks if one.kind != "contradicts"][:1] or [_nobody(table)]
     return inconsistent, remarks
 
 
@@ -177,13 +173,12 @@ def _nobody(table: ConsistencyTable) -> Remark:
 def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
     before = float(np.mean([score(found) for found in table.found.values()]))
     best, which = max(before + 0.1, level), None
-    for one, other in table.pairs:
-        if len(table.names) < 3:
-            break
+    for one, other in table.pairs if len(table.names) > 2 else ():
         turned = {one: other, other: one}
+        exchanged = {(a, b): (turned.get(a, a), turned.get(b, b)) for a, b in table.pairs}
         scores = [
-            score([table.compare((a, b), k, turned.get(a, a), turned.get(b, b)) for k in table.frames[:2]])
-            for a, b in table.pairs
+            score([table.compare(pair, k, images) for k in table.frames[:2]])
+            for pair, images in exchanged.items()
         ]
         if min(scores) > CAMERA_LIMITS.agreement / 2 and float(np.mean(scores)) > best:
             best, which = float(np.mean(scores)), (one, other)
@@ -203,24 +198,20 @@ def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """What makes a camera agree with its partners, tried at two instants."""
     frames = table.frames[:2]
-    candidates: list[tuple[float, str, str]] = []  # agreement, kind and detail
+    tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
         pair = (partner, name)
         for change in FLIPS:
-            found = [table.compare(pair, k, partner, name, change=change) for k in frames]
-            candidates.append((score(found), "mirrored", change))
+            tried["mirrored", change, partner] = [table.compare(pair, k, change=change) for k in frames]
         for later in (-2, -1, 1, 2):
-            some = [k for k in frames if 0 <= k + later < count]
-            found = [table.compare(pair, k, partner, name, later=later) for k in some]
-            candidates.append((score(found), "late" if later > 0 else "early", str(abs(later))))
-        some = [k for k in frames if abs(count - 1 - 2 * k) > 1]
-        found = [table.compare(pair, k, partner, name, later=count - 1 - 2 * k) for k in some]
-        candidates.append((score(found), "reversed", ""))
-        for other in table.names:
-            if other not in (name, partner):
-                found = [table.compare((partner, other), k, partner, name) for k in frames]
-                candidates.append((score(found), "swapped", other))
-    best, kind, detail = max(candidates, key=lambda one: one[0])
+            key = "late" if later > 0 else "early", str(abs(later)), partner
+            tried[key] = [table.compare(pair, k, later=later) for k in frames if 0 <= k + later < count]
+        mirror = {k: count - 1 - 2 * k for k in frames if abs(count - 1 - 2 * k) > 1}
+        tried["reversed", "", partner] = [table.compare(pair, k, later=n) for k, n in mirror.items()]
+        for other in (n for n in table.names if n not in pair):
+            tried["swapped", other, partner] = [table.compare((partner, other), k, pair) for k in frames]
+    scores = {key: score(found) for key, found in tried.items()}
+    (kind, detail, _), best = max(scores.items(), key=lambda one: one[1])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
     if best < max(CAMERA_LIMITS.agreement, level, 2 * now):
         return _inconsistent_pairs(table, name, now)
@@ -274,11 +265,8 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         if not inconsistent & set(pair) and any(one.fraction > 0 for one in found)
     }
     missed = {pair: rms_over_field(value) for pair, value in smooth.items()}
-    wrong = [
-        pair
-        for pair, value in missed.items()
-        if value > CAMERA_LIMITS.epipolar_error and _significance(table.found[pair]) > 4
-    ]
+    beyond = [pair for pair, value in missed.items() if value > CAMERA_LIMITS.epipolar_error]
+    wrong = [pair for pair in beyond if _significance(table.found[pair]) > 4]
     if not wrong:
         return []
     most = max(missed[pair] for pair in wrong)

@@ -33,21 +33,18 @@ class ConsistencyTable:
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # lays out its lens
             self.grounds = dict(zip(frames, pool.map(lambda k: grounds(patch_matcher, k, names), frames)))
-            pair_consistencies = list(pool.map(self._pair_consistencies, frames))
+            found = list(pool.map(lambda k: [self.compare(pair, k) for pair in self.pairs], frames))
             blurs = list(pool.map(lambda k: [blur(patch_matcher.read(name, k)) for name in names], frames))
-        self.found: dict[Pair, list[PairConsistency]] = dict(
-            zip(self.pairs, map(list, zip(*pair_consistencies)))
-        )
+        self.found: dict[Pair, list[PairConsistency]] = dict(zip(self.pairs, map(list, zip(*found))))
         self.blur: dict[str, list[float]] = dict(zip(names, map(list, zip(*blurs))))
 
-    def _pair_consistencies(self, frame: int) -> list[PairConsistency]:
-        return [self.compare(pair, frame, pair[0], pair[1]) for pair in self.pairs]
-
     def compare(
-        self, pair: Pair, frame: int, first: str, second: str, *, change: str = "", later: int = 0
+        self, pair: Pair, frame: int, images: Pair | None = None, *, change: str = "", later: int = 0
     ) -> PairConsistency:
-        """Images of two cameras through the lenses of a pair; the second changed, or of another moment."""
-        patch_matcher, a, b = self.patch_matcher, *pair
+        """Images of the cameras of a pair, or of two others through the lenses of the pair.
+        Those of the second may be changed, or of another moment.
+        """
+        patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
         one = patch_matcher.patches(first, frame, "", a)
         other = patch_matcher.patches(second, frame + later, change, b)
         ground = self.grounds[frame][first] if first == a else None
@@ -72,7 +69,7 @@ class ConsistencyTable:
         return {
             name: {
                 "blur": [round(value, 3) for value in self.blur[name]],
-                "brightness": [round(float(np.mean(self._image(name, k))), 2) for k in self.frames],
+                "brightness": [round(self._brightness(name, k), 2) for k in self.frames],
                 "coverage": [round(1 - value, 3) for value in covered(self, name)],
             }
             for name in self.names
@@ -88,8 +85,8 @@ class ConsistencyTable:
             for pair, found in self.found.items()
         }
 
-    def _image(self, name: str, frame: int) -> NDArray[np.floating]:
-        return np.asarray(self.patch_matcher.read(name, frame))
+    def _brightness(self, name: str, frame: int) -> float:
+        return float(np.asarray(self.patch_matcher.read(name, frame)).mean())
 
 
 def score(found: Sequence[PairConsistency]) -> float:

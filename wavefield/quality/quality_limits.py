@@ -29,9 +29,7 @@ class RecordLimits:
     usable_steps: float = 0.5  # fraction of the steps
     unused_frames: float = 0.02  # fraction of a camera's frames, before and after the record
     hours: float = 24.0  # duration of a record
-    uneven_interval: float = (
-        0.5  # intervals by which two frames may be further apart than their numbers state
-    )
+    uneven_interval: float = 0.5  # by which two frames may be further apart than their numbers state
     clock_drift: float = 0.1  # intervals
     discontinuity: float = 0.3  # departure of a step's continuity from 1; sound steps depart by 0.15 at most
     jitter: float = 1.0  # standard uncertainties by which jitter of the frame times makes values wrong

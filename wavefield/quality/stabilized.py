@@ -65,10 +65,6 @@ class Stabilizer:
                 del self._kept[next(iter(self._kept))]
         return self._kept[position]
 
-    def sequences(self) -> dict[str, "StabilizedFrames"]:
-        """One sequence of corrected frames for each camera, as `wavefield.measurement.measure` takes them."""
-        return {name: StabilizedFrames(self, name) for name in self.frames}
-
 
 class StabilizedFrames(Sequence[Image | None]):
     """Corrected frames of one camera."""
@@ -96,22 +92,33 @@ def corrected(
     return out, found
 
 
+def prepared(
+    images: Mapping[str, Image | None], geometry: "GridGeometry", widths: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """Images of an instant, ready for matching between cameras; those that cannot be used are left out.
+    The widths of their beads, px, are found where they are not given.
+    """
+    from wavefield.measurement import pair_surface
+    from wavefield.measurement.frame import ready, usable
+
+    out = {}
+    for name in geometry.surface_cameras:
+        image = images.get(name)
+        if image is not None and usable(image, geometry.rig[name].size):
+            flat = ready(image, geometry.sights[name].binning, widths[name] if widths else None)
+            out[name] = pair_surface.prepare(flat, name, geometry)
+    return out
+
+
 def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict[str, Array]:
     """By how much each camera's picture has moved across the sight lines, in one frame.
     (3,), px on the water: in the middle of the lattice, and what is added at its right and upper edge.
     """
     from wavefield.measurement import pair_surface
-    from wavefield.measurement.frame import ready, usable
 
-    names = geometry.surface_cameras
-    if not all(usable(images.get(name), geometry.rig[name].size) for name in names):
+    flat = prepared(images, geometry)
+    if len(flat) < len(geometry.surface_cameras):
         return {}
-    flat = {
-        name: pair_surface.prepare(
-            ready(np.asarray(images[name]), geometry.sights[name].binning), name, geometry
-        )
-        for name in names
-    }
     found: dict[str, Array] = {geometry.reference: np.zeros(3)}
     normals: list[Array] = []
     cells = np.s_[::BLOCKS_APART, ::BLOCKS_APART]

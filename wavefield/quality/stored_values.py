@@ -31,10 +31,7 @@ MAX_NOISE = 0.2  # of the variance of rises: with more, they do not predict each
 MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left out
 ELEVATION_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z
 NEIGHBOURS = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0  # a cubic through the steps k - 2, k - 1, k + 1, k + 2
-USABLE_CONTINUITY = (
-    0.7,
-    1.3,
-)  # of the record's median: outside it waves are too fast for neighbours to predict
+USABLE_CONTINUITY = (0.7, 1.3)  # of the record's median: beyond, waves are too fast to be predicted
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float) -> Array:
