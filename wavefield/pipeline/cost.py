@@ -3,7 +3,7 @@
 import shutil
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numcodecs
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from wavefield.errors import ExperimentError
 from wavefield.execution.cluster import count_workers
 from wavefield.execution.memory import peak_memory
-from wavefield.pipeline.chunk import Measured, Source, make_chunk, measure_chunk
+from wavefield.pipeline.chunk import Measured, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.pipeline.reading_speed import ReadingSpeed, measure_reading_speed
@@ -73,41 +73,26 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
     return cost, one.fields
 
 
-class _Clocked:
-    """Frames of one camera that note when each is requested."""
+@dataclass(frozen=True)
+class _Clocked(FrameSeries):
+    """Frames of one camera that note, for their windows as well, when each is requested."""
 
-    def __init__(self, source: Source) -> None:
-        self.source = source
-        self.requested: list[float] = []
-
-    def __len__(self) -> int:
-        return len(self.source)
+    requested: list[float] = field(default_factory=list)
 
     def read(self, index: int) -> Frame:
         self.requested.append(time.perf_counter())
-        return self.source.read(index)
-
-    def covered(self, index: int) -> np.ndarray | None:
-        return self.source.covered(index)
-
-    def place(self, index: int) -> str:
-        return self.source.place(index)
-
-    def window(self, start: int, stop: int) -> Source:
-        return self.source.window(start, stop)
+        return super().read(index)
 
 
 def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, float]:
     """Measure a chunk; also the seconds that a step takes once its neighbours are there."""
-    chunk = make_chunk(prepared.series, start, stop, prepared.departures)
-    clocked = {name: _Clocked(source) for name, source in chunk.sources.items()}
+    series = {name: _Clocked(**vars(one)) for name, one in prepared.series.items()}
+    chunk = make_chunk(series, start, stop, prepared.departures)
     since = time.perf_counter()
-    measured = measure_chunk(
-        replace(chunk, sources=clocked), prepared.geometry, prepared.experiment.frame_rate, prepared.model
-    )
+    measured = measure_chunk(chunk, prepared.geometry, prepared.experiment.frame_rate, prepared.model)
     whole = time.perf_counter() - since
     frames = chunk.steps + 2 * AROUND + 1
-    gaps = np.diff(next(iter(clocked.values())).requested[-frames:])
+    gaps = np.diff(next(iter(series.values())).requested[-frames:])
     # each frame is requested when all is done with those before: the first have no step to give yet
     whole_steps = gaps[2 * AROUND + 1 :]
     return measured, float(whole_steps.mean()) if whole_steps.size else whole / frames
@@ -116,7 +101,7 @@ def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, f
 def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
     """Bytes of measured fields after compression as in the store."""
     codec = numcodecs.Blosc(**COMPRESSION, shuffle=numcodecs.Blosc.SHUFFLE)
-    return sum(len(codec.encode(np.ascontiguousarray(field))) for field in fields.values())
+    return sum(len(codec.encode(np.ascontiguousarray(values))) for values in fields.values())
 
 
 def spell_size(count: float) -> str:

@@ -104,25 +104,15 @@ class Run:
 
         return self._try("experiment", load, None)
 
-    @property
-    def _experiment_folder(self) -> Path:
-        if self.experiment is not None:
-            return self.experiment.path.parent
-        return (self.experiment_path or experiment_path(self.store, self.cube.attrs)).parent
-
-    @cached_property
-    def _bare_frames(self) -> dict[str, FrameSeries]:
-        experiment = self.experiment
-        if experiment is None:
-            self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
-            return {}
-        return self._try("frames", experiment.open_frames, {})
-
     @cached_property
     def frames(self) -> dict[str, FrameSeries]:
         """The images of every camera with what is masked in them, if they are still there."""
-        frames, experiment, rig = self._bare_frames, self.experiment, self.rig
-        if not frames or experiment is None or rig is None:
+        experiment, rig = self.experiment, self.rig
+        if experiment is None:
+            self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
+            return {}
+        frames: dict[str, FrameSeries] = self._try("frames", experiment.open_frames, {})
+        if not frames or rig is None:
             return frames
         trough = -(self.recipe.get("settings", {}).get("z_range") or (-DEFAULT_TROUGH_M,))[0]
         measuring = {name: one for name, one in frames.items() if name in rig.cameras}
@@ -198,7 +188,9 @@ class Run:
     @cached_property
     def truth(self) -> xr.Dataset | None:
         """The exact fields of a simulated experiment, lazy."""
-        path = self.truth_path or self._experiment_folder / "truth" / "truth.zarr"
+        file = self.experiment_path or experiment_path(self.store, self.cube.attrs)
+        folder = (self.experiment.path if self.experiment else file).parent
+        path = self.truth_path or folder / "truth" / "truth.zarr"
         if not path.is_dir():
             self._reasons["truth"] = "the experiment is not a simulated one, or its truth is not there"
             return None

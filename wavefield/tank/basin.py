@@ -5,9 +5,8 @@ dividing each wave by the kernel's transform makes the interpolation spectrally 
 Fourier transform): the error is below 1e-6 of the field's amplitude.
 """
 
-from collections import OrderedDict
 from collections.abc import Sequence
-from threading import Lock
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,8 +51,8 @@ class Basin:
         step = min(sea.shortest / 4.0, max(MAX_STEP, extent / MIN_STEPS))
         margin = KERNEL_WIDTH // 2
         self._step = step
-        self._recent: OrderedDict[tuple[float, tuple[str, ...]], Snapshot] = OrderedDict()
-        self._lock = Lock()
+        # following beads needs the same instants again and again
+        self._recent = lru_cache(MAX_SNAPSHOTS)(self._snapshot)
         self._origin = (x[0] - margin * step, y[0] - margin * step)
         count = [int(np.ceil((hi - lo) / step)) + 2 * margin + 1 for lo, hi in (x, y)]
         kx, ky = sea.axes
@@ -63,20 +62,13 @@ class Basin:
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
         """The sea at one time, s: any of z, z_x, z_y, z_t, u, v (w is a product: make it from these)."""
-        key = (round(time, 12), tuple(names))
-        with self._lock:  # following beads needs the same instants again and again
-            if key in self._recent:
-                self._recent.move_to_end(key)
-                return self._recent[key]
+        return self._recent(round(time, 12), tuple(names))
+
+    def _snapshot(self, time: float, names: tuple[str, ...]) -> "Snapshot":
         values = self.sea.sums(self._ex, self._ey, time, names)
         offset = [self.sea.current["uv".index(name)] if name in ("u", "v") else 0.0 for name in names]
         stacked = np.stack([values[name] for name in names])
-        made = Snapshot(stacked, np.array(offset), self._origin, self._step)
-        with self._lock:
-            self._recent[key] = made
-            while len(self._recent) > MAX_SNAPSHOTS:
-                self._recent.popitem(last=False)
-        return made
+        return Snapshot(stacked, np.array(offset), self._origin, self._step)
 
 
 class Snapshot:

@@ -51,9 +51,7 @@ def meet(camera: Camera, snapshot: Snapshot, reach: float) -> Seen:
     rows, columns = np.arange(0, height, COARSE), np.arange(0, width, COARSE)
     # every few pixels the sight line is followed down; from there Newton's steps of Z(x_a + D z) - z
     start = _first_crossing(camera, snapshot, reach, x[rows[:, None], columns], y[rows[:, None], columns])
-    z = np.full(x.shape, np.nan)
-    nearest = (np.arange(height) // COARSE)[:, None], np.arange(width) // COARSE
-    z = start[nearest]
+    z = start[(np.arange(height) // COARSE)[:, None], np.arange(width) // COARSE]
     dx, dy = camera.sight_line(x, y)
     z_x = z_y = np.zeros_like(z)
     for _ in range(NEWTON_STEPS):
@@ -73,7 +71,7 @@ def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, 
         crossed = np.isnan(out) & (over <= 0) & (above > 0)
         step = levels[0] - levels[1]
         with np.errstate(invalid="ignore", divide="ignore"):
-            out = np.where(crossed, level + step * over / (over - above) * -1.0, out)
+            out = np.where(crossed, level - step * over / (over - above), out)
         above = over
     return out
 

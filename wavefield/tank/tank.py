@@ -177,8 +177,9 @@ class Tank:
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z",))
         x, y = texture.cast(_shifted(self.rig[name], fault.shift), snapshot)
-        if settings.carried:
-            x, y = self._origin(x, y, frame)
+        if settings.carried:  # to where the water was at the first frame
+            drift = self._drift_since_start(frame)
+            x, y = x + drift[0].ev(y, x), y + drift[1].ev(y, x)
         image = settings.mean + settings.contrast * self._paint(x, y)
         return gaussian_filter(image, fault.defocus, mode="nearest") if fault.defocus else image
 
@@ -187,21 +188,18 @@ class Tank:
         """Textures of ripples, and coarser ones of foam, grains of two sizes each."""
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
-        kinds = [[settings.mesh * 2 ** (kind + size) for size in range(2)] for kind in range(2)]
-        return tuple(
-            tuple(
-                texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed + 100 * kind + size)
-                for size, mesh in enumerate(meshes)
-            )
-            for kind, meshes in enumerate(kinds)
-        )
+
+        def paint(kind: int, size: int) -> texture.Paint:
+            mesh, seed = settings.mesh * 2 ** (kind + size), self.scene.seed + 100 * kind + size
+            return texture.Paint(self.basin.x, self.basin.y, mesh, seed)
+
+        return tuple((paint(kind, 0), paint(kind, 1)) for kind in range(2))
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
         """Light of the open sea and of the sky on the pixels of a camera."""
         camera = self.rig_at(frame)[name]
-        seen = sea_surface.meet(
-            camera, self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y")), self.sea.reach
-        )
+        snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
+        seen = sea_surface.meet(camera, snapshot, self.sea.reach)
         moved = self._drift_since_start(frame)
         far = float(np.hypot(*view_on_water(camera).T).max())
         ripples, foam = (
@@ -217,11 +215,6 @@ class Tank:
             return self.rig
         pitch, roll = self._sway * np.sin(2 * np.pi * self.frame_time(frame) / SWAY_PERIODS + [0.4, 1.3])
         return rigs.swayed(self.rig, pitch, roll)
-
-    def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
-        """Position at the first frame of the water now at (x, y): followed backwards from a lattice."""
-        drift = self._drift_since_start(frame)
-        return x + drift[0].ev(y, x), y + drift[1].ev(y, x)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
         """Position at the first frame minus that at a frame, along x and y, followed from frame to frame."""

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +19,15 @@ from wavefield.atomic_write import NEW_FILE, write_text
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.rig import Rig
-from wavefield.tank.beads import BeadField
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Sheet
-from wavefield.tank.simulated_probes import write_probes
-from wavefield.tank.tank import Tank
+from wavefield.tank.sea import Sea
+from wavefield.tank.tank import GreyImage, Tank
 from wavefield.tank.truth import Truth
 from wavefield.variables import CUBE_DIMS, annotate
 
 Progress = Callable[[int, int], None]
-Task = tuple[Callable[..., None], *tuple[object, ...]]
+Drawing = Callable[[], GreyImage]
 
 CHUNK_STEPS = 32  # of the truth: a long record needs little memory
 TASKS_PER_WORKER = 4  # that wait at once: beads of many frames would fill the memory
@@ -95,37 +95,33 @@ def simulate(
     return directory / "experiment.yaml"
 
 
-def _drawings(tank: Tank, directory: Path) -> Iterator[Task]:
-    """One task per image; the beads of a frame are moved when its first image is due."""
+def _drawings(tank: Tank, directory: Path) -> Iterator[tuple[Path, Drawing]]:
+    """The file of each image, and what draws it; beads are moved when the first image of a frame is due."""
     for pose in tank.target_poses:
         for camera in tank.rig:
-            yield _draw_target, tank, directory, camera, pose
+            yield directory / "calib" / camera / f"{pose}.tif", partial(tank.target_image, pose, camera)
     for frame in range(tank.scene.frames):
         for camera in tank.rig:
-            yield _draw_frame, tank, directory, camera, frame, tank.beads(camera, frame)
+            drawing = partial(tank.draw, camera, frame, tank.beads(camera, frame))
+            yield directory / camera / f"img_{frame:05d}.tif", drawing
 
 
 def _draw(
-    tasks: Iterable[Task], pool: ThreadPoolExecutor, most: int, report_progress: Callable[[], None]
+    drawings: Iterable[tuple[Path, Drawing]],
+    pool: ThreadPoolExecutor,
+    most: int,
+    report_progress: Callable[[], None],
 ) -> None:
-    """Run tasks in order, at most so many at once."""
+    """Draw and write images in order, at most so many at once."""
     waiting: deque[Future[None]] = deque()
-    for function, *arguments in tasks:
+    for path, drawing in drawings:
         if len(waiting) == most:
             waiting.popleft().result()
             report_progress()
-        waiting.append(pool.submit(function, *arguments))
+        waiting.append(pool.submit(lambda path, drawing: write_image(path, drawing()), path, drawing))
     for drawn in waiting:
         drawn.result()
         report_progress()
-
-
-def _draw_target(tank: Tank, directory: Path, camera: str, pose: str) -> None:
-    write_image(directory / "calib" / camera / f"{pose}.tif", tank.target_image(pose, camera))
-
-
-def _draw_frame(tank: Tank, directory: Path, camera: str, frame: int, beads: BeadField | None) -> None:
-    write_image(directory / camera / f"img_{frame:05d}.tif", tank.draw(camera, frame, beads))
 
 
 def _write_truth(
@@ -200,7 +196,21 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
     tank.rig.save(directory / "truth" / "rig.yaml")
     write_text(directory / "truth" / "target.yaml", _yaml(_target_truth(tank), 110), NEW_FILE)
     if scene.probes.positions:
-        write_probes(directory / "probes.csv", scene, tank.sea)
+        _write_probes(directory / "probes.csv", scene, tank.sea)
+
+
+def _write_probes(path: Path, scene: Scene, sea: Sea) -> None:
+    """Write the record of a scene's probes, with their noise, as CSV: seconds and metres."""
+    settings = scene.probes
+    times = np.arange(int(scene.frames / scene.frame_rate * settings.rate) + 1) / settings.rate
+    x, y = np.array(list(settings.positions.values()), float).T
+    z = np.array([sea.at(x, y, time, ("z",))["z"] for time in times + scene.start])
+    z += settings.noise * np.random.default_rng([scene.seed, 10]).standard_normal(z.shape)
+    lines = [f"# {name} {x:.6g} {y:.6g}" for name, (x, y) in settings.positions.items()]
+    lines.append(",".join(["time", *settings.positions]))
+    for time, row in zip(times, z, strict=True):
+        lines.append(",".join(f"{value:.6f}" for value in (time, *row)))
+    write_text(path, "\n".join(lines) + "\n", NEW_FILE)
 
 
 def _yaml(data: dict[str, object], width: int) -> str:

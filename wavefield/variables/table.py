@@ -91,7 +91,10 @@ def _one(array: "xr.DataArray", row: Variable) -> Any:
     kind = np.dtype(row.dtype).kind
     if not (array.dtype.kind == kind or (kind == "f" and array.dtype.kind in "iu")):
         raise CubeError(f"{row.name!r} has type {array.dtype}, expected {row.dtype}")
-    array = array.transpose(*row.dims)
+    return _in_units(array.transpose(*row.dims), row)
+
+
+def _in_units(array: "xr.DataArray", row: Variable) -> Any:
     given = array.attrs.get("units")
     if not row.units or given in (None, row.units):
         return array
@@ -108,17 +111,6 @@ def _lazy(array: "xr.DataArray") -> Any:
     return array if array.chunks is not None or array._in_memory else array.chunk({array.dims[0]: _PIECE})
 
 
-def _clocked(coordinate: "xr.DataArray", row: Variable) -> Any:
-    scale = factor(str(coordinate.attrs.get("units", row.units)), row.units)
-    if scale is None:
-        raise CubeError(
-            f"{row.name!r} is in {coordinate.attrs['units']!r}, which is no {row.units!r}: convert it first"
-        )
-    if scale == 1:
-        return coordinate
-    return (coordinate * scale).assign_attrs(coordinate.attrs | {"units": row.units})
-
-
 def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
     """Check that a dataset holds variables as the table has them, and convert their units (cm to m).
     The door of every room; CubeError if one is absent or does not fit.
@@ -129,15 +121,13 @@ def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
         if name not in dataset:
             raise CubeError(f"the dataset has no {name!r} ({row.long_name})")
         out[name] = _one(dataset[name], row)
-    fields = [
-        name for name in names if np.dtype(TABLE[name].dtype).kind == "f" and name not in dataset.coords
-    ]
+    variables = [name for name in names if name not in dataset.coords]
+    fields = [name for name in variables if np.dtype(TABLE[name].dtype).kind == "f"]
     if fields:
         common = np.result_type(*(out[name].dtype for name in fields), np.float32)
         for name in fields:
             if out[name].dtype != common:
                 out[name] = _lazy(out[name]).astype(common)
-    kept: xr.Dataset = dataset[[name for name in names if name not in dataset.coords]]
-    kept = kept.assign({name: array for name, array in out.items() if name not in dataset.coords})
+    kept: xr.Dataset = dataset[variables].assign({name: out[name] for name in variables})
     axes = [name for name in CUBE_DIMS if name in kept.coords and kept[name].dtype.kind in "fiu"]
-    return kept.assign_coords({name: _clocked(kept[name], TABLE[name]) for name in axes})
+    return kept.assign_coords({name: _in_units(kept[name], TABLE[name]) for name in axes})

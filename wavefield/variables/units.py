@@ -5,24 +5,11 @@ import re
 _TOKEN = re.compile(r"^([A-Za-z_]+|%)(?:\^|\*\*)?(-?\d+)?$")
 # spellings of units: factor and base unit
 _KNOWN = {
-    "m": (1.0, "m"),
-    "metre": (1.0, "m"),
-    "metres": (1.0, "m"),
-    "meter": (1.0, "m"),
-    "meters": (1.0, "m"),
-    "cm": (1e-2, "m"),
-    "mm": (1e-3, "m"),
-    "um": (1e-6, "m"),
-    "km": (1e3, "m"),
-    "s": (1.0, "s"),
-    "sec": (1.0, "s"),
-    "second": (1.0, "s"),
-    "seconds": (1.0, "s"),
-    "ms": (1e-3, "s"),
-    "min": (60.0, "s"),
-    "pixel": (1.0, "pixel"),
-    "pixels": (1.0, "pixel"),
-    "px": (1.0, "pixel"),
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (1.0, "m")),
+    **{"cm": (1e-2, "m"), "mm": (1e-3, "m"), "um": (1e-6, "m"), "km": (1e3, "m")},
+    **dict.fromkeys(("s", "sec", "second", "seconds"), (1.0, "s")),
+    **{"ms": (1e-3, "s"), "min": (60.0, "s")},
+    **dict.fromkeys(("pixel", "pixels", "px"), (1.0, "pixel")),
 }
 
 
