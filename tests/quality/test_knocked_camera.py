@@ -29,7 +29,7 @@ def test_and_is_turned_back_where_that_is_asked_for(knocked, tmp_path):
     assert abs(shift[0, KNOCKED:] - 0.5).max() < 0.1
     assert abs(shift[0, :KNOCKED]).max() < 0.05
     assert abs(shift[1:]).max() < 0.05
-    left = camera_motion(state.store).low
+    left = camera_motion(open_cube(state.store)).low
     assert max(rms_over_field(one) for one in left) < 0.03
     (note,) = [r for r in state.verdict.remarks if r.kind == "turned back" and r.subject == "cam1"]
     assert note.values["frame"] == KNOCKED

@@ -26,7 +26,7 @@ from wavefield.quality.field_remarks import (
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
-from wavefield.quality.stored_values import remark_on_stored_values
+from wavefield.quality.stored_values import COMPARED, remark_on_stored_values
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.ledger import Status
@@ -85,18 +85,20 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
     """The verdict on a cube whose run has ended."""
     experiment, series = prepared.experiment, prepared.series
     faults, cube = compare_cameras(prepared), open_without_jitter(status.store)
-    sample = cube[["z", "eps_piv", "w", "w_std", "quality"]]
+    sample = cube[[*COMPARED, "eps_piv", "quality"]]
     sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
+    sheet = prepared.geometry.settings.sheet_thickness is not None
+    comparable = status.done >= LIMITS.steps_compared and not sheet
     grave = any(one.weight == "grave" for one in faults.remarks)
     remarks = [
         *faults.remarks,
-        *([] if grave else _clocks_and_mounts(prepared, status)),
+        *([] if grave else _clocks_and_mounts(prepared, cube)),
         remark_on_rest(experiment, prepared.rig, float(cube.get("z_level_std", np.nan))),
         *remark_on_recordings(experiment, series),
-        *remark_on_probes(experiment, status.store, record_span(experiment, series)),
+        *remark_on_probes(experiment, cube, record_span(experiment, series)),
         *_steps(status),
         *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
-        *_stored_values(prepared, status),
+        *(remark_on_stored_values(cube, sample) if comparable else ()),
         *_short_waves(sample, prepared),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
@@ -108,13 +110,12 @@ def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tu
     return float(times[0]), float(times[-1])
 
 
-def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
+def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Remark]:
     """Remarks on delays and motion of cameras, from the epipolar errors."""
     # of a short record, not most of its cost
     instants = min(LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6))
     yield from camera_delay.remarks(synchrony_of(prepared, instants))
-    matcher, first = _patch_matcher(prepared), prepared.first_frame
-    yield from camera_motion.remarks(status.store, prepared.geometry, prepared.record, matcher, first)
+    yield from camera_motion.remarks(cube, prepared.geometry, prepared.record, _patch_matcher(prepared))
 
 
 def _steps(status: Status) -> Iterator[Remark]:
@@ -140,14 +141,6 @@ def _steps(status: Status) -> Iterator[Remark]:
             "copy these frames again and run the same command",
             {"faulty": status.faulty, "steps": status.steps},
         )
-
-
-def _stored_values(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
-    """What the stored fields show when they are compared with each other."""
-    if status.done < LIMITS.steps_compared or prepared.geometry.settings.sheet_thickness is not None:
-        return
-    steps = evenly_spaced(status.steps, LIMITS.steps)
-    yield from remark_on_stored_values(status.store, steps, prepared.first_frame)
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:

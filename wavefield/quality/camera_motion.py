@@ -7,10 +7,10 @@ cameras: one that shakes makes it vary from step to step (tilt, roll), one that 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
@@ -18,7 +18,6 @@ from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.sampling import from_first_to_last
-from wavefield.store.read import open_group, open_without_jitter, read_layout
 from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
@@ -50,9 +49,8 @@ class Knock:
     size: float  # Rms over the field of what eps_y is more since, px
 
 
-def camera_motion(store: Path, steps: Sequence[int] | None = None) -> CameraMotion:
+def camera_motion(cube: xr.Dataset, steps: Sequence[int] | None = None) -> CameraMotion:
     """Fit the low-order part of eps_y at steps of a cube."""
-    cube = open_without_jitter(store)
     count, ny, nx = cube.eps_y.shape
     every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_NODES))))
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[every] for n in (nx, ny)))
@@ -95,7 +93,7 @@ def jump(low: Array) -> int | None:
     return int(cuts[best])
 
 
-def knocks(store: Path, found: CameraMotion) -> list[Knock]:
+def knocks(cube: xr.Dataset, found: CameraMotion) -> list[Knock]:
     """Jumps of a record, each dated to a frame."""
     pieces = [(0, len(found.steps))]
     cuts: list[int] = []
@@ -110,7 +108,7 @@ def knocks(store: Path, found: CameraMotion) -> list[Knock]:
     for a, at, b in zip(edges, edges[1:], edges[2:]):
         before, after = (np.median(found.low[s], axis=0) for s in (slice(a, at), slice(at, b)))
         between = range(max(int(found.steps[at - 1]) - 1, 0), int(found.steps[at]) + 1)
-        near = camera_motion(store, list(between))
+        near = camera_motion(cube, list(between))
         along = (near.low - before) @ (after - before) / float((after - before) @ (after - before))
         # a step shows the mean of its two frames: the one in which the knock falls is half way
         whole = near.steps[along > 0.75]
@@ -157,22 +155,18 @@ def who(geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, count
 
 
 def remarks(
-    store: Path,
-    geometry: "GridGeometry",
-    record: "LearnedRecord | None",
-    patch_matcher: PatchMatcher,
-    first_frame: int,
+    cube: xr.Dataset, geometry: "GridGeometry", record: "LearnedRecord | None", patch_matcher: PatchMatcher
 ) -> Iterator[Remark]:
     """Remarks on cameras that move."""
-    yield from _turned_back(store, first_frame)
+    first_frame = int(cube.frame[0])
+    yield from _turned_back(cube, first_frame)
     yield from camera_jitter(record)
-    found = camera_motion(store)
+    found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return
-    jumps = knocks(store, found)
-    count = int(open_group(store)["frame"].shape[0])
+    jumps = knocks(cube, found)
     for one in jumps:
-        name, alone = who(geometry, patch_matcher, one.frame, count)
+        name, alone = who(geometry, patch_matcher, one.frame, cube.sizes["frame"])
         off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
         yield Remark(
             name,
@@ -210,20 +204,18 @@ def camera_jitter(record: "LearnedRecord | None") -> Iterator[Remark]:
             "jitter",
             "remark" if along > CAMERA_LIMITS.motion else "note",
             f"their pictures move by {along:.3f} px from frame to frame along the line on which they are "
-            f"placed; "
-            "which of them moves cannot be determined: the uncertainties of z, u, v and w include it",
+            "placed; which of them moves cannot be determined: the uncertainties of z, u, v and w include it",
             f"less than {CAMERA_LIMITS.jitter} px",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": along},
         )
 
 
-def _turned_back(store: Path, first_frame: int) -> Iterator[Remark]:
+def _turned_back(cube: xr.Dataset, first_frame: int) -> Iterator[Remark]:
     """What was corrected, of a cube that was measured so."""
-    group = open_group(store)
-    if "camera_shift" not in group:
+    if "camera_shift" not in cube:
         return
-    for name, low in zip(read_layout(group).cameras, np.asarray(group["camera_shift"][:], float)):
+    for name, low in zip(cube.attrs["cameras"], cube.camera_shift.values.astype(float)):
         known = np.flatnonzero(np.isfinite(low).all(axis=1))
         if not known.size:
             continue

@@ -1,7 +1,6 @@
 """Compare probes with the cube, and state what to write into the experiment file where they differ."""
 
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +8,6 @@ import xarray as xr
 
 from wavefield.errors import ExperimentError
 from wavefield.series import Experiment
-from wavefield.store.read import open_without_jitter
 from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
@@ -41,11 +39,15 @@ def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> I
         )
 
 
-def compare_probes(experiment: Experiment, store: Path) -> "tuple[list[ProbeFit], float]":
-    """How the probes of an experiment fit the elevation of its cube, and the interval of its steps, s."""
+def compare_probes(experiment: Experiment, cube: xr.Dataset) -> "tuple[list[ProbeFit], float]":
+    """How the probes of an experiment fit the elevation of its cube, and the interval of its steps, s.
+    Of a long record the middle is compared, thinned in space.
+    """
     from wavefield.waves.probes.probe_fit import fit_probes  # imports all of the analysis
 
-    z = _elevation(store)
+    every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_NODES))))
+    first = max(0, (len(cube.z) - MAX_STEPS) // 2)
+    z = cube.z.isel(time=slice(first, first + MAX_STEPS), y=every, x=every).load()
     dt = float(z["time"][1] - z["time"][0]) if len(z) > 1 else 1.0
     return fit_probes(z, experiment.read_probes()), dt
 
@@ -60,17 +62,9 @@ def remark_on_fits(fits: "Iterable[ProbeFit]", dt: float) -> Iterator[Remark]:
             )
 
 
-def remark_on_probes(experiment: Experiment, store: Path, span: tuple[float, float]) -> Iterator[Remark]:
+def remark_on_probes(experiment: Experiment, cube: xr.Dataset, span: tuple[float, float]) -> Iterator[Remark]:
     """Report what is wrong with the probes of an experiment, or between them and its cube."""
     of_file = list(remark_on_probe_file(experiment, span))
     yield from of_file
     if experiment.probes and not of_file:
-        yield from remark_on_fits(*compare_probes(experiment, store))
-
-
-def _elevation(store: Path) -> xr.DataArray:
-    """z of the middle of the record, thinned in space."""
-    z: xr.DataArray = open_without_jitter(store).z
-    every = slice(None, None, max(1, int(np.sqrt(z[0].size / MAX_NODES))))
-    first = max(0, (len(z) - MAX_STEPS) // 2)
-    return z.isel(time=slice(first, first + MAX_STEPS), y=every, x=every).load()
+        yield from remark_on_fits(*compare_probes(experiment, cube))

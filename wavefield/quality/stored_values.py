@@ -6,7 +6,6 @@ None uses what the uncertainties were computed from, so that all can show where 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 
 from wavefield.quality.frame_jitter import FrameJitter, frame_jitter, step_factor
 from wavefield.quality.quality_limits import RECORD_LIMITS
-from wavefield.store.read import open_without_jitter
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -32,6 +30,9 @@ MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left
 ELEVATION_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z
 NEIGHBOURS = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0  # a cubic through the steps k - 2, k - 1, k + 1, k + 2
 USABLE_CONTINUITY = (0.7, 1.3)  # of the record's median: beyond, waves are too fast to be predicted
+
+
+COMPARED = ["z", "z_t", "u", "v", "w", "u_std", "v_std", "w_std"]  # variables whose kinematics are compared
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float) -> Array:
@@ -135,16 +136,11 @@ def _turn(velocity: Array, measured: Mask) -> float:
     return float(np.linalg.norm(change)) / max(float(np.linalg.norm(size)), 1e-12)
 
 
-def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> Iterator[Remark]:
-    """Compare the stored fields of a cube with each other: kinematics at some steps, continuity at all.
-    `first` is the number of the first frame.
-    """
-    cube = open_without_jitter(store)
-    names = ["z", "z_t", "u", "v", "w", "u_std", "v_std", "w_std"]
-    part = cube[[*names, "quality"]].isel(time=list(steps)).load()
-    measured = part.quality.values & int(Quality.MEASURED) != 0
+def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Remark]:
+    """Compare the stored fields of a cube with each other: kinematics at sampled steps, continuity at all."""
+    first, measured = int(cube.frame[0]), sample.quality.values & int(Quality.MEASURED) != 0
     spacing = float(cube.x[1] - cube.x[0])
-    misfits = kinematic_misfit({name: part[name].values for name in names}, measured, spacing)
+    misfits = kinematic_misfit({name: sample[name].values for name in COMPARED}, measured, spacing)
     if np.isfinite(misfits).any():
         misfit = float(np.nanmedian(misfits))
         if misfit > RECORD_LIMITS.kinematic_misfit:
