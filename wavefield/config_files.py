@@ -31,6 +31,8 @@ _MAX_NAME = 100  # characters
 _BROKEN_PATH = re.compile(
     r"^[A-Za-z]:[\x00-\x1f\x7f-\xa0]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]|^[^\n]*[\t\n\r][^\n]*\.\w+$"
 )
+_BACKSLASH = r"in double quotes \ begins a special character"
+_SLASH = "write / between folders, or single quotes"
 _KNOWN = "; known keys here: "
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
@@ -95,11 +97,13 @@ def make(
         wrong = unknown or [p for p in wrong if not _is_other_form(p, wrong)]
         problems = [_sentence(problem, kind, path, node, location, name) for problem in wrong]
     else:
-        problems = [
-            _not_a_number(path, [*location, *inner], name) for inner in _booleans_as_numbers(data, made)
-        ]
-        if not problems:
+        places = [[*location, *inner] for inner in _booleans_as_numbers(data, made)]
+        if not places:
             return made
+        words = " should be a number, which yes, no, on, off, true, false are not"
+        problems = [
+            (place_of(path, place) if path else name, ".".join(map(str, place)) + words) for place in places
+        ]
     raise error(_joined(list(dict.fromkeys(problems))))
 
 
@@ -115,12 +119,6 @@ def _joined(messages: Sequence[tuple[str, str]]) -> str:
     if len(messages) > _MAX_MESSAGES:
         sentences.append(f"and {len(messages) - _MAX_MESSAGES} more: is it a file of this kind at all?")
     return "; ".join(sentences)
-
-
-def _not_a_number(path: Path | None, location: Sequence[Key], name: str) -> tuple[str, str]:
-    what = ".".join(str(step) for step in location)
-    where = place_of(path, location) if path else name
-    return where, f"{what} should be a number, which yes, no, on, off, true, false are not"
 
 
 def _booleans_as_numbers(
@@ -176,8 +174,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     _measure(node, path, {})
     for value in _broken_paths(node):
         raise ExperimentError(
-            f"{path}, line {value.start_mark.line + 1}: in double quotes \\ begins a special character: "
-            f"{value.value[:60]!r}; write / between folders, or single quotes"
+            f"{path}, line {value.start_mark.line + 1}: {_BACKSLASH}: {value.value[:60]!r}; {_SLASH}"
         )
     for first, second in _twice(node):
         raise ExperimentError(
@@ -228,13 +225,11 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
     where = f", line {mark.line + 1}" if mark else ""
     problem = getattr(error, "problem", None) or "not YAML"
     if "escape" in problem:
-        return ExperimentError(
-            f"{path}{where}: in double quotes \\ begins a special character; write / between folders, or "
-            "single quotes"
-        )
+        return ExperimentError(f"{path}{where}: {_BACKSLASH}; {_SLASH}")
     if "special characters" in str(error):
-        problem = "it holds characters that are no text: is it UTF-16? save it as UTF-8"
-        return ExperimentError(f"{path}: {problem}")
+        return ExperimentError(
+            f"{path}: it holds characters that are no text: is it UTF-16? save it as UTF-8"
+        )
     return ExperimentError(f"{path}{where}: {problem}; check indentation, colons and brackets")
 
 
@@ -360,11 +355,7 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
         return "is empty; fill it in"
     if sort in ("float_parsing", "int_parsing"):
         return f"should be a number, not {value!r}"
-    return message.replace("Input should", "should") + (f", not {value!r}" if _is_short(value) else "")
-
-
-def _is_short(value: object) -> bool:
-    return value is not None and len(repr(value)) < 60
+    return message.replace("Input should", "should") + (f", not {value!r}" if len(repr(value)) < 60 else "")
 
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
@@ -381,9 +372,7 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
             names.append(step)
             annotation, example = fields[step]
             annotations = _members(annotation)
-        elif inside and (
-            isinstance(step, int) or not _is_branch(step, annotations)
-        ):  # an item, or the key of a mapping
+        elif inside and not _is_branch(step, annotations):  # an item, or the key of a mapping
             names.append(step)
             annotations, example = [m for part in inside for m in _members(part)], None
         elif not _is_branch(step, annotations) and step == location[-1]:

@@ -89,16 +89,14 @@ def temporary_credentials(folder: Path) -> Iterator[dict[str, Any]]:
             "name another store with -o"
         ) from None
     with place as name:
-        files = {}
+        tls: dict[str, Any] = {}
         for role in ("scheduler", "worker", "client"):
-            for part, text in security.get_tls_config_for_role(role).items():
-                if part in ("ca_file", "cert", "key"):
-                    files[role, part] = _write_secret(Path(name) / f"{role}.{part}.pem", text)
-        roles = {
-            role: {"cert": files[role, "cert"], "key": files[role, "key"]}
-            for role in ("scheduler", "worker", "client")
-        }
-        tls = {"ca-file": files["scheduler", "ca_file"], **roles}
+            texts = security.get_tls_config_for_role(role)
+            ca, cert, key = (
+                _write_secret(Path(name) / f"{role}.{part}.pem", texts[part])
+                for part in ("ca_file", "cert", "key")
+            )
+            tls |= {"ca-file": ca, role: {"cert": cert, "key": key}}
         comm = {"default-scheme": "tls", "require-encryption": True, "tls": tls}
         yield {"distributed": {"comm": comm}}
 
