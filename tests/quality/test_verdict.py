@@ -2,14 +2,19 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from cube_cases import HERE
 
 from wavefield.commands.cli import main
 from wavefield.images import read_image, write_image
+from wavefield.pipeline import run
 from wavefield.pipeline.run_quality import _left_out
+from wavefield.quality import camera_motion
 from wavefield.quality.field_remarks import remark_on_unresolved_waves
+from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.variables import Quality
 
 
@@ -84,6 +89,13 @@ def test_a_sound_record_stops_nothing(lab, capsys):
     assert capsys.readouterr().out.startswith("verdict: sound\n")
     assert main(["-q", "run", str(lab), *here]) == 0
     assert capsys.readouterr().out.startswith("verdict: sound\n")
+
+
+def test_the_verdict_contains_what_the_run_learned_of_its_record(tank, reference, tmp_path, monkeypatch):
+    shutil.copytree(reference, tmp_path / "cube.zarr")
+    monkeypatch.setattr(camera_motion, "CAMERA_LIMITS", replace(CAMERA_LIMITS, jitter=0.0))
+    remarks = run(tank, tmp_path / "cube.zarr", workflow=HERE).verdict.remarks
+    assert ("cameras", "jitter") in [(one.subject, one.kind) for one in remarks]
 
 
 def test_waves_that_images_do_not_resolve_are_remarked_upon_by_their_share():

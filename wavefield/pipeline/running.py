@@ -158,7 +158,17 @@ def process(
     path = lock.store
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
-            _go_on(prepared, lock, map_unordered, progress, preview_until)
+            prepared, layout = _open_or_create(prepared, path)
+            mark_complete(path, None)
+            ranges = unfinished(path, layout, prepared.series)
+            early = plan_early(prepared, path, ranges, preview_until) if preview_until and ranges else []
+            todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
+            done = layout.steps - sum(chunk.steps for chunk in todo)
+            tracker = _Tracker(layout.steps, done, progress, len(early))
+            tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
+            if todo:
+                _work_off(prepared, lock, [*early, *todo], map_unordered, tracker)
+            tracker.report("done")
         except KeyboardInterrupt as stop:
             raise RunStopped(
                 f"{stopped_by(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
@@ -177,26 +187,6 @@ def process(
         drop_early(path, open_group(path))
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
     return status(path)
-
-
-def _go_on(
-    prepared: PreparedRun,
-    lock: Lock,
-    map_unordered: MapFunction,
-    progress: ProgressFunction | None,
-    preview_until: float | None,
-) -> None:
-    path = lock.store
-    prepared, layout = _open_or_create(prepared, path)
-    mark_complete(path, None)
-    ranges = unfinished(path, layout, prepared.series)
-    early = plan_early(prepared, path, ranges, preview_until) if preview_until and ranges else []
-    todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
-    tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress, len(early))
-    tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
-    if todo:
-        _work_off(prepared, lock, [*early, *todo], map_unordered, tracker)
-    tracker.report("done")
 
 
 def _repair(path: Path) -> None:
@@ -276,11 +266,7 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
 
 
 def _work_off(
-    prepared: PreparedRun,
-    lock: Lock,
-    todo: Sequence[Chunk],
-    map_unordered: MapFunction,
-    tracker: "_Tracker",
+    prepared: PreparedRun, lock: Lock, todo: Sequence[Chunk], map_unordered: MapFunction, tracker: "_Tracker"
 ) -> None:
     path = lock.store
     work = Work(path, prepared.geometry, prepared.model, measured_rate(open_group(path)))
