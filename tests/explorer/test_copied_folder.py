@@ -43,7 +43,7 @@ def measured(folder, place="cube.zarr", **changed):
 
 def save_mask(store):
     """Save a mask on the page of a cube; returns what it prints."""
-    panel = MaskPanel(LookSession.open(store), lambda: None)
+    panel = MaskPanel(LookSession(store), lambda: None)
     for corner in ((0, 0), (0.1, 0), (0, 0.1)):
         panel.add("water", corner)
     panel._save()

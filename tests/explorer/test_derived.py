@@ -8,10 +8,10 @@ from explorer_cases import create_cube, make_cube, write_cube_block
 
 from wavefield.errors import StoreError
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.derived_series import derived_series
 from wavefield.explorer.place import Place
 from wavefield.explorer.save import as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server
+from wavefield.explorer.whole_record import derived_series
 from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
 from wavefield.waves import kinematics

@@ -12,11 +12,10 @@ import pytest
 import xarray as xr
 
 from wavefield.errors import ExperimentError
-from wavefield.explorer import learner as learning
+from wavefield.explorer import live_measurement as learning
 from wavefield.explorer.features import bead_size, frame_features
 from wavefield.explorer.follow_page import lights_table
 from wavefield.explorer.follower import Follower
-from wavefield.explorer.learner import Learner
 from wavefield.explorer.lights import (
     HISTORY_S,
     LightHistory,
@@ -24,6 +23,7 @@ from wavefield.explorer.lights import (
     arrival_lights,
     red_lights,
 )
+from wavefield.explorer.live_measurement import Learner
 from wavefield.explorer.watch import FolderWatch
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -399,7 +399,7 @@ def test_a_background_is_subtracted_as_in_a_run_before_a_step_is_measured(small_
         return measure(images, *rest)
 
     seen = []
-    monkeypatch.setattr("wavefield.measurement.measure", spy)
+    monkeypatch.setattr(learning, "measure", spy)
     follower = with_background(tmp_path, small_tank, lambda floor: floor)
     series = follower.experiment.open_frames()
     for name in CAMERAS:

@@ -13,7 +13,7 @@ from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import colour_limits, palette, streamlines
 from wavefield.explorer.place import COLOUR_MAPS, Place
 from wavefield.explorer.save import map_of
-from wavefield.explorer.time_averages import AverageRequest, averages, index_of, phases_of
+from wavefield.explorer.whole_record import AverageRequest, averages, index_of, phases_of
 
 X, Y = np.linspace(-0.5, 0.5, 41), np.linspace(-0.4, 0.4, 33)
 GX, GY = np.meshgrid(X, Y)

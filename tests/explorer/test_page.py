@@ -14,12 +14,12 @@ from wavefield.explorer.look_page import LookPage
 from wavefield.explorer.place import TABS, Place
 from wavefield.explorer.server import middle_node
 from wavefield.explorer.session import LookSession
-from wavefield.explorer.time_averages import request_of
+from wavefield.explorer.whole_record import request_of
 from wavefield.store.verdict import Remark, Verdict
 
 
 def build(path, place=None):
-    session = LookSession.open(path)
+    session = LookSession(path)
     session.record.preview.load()
     page, document = LookPage(session, place or Place()), Document()
     page.attach(document)
@@ -63,7 +63,7 @@ def test_a_place_is_shown_at_once(cube):
 
 
 def test_it_opens_at_the_measured_node_nearest_to_the_middle(cube):
-    record = LookSession.open(cube).record
+    record = LookSession(cube).record
     x, y = middle_node(record, 0)
     assert abs(x - record.x.mean()) <= 0.026
     assert abs(y - record.y.mean()) <= 0.026
@@ -153,7 +153,7 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(cube, tmp_path):
     path = tmp_path / "cube.zarr"
     make_cube(path)
     next((path / "w" / "c").glob("0/0/0")).write_bytes(b"nonsense")
-    page, document = LookPage(LookSession.open(path), Place(step=1)), Document()
+    page, document = LookPage(LookSession(path), Place(step=1)), Document()
     page.attach(document)
     assert "w of steps 0 to 39 is lost" in page.header.state.text
     page.change(step=50)

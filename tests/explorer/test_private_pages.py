@@ -143,7 +143,7 @@ def own(tmp_path):
     """The page of a cube with its experiment file, and that file."""
     path = experiment_file(tmp_path)
     make_cube(tmp_path / "cube.zarr", experiment_file="experiment.yaml", rig={})
-    page, document = LookPage(LookSession.open(tmp_path / "cube.zarr"), Place()), Document()
+    page, document = LookPage(LookSession(tmp_path / "cube.zarr"), Place()), Document()
     page.attach(document)
     return page, document, path
 
@@ -155,7 +155,7 @@ def test_probes_that_cannot_be_read_are_reported(tmp_path, text):
     if text is not None:
         (tmp_path / "gauges.csv").write_text(text)
     make_cube(tmp_path / "cube.zarr", experiment_file="experiment.yaml")
-    page = LookPage(LookSession.open(tmp_path / "cube.zarr"), Place())
+    page = LookPage(LookSession(tmp_path / "cube.zarr"), Place())
     page.attach(Document())
     assert "gauges.csv" in page.header.state.text
 
@@ -264,7 +264,7 @@ def shown(tmp_path_factory):
             into += found
 
     def page_of(**parts):
-        session = LookSession.open(folder / "cube.zarr")
+        session = LookSession(folder / "cube.zarr")
         vars(session.run).update(parts)
         page, document = LookPage(session, Place(node=(0.0, 0.0))), Document()
         page.attach(document)
@@ -366,6 +366,6 @@ def test_an_experiment_of_other_images_is_not_edited(tmp_path):
         tmp_path / "cube.zarr", experiment_file="experiment.yaml",
         recipe='{"images": {"cam1": ["other/img_{frame:05d}.tif", 0, null]}}',
     )  # fmt: skip
-    session = LookSession.open(tmp_path / "cube.zarr")
+    session = LookSession(tmp_path / "cube.zarr")
     assert session.run.experiment is None
     assert f"{path} is not the experiment of" in session.run.reason("experiment")

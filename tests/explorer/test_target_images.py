@@ -38,7 +38,7 @@ def page(tmp_path, tank_rig):
     )
     rig = {name: tank_rig[name].to_dict() for name in ("cam1", "cam2")}
     make_cube(tmp_path / "cube.zarr", rig=rig, experiment_file=str(tmp_path / "experiment.yaml"))
-    session = LookSession.open(tmp_path / "cube.zarr")
+    session = LookSession(tmp_path / "cube.zarr")
     out, document = LookPage(session, Place(tab="cameras")), Document()
     out.attach(document)
     return out

@@ -90,7 +90,7 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     from wavefield.explorer.session import LookSession
     from wavefield.store.ledger_files import check_chunks
 
-    session = LookSession.open(find_cube(source, run), waves)
+    session = LookSession(find_cube(source, run), waves)
     record = session.record
     try:
         check_chunks(record.path, record.group, record.layout)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from bokeh.events import Tap
 from bokeh.layouts import column, row
-from bokeh.models import Range1d, Select
+from bokeh.models import ColumnDataSource, Range1d, Select
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -43,12 +43,15 @@ def shrink(image: Image, max_px: int = MAX_SCREEN_PX) -> tuple[NDArray[np.uint8]
     return np.clip((small - low) * (255.0 / max(high - low, 1e-6)), 0, 255).astype(np.uint8), factor
 
 
-def frame_columns(small: NDArray[np.uint8], factor: int) -> dict[str, list[object]]:
-    """Columns of a shrunk frame in the pixels of the camera.
+def show_frame(made: figure, source: ColumnDataSource, image: Image, max_px: int = MAX_SCREEN_PX) -> int:
+    """Show a frame, shrunk, in the pixels of the camera; returns how many of them one of the screen averages.
     Bokeh draws row 0 at y, and the axis points downwards: dh is positive.
     """
+    parts.fit_image(made, image.shape)
+    small, factor = shrink(image, max_px)
     h, w = small.shape
-    return {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
+    source.data = {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
+    return factor
 
 
 def visible_nodes(
@@ -143,7 +146,7 @@ class CameraPanel:
         series, index = self._session.run.frames[name], place.step + int(second)
         frame = series.read(index)
         self.figure.title.text = f"{name}, frame {series.first + index}"
-        self._show_image(frame.image, series.shape, frame.message)
+        self._show_image(frame.image, frame.message)
         covered = series.covered(index) if index < len(series) else None
         lines = [] if covered is None else outlines_of(covered)
         self.sources["masks"].data = {
@@ -154,25 +157,22 @@ class CameraPanel:
         if rig is not None and name in rig.cameras:
             self._show_nodes(rig[name], place, second)
 
-    def _show_image(self, image: Image | None, shape: tuple[int, ...], message: str) -> None:
-        height, width = shape
-        parts.fit_image(self.figure, width, height)
+    def _show_image(self, image: Image | None, message: str) -> None:
         if image is None:
             self.words.text = f"{message}; the other images can be shown."
+            parts.fit_image(self.figure, self._session.run.frames[parts.chosen(self.camera)].shape)
             parts.clear(self.sources["image"])
             return
-        small, factor = shrink(image)
+        factor = show_frame(self.figure, self.sources["image"], image)
         averaged = f"Every pixel here is the mean of {factor} x {factor} of the camera's."
         self.words.text = averaged if factor > 1 else ""
-        self.sources["image"].data = frame_columns(small, factor)
 
     def _show_target(self, name: str, pose: str) -> None:
         """The target in a pose, with the nodes that are found in it."""
         assert self._targets is not None
         found = self._targets.found(name, pose)
         self.figure.title.text = f"{name}, target: {pose}"
-        shape = self._session.run.frames[name].shape if found.image is None else found.image.shape
-        self._show_image(found.image, shape, found.words)
+        self._show_image(found.image, found.words)
         if found.image is not None:
             self.words.text = f"{found.words}. {self.words.text}"
         self._nodes = {}

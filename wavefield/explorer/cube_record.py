@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,8 +82,10 @@ class CubeRecord:
 
     def field(self, name: str, step: int) -> NDArray[np.float32]:
         """A variable at one step, (ny, nx), in stored units."""
+        if name in DERIVED and self.layout.steps < 2:
+            return np.full((self.y.size, self.x.size), np.nan, np.float32)
         if name in DERIVED:
-            return self._derived(name, step)
+            return np.asarray(self.derived(step, step + 1, cached=True)[name].values[0])
         with self._lock:
             if (name, step) not in self._cache:
                 self._check_chunk(name, step)
@@ -118,40 +120,24 @@ class CubeRecord:
         self._check_chunk(name, start)
         return np.asarray(previews.read_steps(self.group, name, start, stop))
 
-    def derived(self, start: int, stop: int, rows: slice = _ALL, columns: slice = _ALL) -> "xr.Dataset":
-        """The derived variables at some steps of a part of the cube, as `kinematics` gives them."""
-        from wavefield.waves.nonlinear.kinematics import kinematics
-
-        around = slice(max(start - 1, 0), min(stop + 1, self.layout.steps))
-        fields = {
-            name: previews.read_steps(self.group, name, around.start, around.stop, rows, columns)
-            for name in BALANCE
-        }
-        terms = kinematics(self.dataset(fields, around, rows, columns))
-        return terms.isel(time=slice(start - around.start, stop - around.start))
-
-    def _derived(self, name: str, step: int) -> NDArray[np.float32]:
-        from wavefield.waves.nonlinear.kinematics import kinematics
-
-        if self.layout.steps < 2:
-            return np.full((self.y.size, self.x.size), np.nan, np.float32)
-        around = range(max(step - 1, 0), min(step + 2, self.layout.steps))
-        fields = {n: np.array([self.field(n, k) for k in around]) for n in BALANCE}
-        terms = kinematics(self.dataset(fields, slice(around.start, around.stop)))
-        return np.asarray(terms[name].values[step - around.start])
-
-    def dataset(
-        self,
-        fields: Mapping[str, NDArray[np.float32]],
-        steps: slice,
-        rows: slice = _ALL,
-        columns: slice = _ALL,
+    def derived(
+        self, start: int, stop: int, rows: slice = _ALL, columns: slice = _ALL, *, cached: bool = False
     ) -> "xr.Dataset":
-        """Fields (time, y, x) of a part of the cube with their coordinates, units and names."""
+        """The derived variables at some steps of a part of the cube, as `kinematics` gives them.
+        cached: read whole fields, which stay in memory.
+        """
         import xarray as xr
 
-        coords = {"time": self.time[steps], "y": self.y[rows], "x": self.x[columns]}
-        return self.annotated(xr.Dataset({n: (CUBE_DIMS, values) for n, values in fields.items()}, coords))
+        from wavefield.waves.nonlinear.kinematics import kinematics
+
+        first, last = max(start - 1, 0), min(stop + 1, self.layout.steps)
+        if cached:
+            fields = {n: np.array([self.field(n, k) for k in range(first, last)]) for n in BALANCE}
+        else:
+            fields = {n: previews.read_steps(self.group, n, first, last, rows, columns) for n in BALANCE}
+        coords = {"time": self.time[first:last], "y": self.y[rows], "x": self.x[columns]}
+        cube = self.annotated(xr.Dataset({n: (CUBE_DIMS, values) for n, values in fields.items()}, coords))
+        return kinematics(cube).isel(time=slice(start - first, stop - first))
 
     def annotated(self, dataset: "xr.Dataset") -> "xr.Dataset":
         """Values of this cube with units, names and the length of its paths."""
@@ -249,9 +235,7 @@ class Preview:
     def _load(self, chunks: NDArray[np.intp], progress: Callable[[int, int], None] | None) -> None:
         record, bounds = self._record, self._record.layout.chunks()
         preview = self._open()
-        ready = np.zeros_like(self.loaded)
-        if preview is not None:
-            ready = previews.chunks_stored(preview, record.layout)
+        ready = previews.chunks_stored(preview, record.layout)
         for count, index in enumerate(chunks, 1):
             start, stop = bounds[index]
             try:
@@ -260,8 +244,7 @@ class Preview:
                     thinned = previews.stored_thinned(preview, start, stop)
                 if thinned is None:
                     thinned = previews.read_thinned(record.group, self.thin, start, stop)
-                    if preview is not None:
-                        self._store(start, thinned)
+                    self._store(preview, start, thinned)
             except (WavefieldError, OSError, ValueError) as error:
                 self.trouble = str(error)
                 continue
@@ -272,24 +255,19 @@ class Preview:
 
     def _open(self) -> CubeGroup | None:
         """The stored preview; it is made if there is none."""
-        record = self._record
-        preview = previews.open_preview(record.path, record.group)
-        if preview is None:
-            try:
-                previews.create_preview(record.path, record.group)
-            except StoreError as error:
-                self.trouble = f"the preview cannot be stored: {error}"
-                return None
-            preview = previews.open_preview(record.path, record.group)
-        return preview
+        path, group = self._record.path, self._record.group
+        try:
+            if previews.open_preview(path, group) is None:
+                previews.create_preview(path, group)
+        except StoreError as error:
+            self.trouble = f"the preview cannot be stored: {error}"
+        return previews.open_preview(path, group, "r+")
 
-    def _store(self, start: int, thinned: NDArray[np.int16]) -> None:
-        if self.trouble:
+    def _store(self, preview: CubeGroup | None, start: int, thinned: NDArray[np.int16]) -> None:
+        if preview is None or self.trouble:
             return
         try:
-            writable = previews.open_preview(self._record.path, self._record.group, "r+")
-            if writable is not None:
-                previews.store_thinned(self._record.path, writable, start, thinned)
+            previews.store_thinned(self._record.path, preview, start, thinned)
         except Exception as error:  # of any library that reads a damaged preview: the cube has all of it
             self.trouble = f"the preview cannot be stored: {error}"
 

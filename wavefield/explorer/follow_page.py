@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -10,14 +9,14 @@ import numpy as np
 import xarray as xr
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, LinearColorMapper, Select
+from bokeh.models import LinearColorMapper, Select
 from bokeh.plotting import figure
 from jinja2 import Environment
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
 from wavefield.explorer import plot_parts as parts
-from wavefield.explorer.camera_panel import frame_columns, shrink
+from wavefield.explorer.camera_panel import show_frame
 from wavefield.explorer.follower import FollowedSet, Follower
 from wavefield.explorer.lights import State, StatusLight, red_lights, state_runs
 from wavefield.explorer.map_fields import arrows, palette, top_speed
@@ -52,37 +51,27 @@ def lights_table(lights: tuple[StatusLight, ...], history: History = ()) -> str:
     return template.render(cameras=cameras, names=names, cells=cells, others=others, past=past)
 
 
-@dataclass
 class CameraView:
     """The newest image of one camera, with the nodes of the target in it."""
 
-    figure: figure
-    sources: dict[str, ColumnDataSource]
-
-    @classmethod
-    def of(cls, name: str) -> "CameraView":
-        """An empty view."""
-        sources = parts.make_sources(name, image=parts.IMAGE, nodes="x y")
-        made = parts.make_figure(
+    def __init__(self, name: str) -> None:
+        self.sources = parts.make_sources(name, image=parts.IMAGE, nodes="x y")
+        self.figure = parts.make_figure(
             f"{name}_view", tools="pan,wheel_zoom,reset", x_range=(0, 100), y_range=(100, 0),
             aspect_ratio=1.25, min_border_left=34, min_width=300, title=name,
         )  # fmt: skip
-        made.grid.grid_line_color = None
-        parts.keep_pixels_square(made)
-        made.image("image", source=sources["image"], color_mapper=parts.grey_mapper())
-        made.scatter(
-            "x", "y", source=sources["nodes"], marker="cross", size=8, line_color=parts.SKY, line_width=1.6
-        )
-        return cls(made, sources)
+        self.figure.grid.grid_line_color = None
+        parts.keep_pixels_square(self.figure)
+        self.figure.image("image", source=self.sources["image"], color_mapper=parts.grey_mapper())
+        cross = {"marker": "cross", "size": 8, "line_color": parts.SKY, "line_width": 1.6}
+        self.figure.scatter("x", "y", source=self.sources["nodes"], **cross)
 
     def show(self, image: NDArray[Any], nodes: NDArray[np.float64] | None = None) -> None:
         """Show an image, with nodes (n, 2) in its pixels."""
-        self.sources["image"].data = frame_columns(*shrink(image, _MAX_CAMERA_PX))
+        show_frame(self.figure, self.sources["image"], image, _MAX_CAMERA_PX)
         x, y = ([], []) if nodes is None else nodes.T
         if len(x) or len(self.sources["nodes"].data["x"]):
             self.sources["nodes"].data = {"x": x, "y": y}
-        height, width = image.shape
-        parts.fit_image(self.figure, width, height)
 
 
 class FollowPage:
@@ -91,8 +80,7 @@ class FollowPage:
     def __init__(self, follower: Follower, targets: TargetWatch, probes: xr.Dataset | None = None) -> None:
         self._follower, self._targets = follower, targets
         self._count = -1  # of the sets that were published, when the page was drawn
-        self._lights: tuple[StatusLight, ...] = ()
-        self._remembered = 0  # entries of the history that are drawn
+        self._lights: tuple[tuple[StatusLight, ...], int] = (), 0  # that are drawn, and of how many states
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights", "target": "target_words"}
         self.words = {key: parts.words_of(name, html=True) for key, name in names.items()}
         self.variable = Select(
@@ -107,7 +95,7 @@ class FollowPage:
             positions = {"x": probes.probe_x.values, "y": probes.probe_y.values}
             self.sources["probes"].data = positions | {"name": [str(name) for name in probes.probe.values]}
         self.map = self._draw_map()
-        self.cameras = {name: CameraView.of(name) for name in follower.experiment.cameras}
+        self.cameras = {name: CameraView(name) for name in follower.experiment.cameras}
 
     def _draw_map(self) -> figure:
         made = parts.make_figure(
@@ -159,38 +147,33 @@ class FollowPage:
             self.words["verdict"].text = _large("Waiting for frames", "#57606a", trouble)
             return
         history = list(self._follower.history.entries)
-        if latest.lights != self._lights or len(history) != self._remembered:
-            self._remembered = len(history)
+        if self._lights != (latest.lights, len(history)):
+            self._lights = latest.lights, len(history)
             self._show_lights(latest.lights, history)
         if self._follower.count != self._count:
             self._count = self._follower.count
             self._show_set(latest)
 
     def _show_lights(self, lights: tuple[StatusLight, ...], history: History) -> None:
-        self._lights = lights
         self.words["lights"].text = lights_table(lights, history)
-        red = red_lights(lights)
+        heading, colour, words = "Sound", "#007a5a", "all lights are good"
         doubtful = [f"{light.name} {light.camera}".strip() for light in lights if light.state == "doubtful"]
-        if red:
+        if doubtful:
+            heading, colour, words = "Sound with remarks", "#7a5200", f"check {', '.join(doubtful)}"
+        if red := red_lights(lights):
             cameras: dict[str, list[str]] = {}
             for light in red:
                 cameras.setdefault(light.name, []).append(light.camera)
             heading = "; ".join(f"{name} {', '.join(of)}".strip() for name, of in cameras.items())
-            verdict = _large(
-                heading, "#a83d00", _plain("; ".join(dict.fromkeys(light.words for light in red)))
-            )
-        elif doubtful:
-            verdict = _large("Sound with remarks", "#7a5200", _plain(f"check {', '.join(doubtful)}"))
-        else:
-            verdict = _large("Sound", "#007a5a", "all lights are good")
-        self.words["verdict"].text = verdict
+            colour, words = "#a83d00", "; ".join(dict.fromkeys(light.words for light in red))
+        self.words["verdict"].text = _large(heading, colour, _plain(words))
 
     def _show_set(self, latest: FollowedSet) -> None:
         delay = f"{latest.delay:.1f} s" if latest.delay < 60 else spell_time(latest.delay)
-        self.words["state"].text = (
+        words = (
             f"frame {latest.number}; measured {latest.measured}, skipped {latest.skipped}; latency {delay}"
-            f"{f'. {_plain(latest.trouble)}' if latest.trouble else ''}"
         )
+        self.words["state"].text = f"{words}. {_plain(latest.trouble)}" if latest.trouble else words
         for name, image in latest.images.items():
             self.cameras[name].show(image)
         if latest.fields:

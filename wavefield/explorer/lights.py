@@ -107,6 +107,8 @@ def summarize_step(
     misfit = np.asarray(fields["eps_piv"], float)[measured if measured.any() else valid]
     misfit = misfit[np.isfinite(misfit)]
     middle, half = 0.5 * (z_range[0] + z_range[1]), 0.5 * (z_range[1] - z_range[0])
+    series = {name: np.asarray(values)[None] for name, values in fields.items()}
+    spacing = float((x[0, -1] - x[0, 0]) / (x.shape[1] - 1))
     axes = np.stack([x[valid], y[valid], np.ones(valid.sum())], axis=1)
     slope_x, slope_y, height = map(float, np.linalg.lstsq(axes, z[valid], rcond=None)[0])
     return StepSummary(
@@ -116,16 +118,8 @@ def summarize_step(
         slope_x=slope_x,
         slope_y=slope_y,
         height=height,
-        kinematic_misfit=float(kinematic_misfit(_as_series(fields), measured[None], _spacing(x))[0]),
+        kinematic_misfit=float(kinematic_misfit(series, measured[None], spacing)[0]),
     )
-
-
-def _as_series(fields: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    return {name: np.asarray(values)[None] for name, values in fields.items()}
-
-
-def _spacing(x: Array) -> float:
-    return float((x[0, -1] - x[0, 0]) / (x.shape[1] - 1))
 
 
 @dataclass

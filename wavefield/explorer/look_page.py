@@ -20,7 +20,7 @@ from wavefield.explorer.place import AVERAGES, TABS, Place, Value
 from wavefield.explorer.plot_parts import PanelEvents, clear
 from wavefield.explorer.session import LookSession
 from wavefield.explorer.template import apply_template
-from wavefield.explorer.time_averages import AverageRequest, Field, averages, index_of, phases_of, request_of
+from wavefield.explorer.whole_record import AverageRequest, Field, averages, index_of, phases_of, request_of
 from wavefield.figures.display import display
 from wavefield.variables import FrameStatus
 

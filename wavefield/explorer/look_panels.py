@@ -47,11 +47,11 @@ class LookPanels:
         }
         bodies = self.map.figure, *(panel.body for panel in self._views.values())
         titles = [tab.capitalize() for tab in TABS]
-        self.views = make_tabs("views", TABS.index(place.tab), list(zip(titles, bodies)))
+        self.views = make_tabs("views", TABS.index(place.tab), titles, bodies)
         bodies = self.node.layout, *(panel.body for panel in self._picked.values())
         first = "line" if place.line else "area" if place.area else "node"
         titles = ["Node", "Line", "Rectangle", "Save", "Mask"]
-        self.picked = make_tabs("picked", PICKED.index(first), list(zip(titles, bodies)))
+        self.picked = make_tabs("picked", PICKED.index(first), titles, bodies)
 
     def _make_cameras(self) -> "CameraPanel":
         from wavefield.explorer.camera_panel import CameraPanel

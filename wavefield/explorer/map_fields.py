@@ -1,13 +1,12 @@
 """Fields for the screen: palettes, arrows, streamlines, relief, values in words. Arrays in, arrays out."""
 
-from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
 from bokeh import palettes
 from numpy.typing import NDArray
 
-from wavefield.figures.display import display, limit
+from wavefield.figures.display import limit
 
 _ARROWS, _STREAMS, _RELIEF = 24, 22, 80  # arrows, seeds of streamlines, nodes along the longer side
 _HEAD = 0.32  # of an arrow's length
@@ -138,14 +137,3 @@ def relief(field: Field, x: Field, y: Field) -> tuple[Field, Field, Field]:
     """A field (ny, nx) and its axes, thinned to at most 80 nodes along the longer side."""
     every = max(1, -(-max(field.shape) // _RELIEF))
     return field[::every, ::every], x[::every], y[::every]
-
-
-def readings(values: Mapping[str, float], names: Sequence[str]) -> str:
-    """Values at a node in words, with units."""
-    words = []
-    for name in names:
-        shown = display(name)
-        value = values[name] * shown.factor
-        text = f"{value:.3g}".replace("-", "\u2212") if np.isfinite(value) else "none"
-        words.append(f"{name} {text}" + (f" {shown.unit}" if shown.unit and np.isfinite(value) else ""))
-    return ", ".join(words)

@@ -10,6 +10,7 @@ from bokeh.models import (
     CustomJS,
     CustomJSHover,
     CustomJSTickFormatter,
+    FixedTicker,
     HoverTool,
     Label,
     LinearColorMapper,
@@ -141,8 +142,10 @@ class MapPanel:
         if place.show == "quality":
             fresh = parts.quality_mapper()
             self.mapper.update(palette=fresh.palette, low=fresh.low, high=fresh.high)
-            parts.label_kinds(self.bar)
-            self._name_values(place, f"return {[words for _, words, _ in KINDS]}[value] ?? 'none'")
+            words = [words for _, words, _ in KINDS]
+            ticks = FixedTicker(ticks=list(range(len(words))))
+            self.bar.update(ticker=ticks, major_label_overrides=dict(enumerate(words)))
+            self._name_values(place, f"return {words}[value] ?? 'none'")
             self.sources["image"].data = parts.image_data(drawn_kind(values), self._record.x, self._record.y)
         else:
             self._show_values(values * np.float32(display(place.show).factor), place)

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.background_reader import BackgroundReader
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.derived_series import SeriesRequest, derived_series
-from wavefield.explorer.map_fields import readings
 from wavefield.explorer.node_spectrum import NearProbe, NodeSpectrum, nearest_probe
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import number
 from wavefield.explorer.selections import nearest
+from wavefield.explorer.whole_record import derived_series
 from wavefield.figures.display import DERIVED, display
 from wavefield.figures.quality_kinds import KINDS, quality_kind
 
@@ -53,8 +52,10 @@ class NodePanel:
         for name in (*self._main, "other"):
             self.figures[name] = self._draw_series(name)
         self.spectrum = NodeSpectrum(self._main, record.frame_rate)
-        self._reader: BackgroundReader[SeriesRequest, dict[str, NDArray[np.float32]]] = BackgroundReader(
-            lambda request, progress: derived_series(record, request.j, request.i, progress),
+        # of row, column, and the steps that were done at the time of the request
+        self._reader: BackgroundReader[tuple[int, int, int], dict[str, NDArray[np.float32]]]
+        self._reader = BackgroundReader(
+            lambda request, progress: derived_series(record, *request[:2], progress),
             on_progress=lambda words: self.figures["other"].yaxis.update(axis_label=words),
             on_error=lambda words: self.words.update(text=escape(words, quote=False)),
             on_end=self._show_other,
@@ -77,10 +78,8 @@ class NodePanel:
         time = self._record.time
         x_range = next(iter(self.figures.values())).x_range if self.figures else (time[0], time[-1])
         shown = parts.chosen(self.other) if name == "other" else name
-        label = display(shown).label if shown else ""
-        made = parts.make_figure(
-            f"node_{name}_figure", height=_SERIES_PX, y_axis_label=label, x_range=x_range
-        )
+        settings = {"y_axis_label": display(shown).label if shown else "", "x_range": x_range}
+        made = parts.make_figure(f"node_{name}_figure", height=_SERIES_PX, **settings)
         if not self.figures:
             made.x_range.on_change("start", lambda attr, old, new: self._zoomed())
         made.xaxis.visible = False
@@ -117,29 +116,26 @@ class NodePanel:
     def show(self, place: Place) -> None:
         """Show the node of a place."""
         self.show_step(place)
-        if place.node is None:
-            return
-        self._node = place.node
-        self._show_series()
-        self._show_quality()
-        self._show_spectrum()
+        if self._node is not None:
+            self._show_series()
+            self._show_quality()
+            self._show_spectrum()
 
     def show_step(self, place: Place) -> None:
         """Show the values at the node at another step."""
-        record = self._record
+        record, self._node = self._record, place.node
         self.now.location = float(record.time[place.step])
-        if place.node is None:
+        if self._node is None:
             return
-        j, i = nearest(record.y, place.node[1]), nearest(record.x, place.node[0])
+        j, i = self._index(record.y, record.x)
         values = {name: float(record.field(name, place.step)[j, i]) for name in record.stored}
         kind = quality_kind(np.array([int(values.get("quality", 0))]))[0]
-        every = record.preview.thin.every
-        near = self._near()
+        every, near = record.preview.thin.every, self._near()
         self.words.text = (
             f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, "
             f"t {record.time[place.step]:.3f} s:</b> "
-            f"{', '.join(_with_std(name, values) for name in self._main)}; "
-            f"{readings(values, self._others(record.stored))}; "
+            f"{', '.join(_reading(name, values) for name in self._main)}; "
+            f"{', '.join(_reading(name, values) for name in self._others(record.stored))}; "
             f"{KINDS[kind][1] if kind < len(KINDS) else 'nothing measured'}."
             + (f" Series: nearest node of the preview (every {_ordinal(every)})." if every > 1 else "")
             + (f" Dashed: {escape(near.words, quote=False)}." if near is not None else "")
@@ -210,7 +206,7 @@ class NodePanel:
         self.figures["other"].hover.tooltips = rows
         if name in DERIVED:
             j, i = self._index(record.y, record.x)
-            found = self._reader.get(SeriesRequest(j, i, record.steps_done), self.layout.document)
+            found = self._reader.get((j, i, record.steps_done), self.layout.document)
             series = np.full(record.time.size, np.nan, np.float32) if not found else found[name]
             series = series * np.float32(shown.factor)
         else:
@@ -243,28 +239,23 @@ class NodePanel:
     def _zoomed(self) -> None:
         """Draw finer series for a narrower view."""
         document = self.layout.document
-        if (
-            self._node is None
-            or self._record.time.size <= parts.MOST_POINTS
-            or self._refining
-            or document is None
-        ):
-            return
-        self._refining = True
-        document.add_timeout_callback(self._refine, _ZOOM_DELAY_MS)
+        fine = self._record.time.size <= parts.MOST_POINTS
+        if self._node is not None and document is not None and not (fine or self._refining):
+            self._refining = True
+            document.add_timeout_callback(self._refine, _ZOOM_DELAY_MS)
 
     def _refine(self) -> None:
         self._refining = False
         self._show_series()
 
 
-def _with_std(name: str, values: dict[str, float]) -> str:
-    """The value of a variable with its uncertainty, in words."""
-    words, std = readings(values, [name]), values.get(f"{name}_std", np.nan)
-    if not np.isfinite(std) or not np.isfinite(values[name]):
-        return words
-    shown = display(name)
-    return words.replace(f" {shown.unit}", f" ± {number(std * shown.factor, 2)} {shown.unit}")
+def _reading(name: str, values: dict[str, float]) -> str:
+    """The value of a variable in words, with its uncertainty where it has one."""
+    shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
+    if not np.isfinite(value):
+        return f"{name} none"
+    more = f" ± {number(std * shown.factor, 2)}" if np.isfinite(std) else ""
+    return f"{name} {number(value * shown.factor)}{more} {shown.unit}".rstrip()
 
 
 def _ordinal(count: int) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wavefield.explorer import plot_parts as parts
 from wavefield.explorer.plot_parts import number
-from wavefield.explorer.selections import Spectrum, spectrum, spectrum_columns
+from wavefield.explorer.selections import Spectrum, spectrum
 from wavefield.figures.display import Display, display
 
 if TYPE_CHECKING:
@@ -56,13 +56,16 @@ def show_spectrum(
     made: figure, source: ColumnDataSource, found: Spectrum | None, shown: Display, words: str
 ) -> None:
     """Show a spectrum of a variable in its displayed unit; its interval is stated in words."""
-    source.data = spectrum_columns(found)
     unit = f"({shown.unit})²/Hz"
     made.yaxis.axis_label = f"E {unit}"
     made.hover.tooltips = [("frequency", "@f{0.000} Hz"), (f"E of {shown.name}", f"@e {unit}")]
-    made.title.text = "too short a record without gaps for a spectrum"
-    if found is not None:
-        made.title.text = f"{words}: {number(found.low, 2)} to {number(found.high, 2)} times"
+    if found is None:
+        parts.clear(source)
+        made.title.text = "too short a record without gaps for a spectrum"
+        return
+    e, low, high = found.density, found.low, found.high
+    source.data = {"f": found.frequency, "e": e, "low": e * low, "high": e * high}
+    made.title.text = f"{words}: {number(low, 2)} to {number(high, 2)} times"
 
 
 class NodeSpectrum:

@@ -50,7 +50,7 @@ def look(
 
     with ExitStack() as stack:
         path = stack.enter_context(stored_cube(cube))
-        session = LookSession.open(path, waves)
+        session = LookSession(path, waves)
         stack.callback(session.load().join)
         page = ServedPage(lambda: session_server(session, port))
         weakref.finalize(page, stack.pop_all().close)

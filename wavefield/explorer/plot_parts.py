@@ -14,7 +14,6 @@ from bokeh.models import (
     ColumnDataSource,
     CustomJS,
     Div,
-    FixedTicker,
     HoverTool,
     LinearColorMapper,
     NumeralTickFormatter,
@@ -161,16 +160,15 @@ class LazyPanel(Generic[P]):
         return self._made
 
 
-def make_tabs(name: str, active: int, panels: Sequence[tuple[str, UIElement]]) -> Tabs:
+def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
     """Tabs with titles, never wider than their place; hidden ones take neither room nor time."""
-    tabs = [TabPanel(child=body, title=title) for title, body in panels]
+    tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
-    bodies = [body for _, body in panels]
     for k, body in enumerate(bodies):
         body.visible = k == active
     code = "bodies.forEach((body, k) => { body.visible = k == cb_obj.active })"
-    made.js_on_change("active", CustomJS(args={"bodies": bodies}, code=code))
+    made.js_on_change("active", CustomJS(args={"bodies": list(bodies)}, code=code))
     return made
 
 
@@ -229,8 +227,9 @@ def keep_pixels_square(made: figure) -> None:
         made.js_on_change(changed, square)
 
 
-def fit_image(made: figure, width: int, height: int) -> None:
-    """Show all of an image of another size than the one before, px; the view of the same size stays."""
+def fit_image(made: figure, shape: tuple[int, ...]) -> None:
+    """Show all of an image of another shape than the one before, px; the view of the same shape stays."""
+    height, width = shape
     if made.tags != [width, height]:
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
         made.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
@@ -253,12 +252,6 @@ def colour_bar(mapper: LinearColorMapper) -> ColorBar:
         color_mapper=mapper, width=14, padding=8, margin=0, major_label_text_font_size="11px",
         ticker=BasicTicker(desired_num_ticks=7), formatter=NumeralTickFormatter(format="0.[000]"),
     )  # fmt: skip
-
-
-def label_kinds(bar: ColorBar) -> None:
-    """Name the kinds of quality on a colour bar."""
-    bar.ticker = FixedTicker(ticks=list(range(len(KINDS))))
-    bar.major_label_overrides = dict(enumerate(words for _, words, _ in KINDS))
 
 
 def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:

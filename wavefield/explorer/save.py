@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.derived_series import derived_series
 from wavefield.explorer.map_fields import arrows, colour_limits, streamlines, top_speed
 from wavefield.explorer.place import AVERAGES, MAX_MOVIE_FRAMES, Place
 from wavefield.explorer.selections import decode, interpolate, line_points, nearest, span
-from wavefield.explorer.time_averages import averages, index_of, request_of
+from wavefield.explorer.whole_record import averages, derived_series, index_of, request_of
 from wavefield.figures.display import display
 from wavefield.figures.quality_kinds import KINDS, drawn_kind
-from wavefield.figures.style import draw_map, map_panels
+from wavefield.figures.style import draw_map, file_of, map_panels
 from wavefield.variables import CUBE_DIMS
 
 MAX_FRAMES_PER_S = 25.0
@@ -73,9 +72,7 @@ def map_of(record: CubeRecord, place: Place) -> dict[str, NDArray[np.float32]]:
 
 def picture(record: CubeRecord, place: Place, kind: str) -> bytes:
     """The map as a PNG or SVG file."""
-    out = io.BytesIO()
-    draw(record, place).savefig(out, format=kind, dpi=160)
-    return out.getvalue()
+    return file_of(draw(record, place), kind, dpi=160)
 
 
 def movie(record: CubeRecord, place: Place, encode: Callable[[Pictures, float], bytes], frames: int) -> bytes:

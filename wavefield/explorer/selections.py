@@ -42,14 +42,6 @@ class Spectrum:
     high: float
 
 
-def spectrum_columns(found: Spectrum | None) -> dict[str, Array]:
-    """Columns `f`, `e`, `low`, `high` for drawing; empty without a spectrum."""
-    if found is None:
-        return dict.fromkeys(("f", "e", "low", "high"), np.empty(0))
-    e = found.density
-    return {"f": found.frequency, "e": e, "low": e * found.low, "high": e * found.high}
-
-
 def longest_run(values: Array) -> Array:
     """Longest stretch of a series (n,) without a gap of more than two steps; shorter ones are filled."""
     finite = np.flatnonzero(np.isfinite(values))

@@ -1,7 +1,7 @@
 """What all pages of one server share: the cube, its preview in memory, and what belongs to it."""
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,18 +14,13 @@ if TYPE_CHECKING:
     from wavefield.pipeline import Run
 
 
-@dataclass
 class LookSession:
-    """A cube that is shown, finished or not."""
+    """A cube that is shown, finished or not, also one of which a part is damaged or absent."""
 
-    record: CubeRecord
-    waves_path: Path
-
-    @classmethod
-    def open(cls, path: str | Path, waves: str | Path | None = None) -> "LookSession":
-        """Open a cube, also one of which a part is damaged or absent: the pages show the others."""
-        record = CubeRecord(path)
-        return cls(record, Path(waves) if waves is not None else beside(record.path, "waves", ".zarr"))
+    def __init__(self, path: str | Path, waves: str | Path | None = None) -> None:
+        self.record = CubeRecord(path)
+        usual = beside(self.record.path, "waves", ".zarr")
+        self.waves_path = Path(waves) if waves is not None else usual
 
     @cached_property
     def run(self) -> "Run":

@@ -148,9 +148,7 @@ class WavePanel:
             return
         session = self._session
         try:
-            if (
-                session.run.waves is None and session.run.waves_path.is_dir()
-            ):  # written since the page was opened
+            if session.run.waves is None and session.run.waves_path.is_dir():  # written meanwhile
                 session.reopen()
             self._spectra = session.run.wave_group("spectra")
         except StoreError as error:
@@ -176,9 +174,8 @@ class WavePanel:
         for key in ("spectrum", "coherence"):
             self.figures[key].x_range.update(start=0, end=min(float(cycles[-1]), 1.25 * shortest))
         self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
-        self.figures[
-            "spectrum"
-        ].title.text = f"log₁₀ of E(k, ω) of {parts.chosen(self.variable)}, relative to its largest"
+        title = f"log₁₀ of E(k, ω) of {parts.chosen(self.variable)}, relative to its largest"
+        self.figures["spectrum"].title.text = title
         self._show_relation()
         self._show_map()
 
@@ -199,20 +196,16 @@ class WavePanel:
         self._show_map()
 
     def _show_map(self) -> None:
-        spectra = self._spectra
-        names = [
-            name
-            for name in (parts.chosen(self.variable), "w")
-            if spectra is not None and _MAP + name in spectra
-        ]
-        if spectra is None or not names:
+        spectra, names = self._spectra, (parts.chosen(self.variable), "w")
+        name = next((name for name in names if spectra is not None and _MAP + name in spectra), None)
+        if spectra is None or name is None:
             return
-        energy = spectra[_MAP + names[0]].isel(omega_map=self._chosen).transpose("ky", "kx")
+        energy = spectra[_MAP + name].isel(omega_map=self._chosen).transpose("ky", "kx")
         kx, ky = energy.kx.values / (2 * np.pi), energy.ky.values / (2 * np.pi)
         self.sources["plane"].data = parts.image_data(log_density(energy.values), kx, ky)
         hertz = float(energy.omega_map) / (2 * np.pi)
         self.picked.location = hertz
-        self.figures["map"].title.text = f"E(kx, ky) of {names[0]} at {number(hertz)} Hz, the nearest stored"
+        self.figures["map"].title.text = f"E(kx, ky) of {name} at {number(hertz)} Hz, the nearest stored"
         self._show_circle()
         self._show_directions(float(energy.omega_map))
 

@@ -49,9 +49,14 @@ class NotebookFigure(Figure):
     """A figure that a notebook shows by itself, whatever its backend."""
 
     def _repr_png_(self) -> bytes:
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=100)
-        return buffer.getvalue()
+        return file_of(self, dpi=100)
+
+
+def file_of(figure: Figure, kind: str = "png", **settings: Any) -> bytes:
+    """A figure as the content of a PNG or SVG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, **settings)
+    return buffer.getvalue()
 
 
 def panels(

@@ -8,6 +8,7 @@ be removed at any time: `read_thinned` thins the cube itself, and `wavefield loo
 import math
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -164,12 +165,12 @@ def stored_thinned(preview: CubeGroup, start: int, stop: int) -> NDArray[np.int1
     return thinned if zlib.crc32(thinned.tobytes()) == kept else None
 
 
-def chunks_stored(preview: CubeGroup, layout: StoreLayout) -> NDArray[np.bool_]:
-    """Which chunks the preview's ledger calls done; none where it cannot be read."""
-    try:
-        return chunks_done(np.asarray(preview["done"][:]), layout)
-    except Exception:  # as above
-        return np.zeros(len(layout.chunks()), bool)
+def chunks_stored(preview: CubeGroup | None, layout: StoreLayout) -> NDArray[np.bool_]:
+    """Which chunks the preview's ledger calls done; none without it, and where it cannot be read."""
+    with suppress(Exception):  # as above
+        if preview is not None:
+            return chunks_done(np.asarray(preview["done"][:]), layout)
+    return np.zeros(len(layout.chunks()), bool)
 
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:

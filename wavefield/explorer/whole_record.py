@@ -1,6 +1,6 @@
-"""Mean, rms and phase averages of the variables over the steps of a cube, at every node."""
+"""What takes all steps of a cube: averages over time at every node, series of derived variables at one."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -8,10 +8,13 @@ from numpy.typing import NDArray
 
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.place import Place
+from wavefield.figures.display import DERIVED
 
 MIN_STEPS = 2  # measured at a node, for a mean
 MAX_PHASES = 24  # of a period
+_REACH = 3  # nodes on either side of one that differences of sixth order use
 Field = NDArray[np.float32]
+Progress = Callable[[float], None] | None  # takes the fraction that is done
 
 
 class AverageRequest(NamedTuple):
@@ -41,7 +44,7 @@ def index_of(record: CubeRecord, place: Place) -> int | None:
 
 
 def averages(
-    record: CubeRecord, request: AverageRequest, progress: Callable[[float], None] | None = None
+    record: CubeRecord, request: AverageRequest, progress: Progress = None
 ) -> dict[str, list[Field]]:
     """Averages of variables over all measured steps, (ny, nx), in stored units, chunk by chunk.
     Mean, and rms about it, at nodes that were measured twice; or, for a period, the mean at each phase.
@@ -54,17 +57,13 @@ def averages(
         weights = phase_weights(2 * np.pi * record.time / request.period, phases).T
     shape = 3, len(weights), record.y.size, record.x.size
     sums = {name: np.zeros(shape) for name in request.names}  # of 1, of values, of their squares
-    chunks = record.layout.chunks()
-    for number, (start, stop) in enumerate(chunks):
-        if record.ledger[start:stop].any():
-            for name, total in sums.items():
-                values = np.asarray(record.steps(name, start, stop), np.float64)
-                measured = np.isfinite(values)
-                values[~measured] = 0.0
-                for k, part in enumerate((measured.astype(float), values, values**2)):
-                    total[k] += np.tensordot(weights[:, start:stop], part, 1)
-        if progress is not None:
-            progress((number + 1) / len(chunks))
+    for start, stop in _measured_chunks(record, progress):
+        for name, total in sums.items():
+            values = np.asarray(record.steps(name, start, stop), np.float64)
+            measured = np.isfinite(values)
+            values[~measured] = 0.0
+            for k, part in enumerate((measured.astype(float), values, values**2)):
+                total[k] += np.tensordot(weights[:, start:stop], part, 1)
     least = 0.5 if request.period else MIN_STEPS
     out = {}
     for name, (count, total, squares) in sums.items():
@@ -79,3 +78,27 @@ def averages(
 def phases_of(period: float, frame_rate: float) -> int:
     """Phases of a period, s: no more than it holds steps, so that each is measured."""
     return min(MAX_PHASES, max(int(period * frame_rate + 1e-6), 1))
+
+
+def derived_series(record: CubeRecord, j: int, i: int, progress: Progress = None) -> dict[str, Field]:
+    """The derived variables of a cube at one node, as `kinematics` has them, (time,), in stored units.
+    Read from every chunk, not from the thinned preview: differences need the nodes around it.
+    """
+    names = [name for name in DERIVED if name in record.names]
+    rows, columns = (slice(max(k - _REACH, 0), k + _REACH + 1) for k in (j, i))
+    out = {name: np.full(record.layout.steps, np.nan, np.float32) for name in names}
+    for start, stop in _measured_chunks(record, progress) if names else ():
+        terms = record.derived(start, stop, rows, columns)
+        for name, series in out.items():
+            series[start:stop] = terms[name].values[:, j - rows.start, i - columns.start]
+    return out
+
+
+def _measured_chunks(record: CubeRecord, progress: Progress) -> Iterator[tuple[int, int]]:
+    """Ranges of steps of the chunks of which something is measured."""
+    chunks = record.layout.chunks()
+    for number, (start, stop) in enumerate(chunks, 1):
+        if record.ledger[start:stop].any():
+            yield start, stop
+        if progress is not None:
+            progress(number / len(chunks))
