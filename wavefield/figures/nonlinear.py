@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -67,16 +68,9 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
         left.plot([], [], "o", color="0.3", label="k₁, k₂")
         left.plot([], [], "o", color="0.3", markerfacecolor="white", label="k₃, k₄")
     half = 1.1 * max(float(np.abs(kx).max(initial=0)), float(np.abs(ky).max(initial=0)), 1.0)
-    finish(
-        left,
-        "kx / 2π (m⁻¹)",
-        "ky / 2π (m⁻¹)",
-        None,
-        xlim=(-half, half),
-        ylim=(-half, half),
-        aspect="equal",
-        title=f"{significant.size} significant of {int(resonances.quartet_tests)} quartets",
-    )
+    title = f"{significant.size} significant of {int(resonances.quartet_tests)} quartets"
+    left.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
+    finish(left, "kx / 2π (m⁻¹)", "ky / 2π (m⁻¹)", title=title)
     mismatch = resonances.mismatch.values / (2 * np.pi)
     excess, std = resonances.coherence_excess.values, resonances.coherence_excess_std.values
     right.errorbar(mismatch, 1e3 * excess, 2e3 * std, fmt="o-", color="#0072B2", capsize=3)
@@ -106,24 +100,25 @@ def quartet_map(resonances: xr.Dataset) -> Figure:
     ax = axes[0, 0]
     kx, ky = (resonances[f"map_k{axis}"].values / (2 * np.pi) for axis in "xy")
     values, level = resonances.map_coherence.values, float(resonances.map_level)
-    ax.set_facecolor("0.92")
-    above = np.where(values > level, values, np.nan)
-    draw_cells(
-        ax, kx, ky, above, "squared coherence (1)", norm=Normalize(0, 1), cmap=POSITIVE, extend="neither"
-    )
+    _draw_above(ax, kx, ky, values, level, "squared coherence (1)")
     mismatch = resonances.map_mismatch.values
     if np.nanmin(mismatch, initial=0) < 0 < np.nanmax(mismatch, initial=0):
         ax.contour(kx, ky, mismatch, [0.0], colors="0.3", linewidths=1.0)
     pair = (resonances[f"map_pair_k{axis}"].values / (2 * np.pi) for axis in "xy")
     ax.plot(*pair, "o", color=LINES[0]["color"], markeredgecolor="white")
     share = float(np.mean(values[np.isfinite(values)] > level)) if np.isfinite(values).any() else 0.0
-    ax.set(
-        xlabel="k₃x / 2π (m⁻¹)",
-        ylabel="k₃y / 2π (m⁻¹)",
-        title=f"{100 * share:.0f} % above the level of 5 %",
-        aspect="equal",
-    )
+    title = f"{100 * share:.0f} % above the level of 5 %"
+    ax.set(xlabel="k₃x / 2π (m⁻¹)", ylabel="k₃y / 2π (m⁻¹)", title=title, aspect="equal")
     return figure
+
+
+def _draw_above(
+    ax: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, level: np.ndarray | float, label: str
+) -> None:
+    """Draw a coherence (y, x) where it is above its level of chance, grey elsewhere."""
+    ax.set_facecolor("0.92")
+    above = np.where(values > level, values, np.nan)
+    draw_cells(ax, x, y, above, label, norm=Normalize(0, 1), cmap=POSITIVE, extend="neither")
 
 
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
@@ -144,9 +139,6 @@ def bicoherence_map(higher_order: xr.Dataset) -> Figure:
     for ax, name in zip(axes[0], names, strict=True):
         values = higher_order[name].transpose("omega1", "omega2").values
         level = np.asarray(higher_order[f"{name}_level"].values, float)
-        above = np.where(values > level, values, np.nan)
-        ax.set_facecolor("0.92")
-        norm = Normalize(0, 1)
-        draw_cells(ax, second, first, above, f"{name} (1)", norm=norm, cmap=POSITIVE, extend="neither")
+        _draw_above(ax, second, first, values, level, f"{name} (1)")
         ax.set(xlabel="ω₂ / 2π (Hz)", ylabel="ω₁ / 2π (Hz)", title=f"{name}, grey: chance", aspect="equal")
     return figure

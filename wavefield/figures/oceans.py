@@ -26,15 +26,10 @@ def current_profile(shear: xr.Dataset) -> Figure:
         speed, std = 100 * shear[f"current_{name}"].values, 100 * shear[f"current_{name}_std"].values
         ax.plot(speed, centimetres, label=f"current along {name}", **style)
         ax.fill_betweenx(centimetres, speed - 2 * std, speed + 2 * std, color=style["color"], alpha=0.2)
-        ax.errorbar(
-            100 * shear[f"doppler_{name}"].values,
-            -100 * shear.effective_depth.values,
-            xerr=200 * shear[f"doppler_{name}_std"].values,
-            fmt="o",
-            color=style["color"],
-            markersize=4,
-            label=f"Doppler velocity along {name}",
-        )
+        doppler, std = 100 * shear[f"doppler_{name}"].values, 100 * shear[f"doppler_{name}_std"].values
+        dots = {"fmt": "o", "markersize": 4, "color": style["color"]}
+        depth, label = -100 * shear.effective_depth.values, f"Doppler velocity along {name}"
+        ax.errorbar(doppler, depth, xerr=2 * std, label=label, **dots)
     finish(ax, "velocity (cm s⁻¹)", "z (cm)", RIGHT)
     return figure
 
@@ -54,15 +49,9 @@ def breaking_map(snapshot: xr.Dataset) -> Figure:
     figure, axes = map_panels(snapshot.z, 1, width=7.4)
     ax = axes[0, 0]
     draw_map(ax, snapshot.z, "z (cm)", factor=100, cmap="Greys_r", title=moment_title(snapshot))
-    rows, columns = np.nonzero(np.isfinite(snapshot.B.values))
-    drawn = ax.scatter(
-        snapshot.x.values[columns],
-        snapshot.y.values[rows],
-        c=snapshot.B.values[rows, columns],
-        s=9,
-        vmin=0,
-        vmax=1,
-        cmap="inferno",
-    )
+    B = snapshot.B.values
+    rows, columns = np.nonzero(np.isfinite(B))
+    x, y = snapshot.x.values[columns], snapshot.y.values[rows]
+    drawn = ax.scatter(x, y, s=9, c=B[rows, columns], vmin=0, vmax=1, cmap="inferno")
     figure.colorbar(drawn, ax=ax, label="B = u / c (1), crests break above 0.85")
     return figure

@@ -193,24 +193,14 @@ def _width(text: str) -> float:
 def _box(ax: Axes, x: float, y: float, text: str, colour: str, width: float) -> None:
     height = 0.26 * len(text.split("\n")) + 0.16
     corner = x - width / 2, y - height / 2
-    style: dict[str, Any] = {
-        "boxstyle": "round,pad=0.02",
-        "facecolor": colour,
-        "edgecolor": "0.35",
-        "zorder": 2,
-    }
-    ax.add_patch(FancyBboxPatch(corner, width, height, **style))
+    style: dict[str, Any] = {"facecolor": colour, "edgecolor": "0.35", "zorder": 2}
+    ax.add_patch(FancyBboxPatch(corner, width, height, "round,pad=0.02", **style))
     ax.text(x, y, text, ha="center", va="center", fontsize=9, zorder=3)
 
 
 def _arrow(
     ax: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, gap: float = 2
 ) -> None:
-    line: dict[str, Any] = {
-        "arrowstyle": "-|>",
-        "mutation_scale": 12,
-        "color": colour,
-        "linewidth": 1.6,
-        "zorder": 1,
-    }
-    ax.add_patch(FancyArrowPatch(start, end, shrinkA=gap, shrinkB=gap, **line))
+    line: dict[str, Any] = {"color": colour, "linewidth": 1.6, "zorder": 1}
+    shape: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 12, "shrinkA": gap, "shrinkB": gap}
+    ax.add_patch(FancyArrowPatch(start, end, **shape, **line))

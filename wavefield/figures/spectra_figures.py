@@ -161,10 +161,7 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
         low, high, valid = (f"{part}_{method}" for part in ("low", "high", "valid"))
         values = positive(spectra[name].values)
         ax.loglog(frequency, values, color=style["color"], linewidth=0.7, alpha=0.5)
-        if valid in spectra:
-            valid_values = np.where(spectra[valid].values, values, np.nan)
-        else:
-            valid_values = values
+        valid_values = np.where(spectra[valid].values, values, np.nan) if valid in spectra else values
         ax.loglog(frequency, valid_values, label=label, **style)
         peak = max(peak, float(np.max(np.nan_to_num(valid_values))))
         if method == "stereo" and low in spectra and high in spectra:

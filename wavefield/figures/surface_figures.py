@@ -1,5 +1,7 @@
 """The surface and its velocity at one moment."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -53,16 +55,9 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
             Poly3DCollection(quads[complete], facecolors=colour, linewidths=0, antialiaseds=False)
         )
     height = 1.6 * limit(z, 100)
-    span = np.ptp(part.x.values), np.ptp(part.y.values)
-    axes.set(
-        xlabel="x (m)",
-        ylabel="y (m)",
-        zlabel="z (cm)",
-        xlim=(part.x.values.min(), part.x.values.max()),
-        ylim=(part.y.values.min(), part.y.values.max()),
-        zlim=(-height, height),
-        title=moment_title(snapshot),
-    )
+    span = np.ptp(x), np.ptp(y)
+    axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (cm)", title=moment_title(snapshot))
+    axes.set(xlim=(x.min(), x.max()), ylim=(y.min(), y.max()), zlim=(-height, height))
     axes.set_box_aspect((span[0], span[1], 0.35 * max(span)), zoom=1.05)
     axes.view_init(elev=32, azim=-60)
     return figure
@@ -82,17 +77,8 @@ def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
     u, v = 100 * part.u.values.astype(float), 100 * part.v.values.astype(float)
     fastest = limit(np.hypot(u, v), 98)
     spacing = stride * float(np.mean(np.diff(snapshot.x.values)))
-    arrows = axes.quiver(
-        part.x.values,
-        part.y.values,
-        u,
-        v,
-        angles="xy",
-        scale_units="xy",
-        scale=fastest / (1.4 * spacing),
-        width=0.0028,
-        color="black",
-    )
+    scale: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": fastest / (1.4 * spacing)}
+    arrows = axes.quiver(part.x.values, part.y.values, u, v, width=0.0028, color="black", **scale)
     key = round_down(fastest)
     axes.quiverkey(arrows, 0.86, 1.04, key, f"{key:g} cm s⁻¹", labelpos="E", coordinates="axes")
 
