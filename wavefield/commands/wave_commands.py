@@ -76,13 +76,9 @@ def analyze(
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
     `xarray.open_datatree` reads it. For a catalog: the waves of every run.
     """
-
-    def work(cube: Path) -> int:
-        return _analyze(cube, output, workflow, options)
-
     if output and source.is_catalog():
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
-    exit_status = source.for_each_cube(work)
+    exit_status = source.for_each_cube(lambda cube: _analyze(cube, output, workflow, options))
     print_next("report", source.path)
     context.exit(exit_status)
 
@@ -100,13 +96,11 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, options: A
     probes = options["probes"] or run.probes
     if probes is None and run.experiment is not None and run.experiment.probes:
         click.echo(f"note: without the probes {run.reason('probes')}", err=True)
-    gain = {"none": False, "theory": True}.get(options["gain"] or "", options["gain"])
-    more: dict[str, Any] = {
-        "segment": options["segment"],
-        "probes": probes,
-        "gain": predicted_gain(run.cube) if gain is True else gain,
-        "fit": options["fit"] or None,
-    }
+    gain: Any = False if options["gain"] == "none" else options["gain"]
+    if gain == "theory":
+        gain = predicted_gain(run.cube)
+    more: dict[str, Any] = {"segment": options["segment"], "fit": options["fit"] or None}
+    more |= {"probes": probes, "gain": gain}
     with Progress(f"Analysing {short_path(store)}") as progress:
         if workflow:
             analyze_on_workers(store, output, workflow, progress=progress, **more)
@@ -154,13 +148,11 @@ def report(
         context.exit(status)
     if waves:
         raise click.UsageError("the waves of a campaign are next to its cubes; leave out --waves")
-    from wavefield.reports.campaign_page import CampaignEntry, compare
+    from wavefield.reports.campaign_page import compare
 
     cubes = source.cubes()
     found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
-    page = compare(
-        source.path.stem, [CampaignEntry(*one) for one in cubes], output or source.path.with_suffix(".html")
-    )
+    page = compare(source.path.stem, cubes, output or source.path.with_suffix(".html"))
     click.echo(f"Wrote {short_path(page)}, which compares {len(cubes)} runs; open it in a browser.")
     print_next("look", source.path, cubes[0][0])
     context.exit(found)

@@ -1,6 +1,5 @@
 """The report of a calibration: pictures, numbers as YAML, and a page that shows them."""
 
-import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from wavefield.calibration.bundle import Fit
 from wavefield.calibration.numbers import FlatSurface, numbers
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.result import Calibration
+from wavefield.figures.style import file_of
 from wavefield.reports import calibration_pictures as pictures
 from wavefield.reports.calibration_page import CalibrationPicture, calibration_page
 
@@ -37,8 +37,7 @@ def write_calibration(
         "left_out_points": dict(calibration.left_out),
     }
     drawn: list[CalibrationPicture] = []
-    found = target() if target is not None else None
-    if found is not None:
+    if target is not None and (found := target()) is not None:
         title = "The target as it was found in an image of each camera"
         drawn.append(CalibrationPicture("target.png", title, found))
     observations, fit = calibration.observations, calibration.fit
@@ -47,9 +46,8 @@ def write_calibration(
         content |= fitted | _predicted(calibration)
         content["parameters"] = _parameters(calibration, observations, fit)
         for stem, title, figure in _figures(calibration, observations, fit, surface):
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", metadata={"Software": "wavefield"})
-            drawn.append(CalibrationPicture(f"{stem}.png", title, buffer.getvalue()))
+            png = file_of(figure, metadata={"Software": "wavefield"})
+            drawn.append(CalibrationPicture(f"{stem}.png", title, png))
     for picture in drawn:
         with atomic(directory / picture.file, PICTURE) as draft:
             draft.write_bytes(picture.png)

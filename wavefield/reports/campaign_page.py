@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,31 +28,12 @@ _COLUMNS = (
 _CAPTION = "A dash: not measured, not analysed, or the record is too short"
 
 
-@dataclass(frozen=True)
-class CampaignEntry:
-    """One run of a campaign."""
-
-    run: str  # its name
-    cube: Path  # where its cube is, or will be
-
-    @property
-    def begun(self) -> bool:
-        """Whether the cube is there."""
-        return self.cube.is_dir()
-
-    def groups(self) -> dict[str, xr.Dataset]:
-        """Groups of its waves by name; empty without waves."""
-        run = open_run(self.cube)
-        names = ("statistics", "kinematics", "spectra")
-        return {name: group for name in names if (group := run.wave_group(name)) is not None}
-
-
-def compare(title: str, entries: Sequence[CampaignEntry], output: str | Path) -> Path:
-    """Write the page."""
+def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -> Path:
+    """Write the page of runs, of each its name and where its cube is, or will be."""
     output = Path(output)
-    groups = {entry.run: entry.groups() for entry in entries if entry.begun}
+    groups = {run: _groups(cube) for run, cube in cubes if cube.is_dir()}
     head = ("run", "verdict", "steps", *(heading for _, _, heading, _ in _COLUMNS), "report")
-    rows = [_row(entry, groups.get(entry.run, {}), output) for entry in entries]
+    rows = [_row(run, cube, groups.get(run), output) for run, cube in cubes]
     sections = [ReportSection("The runs", [Table(_CAPTION, head, rows)])]
     spectra = {
         run: found["spectra"]["Ez_fusion"].where(found["spectra"]["valid_fusion"])
@@ -67,26 +47,32 @@ def compare(title: str, entries: Sequence[CampaignEntry], output: str | Path) ->
             f"Curves of E(omega) of {', '.join(spectra)}.",
         )
         sections.append(ReportSection("Spectra", [picture]))
-    lines = (f"{len(groups)} of {len(entries)} runs measured",)
+    lines = (f"{len(groups)} of {len(cubes)} runs measured",)
     write_text(output, render(Head(title, lines), sections), PAGE)
     return output
 
 
-def _row(entry: CampaignEntry, groups: Mapping[str, xr.Dataset], output: Path) -> list[str]:
-    if not entry.begun:
-        return [entry.run, "not run yet", *["–"] * (len(_COLUMNS) + 2)]
-    state, verdict = status(entry.cube), "not finished"
+def _groups(cube: Path) -> dict[str, xr.Dataset]:
+    """Groups of the waves of a cube by name; empty without waves."""
+    run, names = open_run(cube), ("statistics", "kinematics", "spectra")
+    return {name: group for name in names if (group := run.wave_group(name)) is not None}
+
+
+def _row(run: str, cube: Path, groups: Mapping[str, xr.Dataset] | None, output: Path) -> list[str]:
+    if groups is None:
+        return [run, "not run yet", *["–"] * (len(_COLUMNS) + 2)]
+    state, verdict = status(cube), "not finished"
     if state.complete:
         verdict = state.verdict.line if state.verdict else "none yet: run it once more"
     values = [
         number(factor * float(groups[group][name])) if name in groups.get(group, ()) else "–"
         for group, name, _, factor in _COLUMNS
     ]
-    report, link = beside(entry.cube, "report", ".html"), "–"
+    report, link = beside(cube, "report", ".html"), "–"
     if report.exists():
         path = Path(os.path.relpath(report, output.absolute().parent)).as_posix()
         link = Markup('<a href="{}">report</a>').format(path)
-    return [entry.run, verdict, f"{state.steps - state.left} of {state.steps}", *values, link]
+    return [run, verdict, f"{state.steps - state.left} of {state.steps}", *values, link]
 
 
 def _figure(spectra: Mapping[str, xr.DataArray]) -> Figure:

@@ -78,13 +78,9 @@ def page_of(cube: str | Path | xr.Dataset, kind: str) -> Path:
 
 def waves_of(cube: str | Path | xr.Dataset, waves: str | Path | None) -> Path | None:
     """Where the waves of a cube are expected; None if a Dataset was given without them."""
-    if waves is not None:
-        return Path(waves)
-    return (
-        None
-        if isinstance(cube, xr.Dataset)
-        else beside(Path(str(cube).removeprefix("file://")), "waves", ".zarr")
-    )
+    if waves is not None or isinstance(cube, xr.Dataset):
+        return None if waves is None else Path(waves)
+    return beside(Path(str(cube).removeprefix("file://")), "waves", ".zarr")
 
 
 def measured_run(store: str | Path, waves: str | Path | None = None) -> Run:

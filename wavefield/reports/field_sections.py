@@ -20,6 +20,15 @@ from wavefield.variables import FrameStatus
 
 _MAX_FAULTS = 500  # listed
 _MARKERS = "os^Dv*"
+# numbers of cameras and of pairs that are drawn over time: name, factor, label
+_HISTORIES = (
+    (
+        ("blur", 1, "width of the finest\ndetails (px)"),
+        ("brightness", 1, "mean brightness\n(grey levels)"),
+        ("coverage", 100, "free view (%)"),
+    ),
+    (("agreement", 100, "patches matched (%)"), ("eps_y", 1, "sight lines miss\nby (px)")),
+)
 
 
 def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
@@ -74,25 +83,22 @@ def coverage(run: Run) -> ReportSection:
     cube = run.cube
     step_status = cube.frame_status.values
     faulty = np.flatnonzero(step_status != int(FrameStatus.DONE))
-    section = ReportSection(
-        "Coverage and faults",
-        [
-            Picture(
-                figures.coverage_map(cube),
-                "Fraction of time in which each node was measured, and in which it was filled from its "
-                "neighbours.",
-                "Two maps in percent.",
-            ),
-            Picture(
-                figures.fault_history(cube),
-                "Measured, filled and rejected fractions of the nodes in view over time, and the status of "
-                "each step.",
-                f"Curves in percent over time; {faulty.size} of {step_status.size} steps have faults.",
-            ),
-        ],
-        folded=True,
-        gist=f"{faulty.size or 'none'} of {step_status.size} steps have faults",
-    )
+    gist = f"{faulty.size or 'none'} of {step_status.size} steps have faults"
+    section = ReportSection("Coverage and faults", folded=True, gist=gist)
+    section.items += [
+        Picture(
+            figures.coverage_map(cube),
+            "Fraction of time in which each node was measured, and in which it was filled from its "
+            "neighbours.",
+            "Two maps in percent.",
+        ),
+        Picture(
+            figures.fault_history(cube),
+            "Measured, filled and rejected fractions of the nodes in view over time, and the status of each "
+            "step.",
+            f"Curves in percent over time; {faulty.size} of {step_status.size} steps have faults.",
+        ),
+    ]
     if faulty.size:
         lines = [
             f"step {i}, t = {float(cube.time[i]):.4g} s: "
@@ -137,31 +143,20 @@ def cameras_over_time(run: Run, verdict: Verdict) -> ReportSection:
 def _camera_history(time: np.ndarray, cameras: Numbers, pairs: Numbers) -> Figure:
     """Sharpness, brightness and free view of every camera, consistency of every pair, over the record."""
     figure, axes = panels(3, 2 if pairs else 1, width=3.8, height=2.9)
-
-    def draw(ax: Axes, numbers: Numbers, key: str, factor: float, label: str) -> None:
-        _draw_history(ax, time, {name: [factor * v for v in n[key]] for name, n in numbers.items()}, label)
-
-    draw(axes[0, 0], cameras, "blur", 1, "width of the finest\ndetails (px)")
-    draw(axes[0, 1], cameras, "brightness", 1, "mean brightness\n(grey levels)")
-    draw(axes[0, 2], cameras, "coverage", 100, "free view (%)")
-    if pairs:
-        draw(axes[1, 0], pairs, "agreement", 100, "patches matched (%)")
-        draw(axes[1, 1], pairs, "eps_y", 1, "sight lines miss\nby (px)")
-    _name_curves(axes, bool(pairs))
-    return figure
-
-
-def _name_curves(axes: np.ndarray, pairs: bool) -> None:
-    """Legends beside the panels: of cameras, and of pairs below, where a panel is free."""
+    for row, numbers, histories in zip(axes, (cameras, pairs), _HISTORIES):
+        for ax, (key, factor, label) in zip(row, histories):
+            curves = {name: [factor * v for v in series[key]] for name, series in numbers.items()}
+            _draw_history(ax, time, curves, label)
     style: dict[str, Any] = {"frameon": False, "fontsize": 9, "alignment": "left"}
     if not pairs:
         axes[0, 2].legend(**style, **RIGHT)
-        return
+        return figure
     free = axes[1, 2]
     free.set_axis_off()
-    cameras, couples = (ax.get_legend_handles_labels() for ax in axes[:, 0])
-    free.add_artist(free.legend(*cameras, loc="upper left", title="above", **style))
-    free.legend(*couples, loc="upper right", title="below", **style)
+    above, below = (ax.get_legend_handles_labels() for ax in axes[:, 0])
+    free.add_artist(free.legend(*above, loc="upper left", title="above", **style))
+    free.legend(*below, loc="upper right", title="below", **style)
+    return figure
 
 
 def _draw_history(axes: Axes, time: np.ndarray, curves: Mapping[str, Sequence[float]], label: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import ClassVar, Literal
+from typing import Literal
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from wavefield import __version__
+from wavefield.figures.style import file_of
 from wavefield.store.verdict import Remark
 
 _DPI = 120  # shown at 96 per inch: sharp on dense screens, and small
@@ -24,14 +25,22 @@ SENTENCE_LETTERS = 60  # a longer cell is a sentence: on a phone such rows are s
 MAX_OPEN_ROWS = 20  # a longer table in a folded section is folded itself
 
 
+class Item:
+    """A part of a section, by whose kind the template shows it."""
+
+    @property
+    def kind(self) -> str:
+        """Name of its class, as the template has it."""
+        return type(self).__name__.lower()
+
+
 @dataclass
-class Picture:
+class Picture(Item):
     """A figure, drawn at once, or a PNG file as bytes."""
 
     figure: InitVar[Figure | bytes]
     caption: str  # below the figure: what it is and how to read it
     alt: str  # for readers who cannot see it: its content, with its numbers
-    kind: ClassVar[str] = "picture"
     png: bytes = field(init=False)
     width: int | None = field(init=False)  # on the page, px; None: its own
 
@@ -39,9 +48,8 @@ class Picture:
         if isinstance(figure, bytes):
             self.png, self.width = small_png(figure), None
         else:
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", dpi=_DPI, pil_kwargs={"compress_level": 1})
-            self.png, self.width = small_png(buffer.getvalue()), round(96 * figure.get_figwidth())
+            png = file_of(figure, dpi=_DPI, pil_kwargs={"compress_level": 1})
+            self.png, self.width = small_png(png), round(96 * figure.get_figwidth())
 
     @property
     def data(self) -> str:
@@ -63,13 +71,12 @@ def small_png(png: bytes) -> bytes:
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(Item):
     """Rows of text below a heading row."""
 
     caption: str
     head: Sequence[str]  # names of the columns
     rows: Sequence[Sequence[str]]  # cells; the first of each row names it
-    kind: ClassVar[str] = "table"
 
     @property
     def has_sentences(self) -> bool:
@@ -83,58 +90,48 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Text:
+class Text(Item):
     """A paragraph of plain text."""
 
     words: str
-    kind: ClassVar[str] = "text"
 
 
 @dataclass(frozen=True)
-class Listing:
+class Listing(Item):
     """Long plain text below a title that unfolds it."""
 
     title: str
     words: str
-    kind: ClassVar[str] = "listing"
 
 
 @dataclass(frozen=True)
-class Sentences:
+class Sentences(Item):
     """Short statements, one below the other."""
 
     words: Sequence[str]
-    kind: ClassVar[str] = "sentences"
 
 
 @dataclass(frozen=True)
-class Facts:
+class Facts(Item):
     """The main results: of each its name, its value, and a remark in small letters."""
 
     rows: Sequence[tuple[str, str, str]]
-    kind: ClassVar[str] = "facts"
 
 
 @dataclass(frozen=True)
-class RemarkList:
+class Remarks(Item):
     """Remarks of a verdict, each with what was expected and what to do."""
 
     remarks: Sequence[Remark]
-    kind: ClassVar[str] = "remarks"
 
 
 @dataclass(frozen=True)
-class Player:
+class Player(Item):
     """Moving pictures of the surface."""
 
     variables: Sequence[tuple[str, str]]  # names and meanings
     data: Mapping[str, str]  # for the script: what `pack` returns
     still: Picture  # the surface at one moment, where there are no scripts
-    kind: ClassVar[str] = "player"
-
-
-Item = Picture | Table | Text | Sentences | Listing | Facts | RemarkList | Player
-Layout = Literal["", "result", "beside"]
 
 
 @dataclass
@@ -145,7 +142,8 @@ class ReportSection:
     items: list[Item] = field(default_factory=list)
     folded: bool = False  # shown when its title is clicked
     gist: str = ""  # beside the title of a folded section: what it contains, in one line
-    layout: Layout = ""  # result: the first item wide, the second narrow; beside: as many as fit in a row
+    # result: the first item wide, the second narrow; beside: as many as fit in a row
+    layout: Literal["", "result", "beside"] = ""
 
     @property
     def anchor(self) -> str:

@@ -3,7 +3,7 @@
 from wavefield import figures
 from wavefield.pipeline import Run
 from wavefield.reports.elevation_section import probes_of
-from wavefield.reports.html_page import Facts, Item, Picture, RemarkList, ReportSection, Text
+from wavefield.reports.html_page import Facts, Item, Picture, Remarks, ReportSection, Text
 from wavefield.reports.number_text import number
 from wavefield.reports.player import player
 from wavefield.reports.run_data import extremes_of, in_folder, in_light_sheet, reason_of, snapshot
@@ -84,7 +84,7 @@ def attention(run: Run, verdict: Verdict | None) -> ReportSection:
     elif verdict.weight == "note":
         items.append(Text("Nothing was found that limits the use of this cube."))
     if verdict is not None and verdict.remarks:
-        items.append(RemarkList(verdict.remarks))
+        items.append(Remarks(verdict.remarks))
     absent = {
         "spectra and coherence": "" if in_light_sheet(run) else reason_of(run, "waves"),
         "pictures of the cameras' frames": reason_of(run, "frames"),

@@ -1,6 +1,5 @@
 """The calibration target as it was found in the images."""
 
-import io
 from collections.abc import Mapping
 
 import numpy as np
@@ -9,7 +8,7 @@ from matplotlib.ticker import MultipleLocator
 
 from wavefield.calibration import TargetPoints
 from wavefield.calibration.images import TABLES, TargetRig
-from wavefield.figures.style import LINES, panels
+from wavefield.figures.style import LINES, file_of, panels
 from wavefield.images import read_image
 from wavefield.rig import Rig
 
@@ -58,6 +57,4 @@ def draw_found(result: TargetRig) -> bytes | None:
         rig if len(rig) and set(poses.values()) == {"flat"} else None,
         result.mesh,
     )
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": "wavefield"})
-    return buffer.getvalue()
+    return file_of(figure, dpi=110, metadata={"Software": "wavefield"})

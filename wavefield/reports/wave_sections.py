@@ -15,10 +15,7 @@ def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[
     """E(k, omega) of w and its maps over the direction of travel."""
     positive = group.E_komega_w.values[group.E_komega_w.values > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
-    share = ""
-    if dispersion is not None and "ridge_fraction" in dispersion:
-        percent = 100 * float(dispersion.ridge_fraction)
-        share = f" {percent:.0f} % of the variance of w follows the dispersion relation."
+    share = f" {_on_relation(dispersion)}." if _on_relation(dispersion) else ""
     return [
         Picture(
             figures.komega_map(group, dispersion),
@@ -35,6 +32,13 @@ def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[
     ]
 
 
+def _on_relation(dispersion: xr.Dataset | None) -> str:
+    if dispersion is None or "ridge_fraction" not in dispersion:
+        return ""
+    percent = 100 * float(dispersion.ridge_fraction)
+    return f"{percent:.0f} % of the variance of w follows the dispersion relation"
+
+
 def spectra(run: Run) -> ReportSection:
     """Spectra of the analysis."""
     section = ReportSection("Spectra", folded=True)
@@ -45,9 +49,8 @@ def spectra(run: Run) -> ReportSection:
         section.items.append(Sentences(notes))
     section.items += spectrum_pictures(group, dispersion)
     section.gist = "over wavenumber, frequency and direction"
-    if dispersion is not None and "ridge_fraction" in dispersion:
-        share = 100 * float(dispersion.ridge_fraction)
-        section.gist += f"; {share:.0f} % of the variance of w follows the dispersion relation"
+    if share := _on_relation(dispersion):
+        section.gist += f"; {share}"
     section.items.append(
         Picture(
             figures.wavenumber_spectra(group),
