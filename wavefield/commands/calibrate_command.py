@@ -1,4 +1,4 @@
-"""`wavefield calibrate` and `refine`: from target images and still water to a rig."""
+"""`wavefield calibrate`: from target images to a rig."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import click
 
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import EXPERIMENT, FILE, NEW_RIG, RIG, frames_option
+from wavefield.commands.sources import EXPERIMENT, FILE
 from wavefield.text import short_path
 
 
@@ -83,37 +83,3 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         print_next("rig", "sheet", experiment, "--rig", output, "-o", output.with_name("sheet.yaml"))
     else:
         print_next("check", experiment)
-
-
-@click.command(
-    epilog="""\b
-Example:
-  wavefield refine rest/experiment.yaml --rig rig.yaml -o rig_rest.yaml
-"""
-)
-@EXPERIMENT
-@RIG
-@NEW_RIG
-@frames_option(10, "How many frames to use.")
-def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
-    """Correct and level a rig with still-water images.
-
-    EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Shows whether a camera has moved
-    since the calibration, turns it back so that sight lines meet, brings z = 0 to the water's plane, and
-    writes the new rig.
-    """
-    from wavefield.atomic_write import RIG, check_writable, refuse_input
-    from wavefield.pipeline.still_water import level_at_rest, plane_sentence
-    from wavefield.series import Experiment
-
-    loaded = Experiment.load(experiment)
-    refuse_input(output, *([rig] if rig else loaded.rig_paths))
-    check_writable(output, RIG)
-    with Progress("Matching the cameras", "frames") as progress:
-        still = loaded.at_rest() if loaded.rest else loaded
-        refined, found, plane = level_at_rest(still, rig, frames, progress)
-    click.echo(found.sentence)
-    click.echo(plane_sentence(plane))
-    refined.save(output)
-    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
-    print_next("check", experiment, "--rig", output)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -102,8 +101,7 @@ def check(
 def _next(found: Check, source: Path, rig: Path | None) -> None:
     """Print what follows: a calibration, a correction, a trial of a long run, or the run."""
     if found.problems:
-        without_rig = not found.rig and any("wavefield calibrate" in problem for problem in found.problems)
-        if without_rig:
+        if not found.rig and any("wavefield calibrate" in problem for problem in found.problems):
             print_next("calibrate", source)
         else:
             print_next("check", source, first="correct what is not ready")
@@ -135,10 +133,6 @@ def _report(
         click.echo(f"  clocks, by more instants: {delays}")
 
 
-def _reader(prepared: PreparedRun) -> Callable[[str, int], Any]:
-    return lambda camera, frame: prepared.series[camera].read_uncovered(frame)
-
-
 def _pairs_table(prepared: PreparedRun) -> str:
     """What `diagnose` finds around the middle of the record, a line per error."""
     from wavefield.measurement.diagnostics import diagnose_around
@@ -147,7 +141,11 @@ def _pairs_table(prepared: PreparedRun) -> str:
     pixel = pixel_size(prepared.rig, prepared.grid)
     middle = len(next(iter(prepared.series.values()))) // 2
     steps = min(len(prepared.series[name]) for name in prepared.geometry.cameras) - 1
-    found = diagnose_around(_reader(prepared), steps, prepared.geometry, prepared.model, middle, pixel)
+
+    def read(camera: str, frame: int) -> Any:
+        return prepared.series[camera].read_uncovered(frame)
+
+    found = diagnose_around(read, steps, prepared.geometry, prepared.model, middle, pixel)
     if found is None:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"
     lines = [f"  pairs, {len(next(iter(found.z.values())))} steps, rms; 1 px is {1e3 * pixel:.2g} mm"]

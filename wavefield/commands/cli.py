@@ -19,6 +19,7 @@ from wavefield.commands import (
     check_command,
     experiment_commands,
     explain_command,
+    level_command,
     look,
     simulate_command,
     target_command,
@@ -51,6 +52,12 @@ class _GroupInOrder(click.Group):
         return list(self.commands)
 
 
+def _print_version(context: click.Context, option: click.Parameter, asked: bool) -> None:
+    if asked:
+        click.echo(f"wavefield {wavefield.__version__}")  # asking for it takes longer than all of --help
+        context.exit()
+
+
 @click.group(
     cls=_GroupInOrder,
     epilog=_EPILOG,
@@ -61,7 +68,7 @@ class _GroupInOrder(click.Group):
     is_flag=True,
     is_eager=True,
     expose_value=False,
-    callback=lambda context, option, asked: _print_version(context) if asked else None,
+    callback=_print_version,
     help="Show the version and exit.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Only results, warnings and errors; no progress.")
@@ -86,7 +93,7 @@ for _command in (
     experiment_commands.init,
     target_command.target,
     calibrate_command.calibrate,
-    calibrate_command.refine,
+    level_command.refine,
     archive.rig,
     background_command.background,
     check_command.check,
@@ -104,11 +111,6 @@ for _command in (
     simulate_command.simulate,
 ):
     cli.add_command(_command)
-
-
-def _print_version(context: click.Context) -> None:
-    click.echo(f"wavefield {wavefield.__version__}")  # asking for it takes longer than all of --help
-    context.exit()
 
 
 def _one_line_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
@@ -130,35 +132,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         print("wavefield: interrupted; the same command resumes", file=sys.stderr)
         return 130
-    except WavefieldError as error:
-        if debug:
-            traceback.print_exc()
-        print(f"wavefield: {error}", file=sys.stderr)
-        return 1
-    except MemoryError as error:
-        if debug:
-            traceback.print_exc()
-        from wavefield.execution.memory import peak_memory
-
-        taken = f"{peak_memory() / 1e9:.2g} GB"
-        print(
-            f"wavefield: memory ran out ({error}): this command needs more than the {taken} that it took; "
-            "end other programs, or use a machine with more",
-            file=sys.stderr,
-        )
-        return 1
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe has gone: nothing more to print, not even at exit
         return 1
     except Exception as error:
         if debug:
             traceback.print_exc()
-        print(
-            f"wavefield: {type(error).__name__}: {error} (an error that wavefield did not foresee; "
-            "`wavefield --debug ...` shows where it happened)",
-            file=sys.stderr,
-        )
+        print(f"wavefield: {_sentence(error)}", file=sys.stderr)
         return 1
+
+
+def _sentence(error: Exception) -> str:
+    """What happened, and what to do."""
+    if isinstance(error, WavefieldError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        from wavefield.execution.memory import peak_memory
+
+        return (
+            f"memory ran out ({error}): this command needs more than the {peak_memory() / 1e9:.2g} GB that "
+            "it took; end other programs, or use a machine with more"
+        )
+    return (
+        f"{type(error).__name__}: {error} (an error that wavefield did not foresee; "
+        "`wavefield --debug ...` shows where it happened)"
+    )
 
 
 if __name__ == "__main__":

@@ -12,13 +12,8 @@ from wavefield.errors import WavefieldError
 
 MARGIN = 0.04  # m; errors are counted this far inside the edge of what was measured
 
-# what the paper reports on its own tests, mm and px of 1.8 mm
-PAPER = {
-    "z": ("0.2-0.7", "0.13-0.4"),
-    "u dt": ("0.3-0.5", "0.3"),
-    "v dt": ("0.3-0.5", "0.3"),
-    "w dt": ("0.3-0.5", "0.3"),
-}
+# variable: label, and what the paper reports on its own tests, mm and px of 1.8 mm
+PAPER = {"z": ("z", "0.2-0.7", "0.13-0.4")} | {n: (f"{n} dt", "0.3-0.5", "0.3") for n in "uvw"}
 
 
 def run_demo(
@@ -65,9 +60,8 @@ def comparison(store: Path, directory: Path) -> str:
         "           this demo            the paper",
         "            mm      px          mm        px",
     ]
-    for name, label in (("z", "z"), ("u", "u dt"), ("v", "v dt"), ("w", "w dt")):
+    for name, (label, mm, px) in PAPER.items():
         rms = float(np.sqrt((errors[name] ** 2).mean())) / (1.0 if name == "z" else rate)
-        mm, px = PAPER[label]
         lines.append(f"  {label:5} {1e3 * rms:8.3f} {rms / pixel:7.3f}     {mm:>8}  {px:>8}")
     finite = np.isfinite(errors.z)
     share = 100 * float(finite.sum()) / max(int(finite.any("time").sum()) * errors.sizes["time"], 1)
@@ -76,10 +70,7 @@ def comparison(store: Path, directory: Path) -> str:
 
 
 def inside(errors: xr.Dataset, margin: float) -> xr.Dataset:
-    """Leave out what is near the edge of the grid or of the field that was ever measured.
-
-    With errors (time, y, x).
-    """
+    """Errors (time, y, x) without those near the edge of the grid or of the field that was ever measured."""
     from scipy.ndimage import binary_erosion
 
     nodes = round(margin / float(np.mean(np.diff(errors.x))))

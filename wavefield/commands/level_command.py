@@ -1,12 +1,16 @@
-"""`wavefield rig level` and `sheet`: z = 0 brought to moving water, or to a light sheet, by its images."""
+"""`wavefield rig level`, `sheet` and `refine`: z = 0 brought to the sea, a light sheet or still water."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
 from wavefield.commands.sources import EXPERIMENT, NEW_RIG, RIG, frames_option
+
+if TYPE_CHECKING:
+    from wavefield.rig import Rig
 
 
 @click.command(
@@ -50,9 +54,7 @@ def level(
     _check_output(output, experiment, rig)
     with Progress("Matching the cameras", "instants") as progress:
         found = level_experiment(experiment, rig, distance, frames, progress)
-    click.echo(found.sentence)
-    found.rig.save(output)
-    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+    _save(found.rig, output, found.sentence)
     if each_frame is None:
         print_next("check", experiment, "--rig", output)
         return
@@ -87,12 +89,46 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     _check_output(output, experiment, rig)
     with Progress("Correlating the cameras", "passes") as progress:
         found = find_sheet(experiment, rig, frames, progress)
-    click.echo(found.sentence)
-    found.rig.save(output)
-    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+    _save(found.rig, output, found.sentence)
     if found.thickness > 0:
         click.echo(f"Then: settings: {{preset: sheet, sheet_thickness: {found.thickness:.2g}}}")
     print_next("check", experiment, "--rig", output)
+
+
+@click.command(
+    epilog="""\b
+Example:
+  wavefield refine rest/experiment.yaml --rig rig.yaml -o rig_rest.yaml
+"""
+)
+@EXPERIMENT
+@RIG
+@NEW_RIG
+@frames_option(10, "How many frames to use.")
+def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
+    """Correct and level a rig with still-water images.
+
+    EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Shows whether a camera has moved
+    since the calibration, turns it back so that sight lines meet, brings z = 0 to the water's plane, and
+    writes the new rig.
+    """
+    from wavefield.pipeline.still_water import level_at_rest, plane_sentence
+    from wavefield.series import Experiment
+
+    _check_output(output, experiment, rig)
+    loaded = Experiment.load(experiment)
+    with Progress("Matching the cameras", "frames") as progress:
+        still = loaded.at_rest() if loaded.rest else loaded
+        refined, found, plane = level_at_rest(still, rig, frames, progress)
+    _save(refined, output, f"{found.sentence}\n{plane_sentence(plane)}")
+    print_next("check", experiment, "--rig", output)
+
+
+def _save(rig: "Rig", output: Path, found: str) -> None:
+    """Print what was found, and write the rig."""
+    click.echo(found)
+    rig.save(output)
+    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:

@@ -68,7 +68,7 @@ INNER_CHUNK_STEPS = 8  # steps that a reader must decode to see one
 class StoreLayout:
     """Sizes of a store."""
 
-    steps: int  # Number of steps; there is one frame more
+    steps: int  # there is one frame more
     chunk_steps: int  # Steps per chunk (shard)
     cameras: tuple[str, ...]  # Cameras whose frames are watched
     first_frame: int  # Number of the first frame
@@ -91,20 +91,23 @@ def create_store(
     once: variables that are known before the run, such as the gain.
     """
     with atomic(path, CUBE) as draft:
-        _fill_in(draft, recipe, x, y, layout, attributes)
-        _put(draft, once or {})
+        group = _lay_out(draft, recipe, x, y, layout, attributes)
+        for name, values in (once or {}).items():
+            row = find(name, "gain")
+            assert row is not None
+            add_array(group, row, values, dtype=values.dtype, name=name, fill_value=np.nan)
         gather_metadata(draft)
         keep_metadata(draft)
 
 
-def _fill_in(
+def _lay_out(
     path: Path,
     recipe: Recipe,
     x: np.ndarray,
     y: np.ndarray,
     layout: StoreLayout,
     attributes: Mapping[str, Any],
-) -> None:
+) -> zarr.Group:
     n, steps = layout.steps, layout.chunk_steps
     group = zarr.open_group(
         path,
@@ -163,14 +166,7 @@ def _fill_in(
     ):
         # not compressed: read file by file (`read_ledger`)
         add_array(group, TABLE[name], shape=shape, chunks=chunks, fill_value=0, compressors=None)
-
-
-def _put(path: Path, once: Mapping[str, np.ndarray | np.floating]) -> None:
-    group = zarr.open_group(path, mode="r+")
-    for name, values in once.items():
-        row = find(name, "gain")
-        assert row is not None
-        add_array(group, row, values, dtype=values.dtype, name=name, fill_value=np.nan)
+    return group
 
 
 def add_array(

@@ -30,7 +30,7 @@ _WORDS = {
 class BadFrames:
     """Frames of one camera that share a fault."""
 
-    camera: str  # The camera
+    camera: str
     fault: FrameFault  # What is wrong
     numbers: tuple[int, ...]  # Frame numbers
 

@@ -21,16 +21,11 @@ def read_ledger(path: Path, group: CubeGroup, name: str, layout: StoreLayout) ->
         return np.asarray(array[:])
     out = np.zeros(array.shape, array.dtype)
     chunks, dtype = array.chunks, array.dtype  # Zarr computes these at every access
-    folder = str(chunk_path(path, name, 0).parent)  # many files: text is quicker than paths
-    for start in range(0, array.shape[-1], layout.chunk_steps):
-        try:
-            with open(f"{folder}/{start // layout.chunk_steps}", "rb", buffering=0) as stream:
-                stored = stream.read()
-        except FileNotFoundError:
-            continue
-        values = np.frombuffer(stored, dtype).reshape(chunks)
-        part = out[..., start : start + layout.chunk_steps]
-        part[...] = values[..., : part.shape[-1]]
+    for number in range(-(-array.shape[-1] // layout.chunk_steps)):
+        stored = read_chunk(str(path), name, number)
+        if stored or chunk_path(path, name, number).exists():
+            part = out[..., number * layout.chunk_steps : (number + 1) * layout.chunk_steps]
+            part[...] = np.frombuffer(stored, dtype).reshape(chunks)[..., : part.shape[-1]]
     return out
 
 

@@ -61,9 +61,7 @@ def restore_metadata(path: Path) -> list[str]:
     """Put a cube's small files back as they were written."""
     try:
         kept = _kept(path)
-    except (
-        StoreError
-    ):  # the copies are damaged: made anew from the files, which a run compares with its recipe
+    except StoreError:  # the copies are made anew from the files, which a run compares with its recipe
         (path / ARCHIVE).unlink(missing_ok=True)
         return [ARCHIVE]
     damaged = [name for name, content in kept.items() if _read(path / name) != content]

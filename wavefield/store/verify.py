@@ -25,7 +25,7 @@ from wavefield.variables import FrameStatus
 class Damage:
     """What is wrong with one chunk of one variable."""
 
-    variable: str  # The variable
+    variable: str
     start: int  # Range of steps
     stop: int
     what: str  # "missing", "not as it was written", "not as long as it was written" or "unreadable"
@@ -35,7 +35,7 @@ class Damage:
 class Verification:
     """What was found in a store."""
 
-    store: Path  # The store
+    store: Path
     steps: int  # Steps of the whole run
     done: int  # Steps that the ledger calls done
     damages: tuple[Damage, ...]  # Chunks that the ledger calls done and that are not as they were written
