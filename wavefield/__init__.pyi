@@ -45,9 +45,8 @@ from wavefield.waves.nonlinear.kinematics import kinematics
 from wavefield.waves.nonlinear.linear_surface import linear_surface
 from wavefield.waves.nonlinear.nonlinear_ratio import nonlinear_ratio
 from wavefield.waves.nonlinear.resonances import resonances
-from wavefield.waves.spectra.field_spectra import komega, spectrum
+from wavefield.waves.spectra.field_spectra import E_k, E_omega, komega, spectrum
 from wavefield.waves.spectra.spectral_slope import spectral_slope
-from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
 from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths

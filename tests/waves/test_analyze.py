@@ -315,7 +315,7 @@ def test_a_laboratorys_header_is_read_with_its_units(tmp_path, text):
 
 def test_a_bad_cell_costs_neither_its_probe_nor_the_others(sea, probes, tmp_path):
     read = wv.read_probes(probes).load()
-    omega = wv.frequency_spectrum(wv.komega(sea.z, segment=64)).omega
+    omega = wv.E_omega(wv.komega(sea.z, segment=64)).omega
     span = (float(sea.time[0]), float(sea.time[-1]))
     whole = wv.probe_spectra(read, omega, span)
     read.elevation[0, 400:402] = np.nan

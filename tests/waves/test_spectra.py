@@ -238,7 +238,7 @@ def test_a_frequency_is_cut_out_and_one_beyond_nyquist_refused():
 def test_the_frequency_spectrum_is_that_of_the_nodes():
     rng = np.random.default_rng(6)
     noise = field(rng.standard_normal((640, 24, 32), dtype="f4"))
-    E = wv.frequency_spectrum(wv.komega(noise, segment=64))
+    E = wv.E_omega(wv.komega(noise, segment=64))
     flat = E.E.where(E.valid, drop=True)
     expected = 1 / (np.pi / 0.05)
     assert float(flat.mean()) == pytest.approx(expected, rel=0.01)

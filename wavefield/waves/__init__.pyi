@@ -30,15 +30,15 @@ from wavefield.waves.nonlinear.wave_vectors import plane_coherence
 from wavefield.waves.probes.probe_files import probe_spectra, read_probes
 from wavefield.waves.spectra.cross_spectra import cross_spectra
 from wavefield.waves.spectra.field_spectra import (
+    E_k,
+    E_omega,
     angular_integral,
     at_frequency,
-    frequency_spectrum,
     komega,
     spectrum,
     total,
 )
 from wavefield.waves.spectra.spectral_slope import spectral_slope
-from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
 from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
 from wavefield.waves.surface.drift import stokes_drift, surface_paths
@@ -79,7 +79,6 @@ __all__ = [
     "fit_dispersion",
     "free_and_bound",
     "free_and_bound_fields",
-    "frequency_spectrum",
     "fused_series",
     "fused_spectra",
     "gain_box",

@@ -35,7 +35,7 @@ from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coord
 from wavefield.waves.estimation.window_gain import MIN_POWER_GAIN, read_gain, ring_gain
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
-from wavefield.waves.spectra.field_spectra import density, frequency_spectrum
+from wavefield.waves.spectra.field_spectra import E_omega, density
 from wavefield.waves.spectra.segment_sums import Requested
 
 Array = NDArray[Any]
@@ -316,7 +316,7 @@ def _freedom(ring: xr.Dataset) -> dict[str, Array]:
     dof = {}
     for name in NAMES:
         single = ring.rename({f"E_{name}": "E", f"dof_{name}": "dof", f"dof_omega_{name}": "dof_omega"})
-        dof[name] = frequency_spectrum(single[["E", "dof", "dof_omega"]])["dof"].values
+        dof[name] = E_omega(single[["E", "dof", "dof_omega"]])["dof"].values
     both = np.sqrt(dof["z"] * dof["w"])
     return {"stereo": dof["z"], "w": dof["w"], "cross": both, "fusion": both}
 

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves.estimation import segment_variance, segments
-from wavefield.waves.estimation.degrees_of_freedom import samples_in_time, with_interval
+from wavefield.waves.estimation.degrees_of_freedom import with_interval
 from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import correction
-from wavefield.waves.estimation.windows import effective_duration
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra import field_spectra
 from wavefield.waves.spectra.segment_sums import NAMES, Requested, sources, sum_segment, transforms
@@ -175,8 +174,6 @@ def lazy_cross_spectra(
 
 def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[str] = NAMES) -> xr.Dataset:
     """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them."""
-    step = float(ring["omega"][1] - ring["omega"][0])
-    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     out = xr.Dataset(attrs=ring.attrs)
     for name in names:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
@@ -184,15 +181,12 @@ def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[s
             factor, valid = correction(gain, _MEASURED.get(name, name), ring["k"].values)
             energy = energy * xr.DataArray(factor, dims="k")
             out[f"valid_k_{name}"] = ("k", valid)
-        komega = xr.Dataset(
-            {"E": energy, "dof": dof, "dof_omega": ring[f"dof_omega_{name}"]}, attrs=ring.attrs
-        )
-        cells = dof / ring.attrs["degrees_of_freedom"]
-        theory = 2 * samples_in_time(energy, duration, cells).clip(min=1)
+        sums = {f"dof_{axis}": ring[f"dof_{axis}_{name}"] for axis in ("omega", "k")}
+        komega = xr.Dataset({"E": energy, "dof": dof, **sums}, attrs=ring.attrs)
         spectra = {
             f"komega_{name}": with_interval(energy, dof),
-            f"k_{name}": with_interval(energy.sum("omega") * step, ring[f"dof_k_{name}"].fillna(theory)),
-            name: field_spectra.frequency_spectrum(komega),
+            f"k_{name}": field_spectra.E_k(komega),
+            name: field_spectra.E_omega(komega),
         }
         for suffix, spectrum in spectra.items():
             stem = suffix if suffix.startswith("komega") else f"E_{suffix}"

@@ -13,13 +13,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
-from wavefield.variables import K_UNITS, TABLE, annotate, density_units, product
+from wavefield.variables import K_UNITS, OMEGA_UNITS, TABLE, annotate, density_units, product
 from wavefield.waves.estimation import rings, segment_variance, segments, wave_kernels
-from wavefield.waves.estimation.degrees_of_freedom import independent_cells, with_interval
+from wavefield.waves.estimation.degrees_of_freedom import (
+    independent_cells,
+    samples_in_time,
+    with_interval,
+)
 from wavefield.waves.estimation.inputs import a_field, described, is_field, keep_water, takes
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
-from wavefield.waves.estimation.windows import interval
+from wavefield.waves.estimation.windows import effective_duration, interval
 
 Array = NDArray[Any]
 
@@ -333,14 +337,18 @@ def at_frequency(density: xr.DataArray, frequency: float, bandwidth: float | Non
     return out.assign_coords(frequency=float(lines[chosen].mean()))
 
 
+def _of_what(komega: xr.DataArray | xr.Dataset) -> str:
+    return str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
+
+
 @takes(a_komega)
-def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
-    """Integrate E(k, omega) over k.
+def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
+    """Spectrum E(omega) of a field, with its 95 % interval.
 
     Parameters
     ----------
-    komega : Dataset or DataArray
-        As `komega` gives it, or a field (time, y, x).
+    field : DataArray or Dataset
+        Any variable of a cube over (time, y, x), s and m, or the result of `komega`.
 
     Returns
     -------
@@ -348,22 +356,72 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
         ``E`` (omega), the mean spectrum over the nodes weighted by the squared window; ``dof``, ``low``,
         ``high`` and ``valid`` (omega).
 
+    Raises
+    ------
+    CubeError
+        If it is given something else, or the record is too short.
+
     Notes
     -----
     The degrees of freedom follow from the variance between the segments; with fewer than four of those from
     the degrees of the rings and the distribution of the energy over them.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
+    >>> w = xr.DataArray(rng.standard_normal((256, 24, 32)), axes, ("time", "y", "x"))
+    >>> E_omega(w).E.dims
+    ('omega',)
     """
-    step = float(komega["k"][1] - komega["k"][0])
-    energy = komega["E"].sum("k", dtype=np.float64) * step
-    single = float(komega.attrs["degrees_of_freedom"])
-    table = rings.rings(*komega.attrs["nodes"], *komega.attrs["node_step"], step)
-    theory = single * independent_cells(komega["E"], komega["dof"] / single, table)
-    dof = komega["dof_omega"].fillna(theory) if "dof_omega" in komega else theory
+    step = float(field["k"][1] - field["k"][0])
+    energy = field["E"].sum("k", dtype=np.float64) * step
+    single = float(field.attrs["degrees_of_freedom"])
+    table = rings.rings(*field.attrs["nodes"], *field.attrs["node_step"], step)
+    theory = single * independent_cells(field["E"], field["dof"] / single, table)
+    dof = field["dof_omega"].fillna(theory) if "dof_omega" in field else theory
     out = with_interval(energy, dof)
     out["valid"] = ("omega", inner(out.sizes["omega"]))
     out = annotate(out, "frequency")
-    field = str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
     out["E"].attrs = TABLE["frequency/E"].of(
-        field, product((komega["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
+        _of_what(field), product((field["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
     )
+    return out
+
+
+@takes(a_komega)
+def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
+    """Spectrum E(k) of a field, with its 95 % interval.
+
+    Parameters
+    ----------
+    field : DataArray or Dataset
+        Any variable of a cube over (time, y, x), s and m, or the result of `komega`.
+
+    Returns
+    -------
+    Dataset
+        ``E`` (k), its sum times the step of k is the variance; ``dof``, ``low`` and ``high`` (k).
+
+    Raises
+    ------
+    CubeError
+        If it is given something else, or the record is too short.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
+    >>> w = xr.DataArray(rng.standard_normal((256, 24, 32)), axes, ("time", "y", "x"))
+    >>> E_k(w).E.dims
+    ('k',)
+    """
+    step = float(field["omega"][1] - field["omega"][0])
+    duration = effective_duration(field.attrs["segments"], field.attrs["segment"] * field.attrs["dt"])
+    cells = field["dof"] / field.attrs["degrees_of_freedom"]
+    theory = 2 * samples_in_time(field["E"], duration, cells).clip(min=1)
+    out = with_interval(field["E"].sum("omega") * step, field["dof_k"].fillna(theory))
+    out = annotate(out)
+    units = product((field["E"].attrs.get("units", "1"), 1), (OMEGA_UNITS, 1))
+    out["E"].attrs = TABLE["frequency/E"].of(_of_what(field), units)
     return out

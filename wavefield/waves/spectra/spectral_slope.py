@@ -12,8 +12,7 @@ from wavefield.variables import annotate
 from wavefield.waves.estimation.degrees_of_freedom import hann_correlation
 from wavefield.waves.estimation.inputs import described, is_field, takes
 from wavefield.waves.estimation.rings import rings
-from wavefield.waves.spectra.field_spectra import a_komega
-from wavefield.waves.spectra.sums_over_axes import E_k, E_omega
+from wavefield.waves.spectra.field_spectra import E_k, E_omega, a_komega
 
 Array = NDArray[Any]
 

@@ -14,7 +14,7 @@ from wavefield.waves.estimation.degrees_of_freedom import hann_correlation, sum_
 from wavefield.waves.estimation.segments import spatial_window
 from wavefield.waves.estimation.wave_record import Record, piece
 from wavefield.waves.estimation.windows import CORRELATED_CELLS, effective_duration
-from wavefield.waves.spectra.field_spectra import frequency_spectrum, komega
+from wavefield.waves.spectra.field_spectra import E_omega, komega
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def of_elevation(z: xr.DataArray, record: Record) -> dict[str, float]:
         both = komega(z, record=record).compute()
     except CubeError:
         return {"variance": np.nan, "slope": np.nan}
-    dof = frequency_spectrum(both)["dof"].values
+    dof = E_omega(both)["dof"].values
     weighted = effective_duration(both.attrs["segments"], both.attrs["segment"] * record.dt)
     longer = record.steps_in_runs() * record.dt / weighted
     return moment_stds(both["E"], dof, float(both.attrs["degrees_of_freedom"]), longer)
