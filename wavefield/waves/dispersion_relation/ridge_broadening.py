@@ -137,8 +137,8 @@ def ridge_broadening(
     where its square is below three standard uncertainties: waves leave the field before they lose their
     phase; the shift, where the current was fitted and waves have one direction: the fit has taken it up.
     Long waves that carry short ones to and fro, and a current that changes, widen the line as well.
-    Of two wave systems that cross in a field of few wavelengths the shift is less certain than stated: leakage
-    from one into the other's cells has left it up to three standard uncertainties off.
+    Where two wave systems cross in a field of few wavelengths, shifts are less certain than stated: leakage
+    from one into the other's cells has left them up to three standard uncertainties off.
 
     References
     ----------
