@@ -9,7 +9,7 @@ from waves_cases import GaussianSea, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.estimation.surrogate_probability import probabilities
+from wavefield.waves.nonlinear.resonance_lines import probabilities
 
 NY, NX, DX = 24, 32, 0.06
 CELL = 2 * np.array([2 * np.pi / (NY * DX), 2 * np.pi / (NX * DX)])  # two of the k plane

@@ -22,7 +22,6 @@ from wavefield.waves.dispersion_relation.relation_points import (
     sectors_of,
 )
 from wavefield.waves.dispersion_relation.shell_contrast import contrast, explained, fraction
-from wavefield.waves.dispersion_relation.shell_error import against_theory
 from wavefield.waves.estimation.inputs import takes
 from wavefield.waves.estimation.welch import Welch, k_coords
 from wavefield.waves.estimation.windowed_dispersion import SpectralCells
@@ -216,7 +215,9 @@ def _fit_band(
         "ridge_fraction": ((), fraction(spectrum, fit)),
         "depth": ((), depth),
     }
-    out |= against_theory(points, depth, fit, gamma) | relation_solution.line_quality(points, depth, fit)
+    out |= relation_solution.against_theory(points, depth, fit, gamma) | relation_solution.line_quality(
+        points, depth, fit
+    )
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
     return annotate(
         xr.Dataset(out, attrs=attrs).set_coords(["band_frequency", "line_frequency"]), "dispersion"

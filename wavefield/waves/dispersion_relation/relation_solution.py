@@ -24,6 +24,8 @@ FREQUENCY_BLOCKS = 5  # that are left out in turn
 MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
 MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
 TENSION_RANGE = 0.3  # of the surface tension: how far that of the water may differ from what is given
+BAND_WIDTH = 0.5  # Hz, over which points are compared with theory
+_NEWTON_ROUNDS = 20
 _UNITS = np.array([1, 1, 1e5])  # the solver's unit of surface tension is 1e-5 m3/s2
 
 
@@ -161,3 +163,28 @@ def line_quality(points: RelationPoints, depth: float, fit: Array) -> dict[str, 
         "line_weight": ("line", information / information.sum()),
         "line_misfit": ("line", np.bincount(number, misfit) / np.sqrt(np.bincount(number))),
     }
+
+
+def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
+    """Variables ``ridge_error`` and ``band_frequency``, Hz, (band,): points against theory by bands.
+    The error is the energy-weighted mean of k over the theory's k for that omega and direction, less 1.
+    """
+    along = points.along(fit)
+    theory = points.k.copy()
+    for _ in range(_NEWTON_ROUNDS):
+        off = dispersion(theory, depth, gamma) + theory * along - points.omega
+        speed = group_velocity(theory, depth, gamma)
+        slope = np.maximum(speed + along, MIN_SLOPE * speed)
+        theory = np.clip(theory - off / slope, 0.5 * theory, 2 * theory)
+    relative = points.k / theory - 1
+    band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
+    centres, errors = [], []
+    for number in np.unique(band):
+        inside = band == number
+        # each line on its own scale: energy falls by decades within a band
+        omega, energy = points.omega[inside], points.energy[inside]
+        lines = np.unique(omega)
+        means = np.array([energy[omega == line].mean() for line in lines])
+        centres.append((number + 0.5) * BAND_WIDTH)
+        errors.append(float(np.average(relative[inside], weights=energy / np.interp(omega, lines, means))))
+    return {"ridge_error": ("band", np.array(errors)), "band_frequency": ("band", np.array(centres))}

@@ -6,6 +6,7 @@ long it keeps its value.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -199,7 +200,7 @@ def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
     return np.maximum(crossing, line), crossing * line / white
 
 
-def cell_freedom(sums: Mapping[str, object], name: str, welch: Welch) -> float:
+def cell_freedom(name: str, sums: Mapping[str, object], welch: Welch) -> float:
     """Degrees of freedom of a single cell of the strongest lines: twice the independent segments."""
     if welch.count < MIN_SEGMENTS_FOR_CORRELATION:
         return welch.dof
@@ -276,8 +277,4 @@ def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
     return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
 
 
-def _cell_dof(sums: Mapping[str, object], welch: Welch) -> float:
-    return cell_freedom(sums, "w", welch)
-
-
-register(Product("cell_dof", ("ring_sums", "welch"), _cell_dof))
+register(Product("cell_dof", ("ring_sums", "welch"), partial(cell_freedom, "w")))

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
 from wavefield.water import dispersion
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 Values = TypeVar("Values", float, Array, xr.DataArray)
@@ -205,3 +207,17 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
     corrected = (signal / gain).where(valid)
     corrected.attrs = dict(energy.attrs)
     return annotate(xr.Dataset({"E": corrected, "valid": valid}))
+
+
+def time_gains(welch: Welch) -> xr.Dataset:
+    """Power gains (omega,) of the mean of two, four and six frames, and of displacements."""
+    omega, dt = welch.omega, welch.record.dt
+    means = {
+        f"gain_{word}_frames": gain_frame_mean(omega, dt, n)
+        for n, word in zip((2, 4, 6), ("two", "four", "six"))
+    }
+    gains = means | {"gain_displacement": gain_displacement(omega, dt, welch.frames)}
+    return xr.Dataset({name: ("omega", gain) for name, gain in gains.items()})
+
+
+register(Product("time_gains", ("welch",), time_gains, group="spectra"))

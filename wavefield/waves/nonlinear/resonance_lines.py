@@ -21,6 +21,7 @@ MIN_SEGMENTS = 8  # overlapping by half
 # from one segment to the next: products of four windowed waves are hardly correlated at a quarter
 HOPS = 4
 MAX_LAG = 24  # segments over which lines may be autocorrelated
+TAIL = 0.02  # of the scores of surrogates: their tail is extrapolated by an exponential
 TESTS_AT_A_TIME, STEPS_AT_A_TIME = 512, 256  # that fit the cache
 
 
@@ -211,3 +212,12 @@ def driven(x: Array, places: Array, product: Array, share: float) -> list[Array]
     waves = [x[at] for at in places.T]
     waves[3] = np.sqrt(share) * scaled(product) + np.sqrt(1 - share) * scaled(waves[3])
     return waves
+
+
+def probabilities(score: Array, null: Array) -> Array:
+    """Probability that chance gives a score at least as high."""
+    null = np.sort(null)
+    edge = null[int((1 - TAIL) * (null.size - 1))]
+    scale = float((null[null > edge] - edge).mean())
+    count = null.size - np.searchsorted(null, score, "left")
+    return np.where(score > edge, TAIL * np.exp(-(score - edge) / scale), (count + 1) / (null.size + 1))

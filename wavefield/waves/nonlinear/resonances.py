@@ -16,7 +16,6 @@ from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.estimation.inputs import a_field, takes
-from wavefield.waves.estimation.surrogate_probability import probabilities
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.nonlinear import resonance_lines as rl
@@ -210,7 +209,7 @@ def resonances(
         groups, coherence = kinds[kind], measured[kind]
         p = np.ones(len(groups.cells))
         if chance.size > LEAST_NULL:
-            p = probabilities(coherence.score, chance)
+            p = rl.probabilities(coherence.score, chance)
         # Benjamini and Hochberg (1995), weighted (Genovese et al. 2006)
         part = _part_of_level(waves, groups)
         significant = stats.false_discovery_control((p / part).clip(None, 1)) <= settings.false_discovery
@@ -221,7 +220,7 @@ def resonances(
             power = np.full(SHARES.size, np.nan)
             if chance.size > LEAST_NULL:
                 alone = settings.false_discovery / p.size * part[every]
-                power = (probabilities(np.stack(planted), chance) <= alone).mean(axis=1)
+                power = (rl.probabilities(np.stack(planted), chance) <= alone).mean(axis=1)
             out["power"] = ("share", power)
     found = xr.Dataset(out, coords, {"segment": settings.segment})
     return annotate(

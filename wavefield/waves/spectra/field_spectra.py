@@ -80,7 +80,7 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 
 def _map(total: dict[str, Array], welch: Welch) -> dict[str, Any]:
-    dof = segment_variance.cell_freedom(total, "f", welch)
+    dof = segment_variance.cell_freedom("f", total, welch)
     low, high = interval(dof)
     return {"E": density(total["power"], welch), "dof": np.array(dof), "low": low, "high": high}
 

@@ -345,8 +345,7 @@ def _statistics_group(
             f"Values beyond six standard deviations: {counts}. A single wild value lifts the floor of its"
             " spectra: check them before you use spectra decades below the peak."
         )
-    longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
-    stds = moment_stds(spectra["E_komega_z"], spectra["dof_E_z"].values, welch.dof, longer)
+    stds = moment_stds(spectra["E_komega_z"], spectra["dof_E_z"].values, welch)
     out = spectral_peak(with_stds(moments, stds).assign(errors.data_vars), fused, depth, gamma)
     limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)
     return Noted(limited.value, [*notes, *limited.notes])

@@ -13,7 +13,8 @@ from wavefield.waves.estimation import rings
 from wavefield.waves.estimation.degrees_of_freedom import hann_correlation, sum_freedom
 from wavefield.waves.estimation.segments import spatial_window
 from wavefield.waves.estimation.wave_record import Record, piece
-from wavefield.waves.estimation.windows import CORRELATED_CELLS, effective_duration
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.estimation.windows import CORRELATED_CELLS
 from wavefield.waves.spectra.field_spectra import E_omega, komega
 
 Array = NDArray[np.float64]
@@ -64,15 +65,15 @@ def relative_std(power: Array, dof: Array, overlap: Array) -> float:
     return float(np.sqrt(2 / sum_freedom(power[:, None], np.maximum(dof, 1)[:, None], overlap)[0]))
 
 
-def moment_stds(energy: xr.DataArray, dof: Array, of_cell: float, longer: float) -> dict[str, float]:
+def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, float]:
     """Relative standard uncertainties of the variance and of the mean square slope of all nodes.
-    From E(omega, k) and the degrees of freedom of E(omega), dof, and of one cell; and how much longer the
-    record is than by the weights of its segments: in moments all steps count alike.
+    From E(omega, k) and the degrees of freedom of E(omega); in moments all steps count alike.
     """
     energy = energy.fillna(0.0)
     # waves of a line lie along an arc of the k plane, on which Hann windows make `CORRELATED_CELLS` cells
     # one; moments are of all nodes alike, without a window: on a long arc that many more are independent
-    arc = np.maximum(dof / of_cell, 1.0)
+    arc = np.maximum(dof / welch.dof, 1.0)
+    longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
     dof = dof * longer * (1 + (arc - 1) * CORRELATED_CELLS) / arc
     overlap = hann_correlation(energy.sizes["omega"])
     sums = {"variance": energy.sum("k"), "slope": (energy * energy["k"] ** 2).sum("k")}
@@ -85,10 +86,7 @@ def of_elevation(z: xr.DataArray, record: Record) -> dict[str, float]:
         both = komega(z, record=record).compute()
     except CubeError:
         return {"variance": np.nan, "slope": np.nan}
-    dof = E_omega(both)["dof"].values
-    weighted = effective_duration(both.attrs["segments"], both.attrs["segment"] * record.dt)
-    longer = record.steps_in_runs() * record.dt / weighted
-    return moment_stds(both["E"], dof, float(both.attrs["degrees_of_freedom"]), longer)
+    return moment_stds(both["E"], E_omega(both)["dof"].values, Welch.of(z, record=record))
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
