@@ -4,7 +4,7 @@ from typing import Any
 
 from wavefield.lazy_names import lazy_names
 
-_names, _get = lazy_names(__name__, __file__)
+_names, _get, _ = lazy_names(__name__, __file__)
 __all__ = ["__version__", *_names]
 
 

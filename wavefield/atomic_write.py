@@ -178,15 +178,13 @@ def write_text(path: str | Path, text: str, product: OwnFile) -> None:
 def check_writable(path: str | Path, product: OwnFile) -> None:
     """Make sure that a file or a folder can be written, before the work that ends in it."""
     path = Path(path)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         restore_old(path)
         check_replaceable(path, product)
         draft = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
         draft.touch()
         draft.unlink()
-    except OSError as error:
-        raise write_error(path, error) from None
 
 
 def remove_leftovers(path: Path) -> None:
@@ -213,6 +211,15 @@ def _remove(path: Path) -> None:
     else:
         with suppress(OSError):
             path.unlink()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn a failure to write to a path into a sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise write_error(path, error) from None
 
 
 def write_error(path: Path, error: OSError) -> StoreError:

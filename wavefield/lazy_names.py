@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 
-def lazy_names(package: str, init_file: str) -> tuple[list[str], Callable[[str], Any]]:
-    """Sorted names of the stub (.pyi) next to an `__init__.py`, and the `__getattr__` that imports them."""
+def lazy_names(
+    package: str, init_file: str
+) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Sorted names of the stub (.pyi) next to an `__init__.py`, their `__getattr__` and their `__dir__`."""
     stub = ast.parse(Path(init_file).with_suffix(".pyi").read_text(encoding="utf-8"))
     places = {
         alias.asname or alias.name: (statement.module or "", alias.name)
@@ -26,4 +28,5 @@ def lazy_names(package: str, init_file: str) -> tuple[list[str], Callable[[str],
         module, name_there = places[name]
         return getattr(import_module(module), name_there)
 
-    return sorted(places), get
+    names = sorted(places)
+    return names, get, lambda: names

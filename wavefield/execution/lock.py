@@ -18,7 +18,7 @@ from typing import Any
 
 import psutil
 
-from wavefield.atomic_write import write_error
+from wavefield.atomic_write import writing
 from wavefield.errors import StoreError
 from wavefield.file_access import accessing
 
@@ -41,12 +41,9 @@ class Lock:
     def hold(cls, store: Path) -> Iterator["Lock"]:
         """Hold the lock of a store, or refuse at once."""
         lock = cls(store)
-        try:
-            with accessing(store, StoreError, "locking"):
-                store.parent.mkdir(parents=True, exist_ok=True)
-                lock._take()
-        except OSError as error:
-            raise write_error(store, error) from None
+        with writing(store), accessing(store, StoreError, "locking"):
+            store.parent.mkdir(parents=True, exist_ok=True)
+            lock._take()
         thread = threading.Thread(target=lock._live, name="wavefield-lock", daemon=True)
         thread.start()
         try:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from wavefield.atomic_write import OwnFile, check_replaceable, write_error
+from wavefield.atomic_write import OwnFile, check_replaceable, writing
 
 log = logging.getLogger("wavefield.run")
 
@@ -33,12 +33,10 @@ def jobs_folder(store: Path) -> Path:
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
     """Write the messages of a run to a file next to its store."""
-    try:
+    with writing(store):
         store.parent.mkdir(parents=True, exist_ok=True)
         check_replaceable(log_path(store), LOG)  # it is added to
         handler = logging.FileHandler(log_path(store), delay=False)
-    except OSError as error:
-        raise write_error(store, error) from None
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk must not hide the cause
     level = log.level

@@ -41,21 +41,21 @@ def draw(
         limits = (0.0, float(len(KINDS) - 1))
     field = xr.DataArray(values * shown.factor, dims=("y", "x"), coords={"y": record.y, "x": record.x})
     limits = limits or place.limits or colour_limits(field.values, place.signed, place.log)
-    figure, axes = map_panels(field, 1, width=7.0)
+    figure, [[ax]] = map_panels(field, 1, width=7.0)
     moment = AVERAGES[place.averaged] if place.averaged else f"t = {record.time[place.step]:.3f} s"
     label = shown.long_name + shown.in_unit
     norm = None
     if place.log:
         field, norm = abs(field), LogNorm(limits[0] if limits[0] > 0 else 1e-4 * limits[1], limits[1])
     title = f"{record.experiment}, {moment}"
-    draw_map(axes[0, 0], field, label, cmap=place.colour_map, scale=limits, title=title, norm=norm)
+    draw_map(ax, field, label, cmap=place.colour_map, scale=limits, title=title, norm=norm)
     if place.overlay != "nothing" and place.averaged != "rms" and {"u", "v"} <= set(fields):
         u, v, x, y = fields["u"], fields["v"], record.x, record.y
         if place.overlay == "streamlines":
             xs, ys = streamlines(u, v, x, y)
         else:
             xs, ys, _ = arrows(u, v, x, y, fastest or top_speed(u, v))
-        axes[0, 0].plot(xs, ys, color="black", linewidth=0.7)
+        ax.plot(xs, ys, color="black", linewidth=0.7)
     return figure
 
 

@@ -6,8 +6,4 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 
 from wavefield.lazy_names import lazy_names
 
-__all__, __getattr__ = lazy_names(__name__, __file__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__all__, __getattr__, __dir__ = lazy_names(__name__, __file__)

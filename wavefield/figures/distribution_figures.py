@@ -68,8 +68,7 @@ def distributions(cube: xr.Dataset) -> Figure:
     -----
     Counterpart of the paper's distributions of z, dx, dy and dz.
     """
-    figure, axes = panels(2)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2)
     z = 100 * cube.z.values.astype(float)
     span = 5 * float(np.nanstd(z)) if np.isfinite(z).any() else 1.0
     sigma = _draw_density(left, z, "cm", "z", LINES[1], span)
@@ -103,8 +102,7 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
     Counterpart of the paper's figure at rest: z - z_rest with and without each node's mean over time, and
     dx, dy, dz.
     """
-    figure, axes = panels(2, height=4.6)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2, height=4.6)
     z = 1e3 * (rest.z.values.astype(float) - level)
     measured = np.isfinite(z).sum(axis=0)
     centred = z - np.nansum(z, axis=0) / np.maximum(measured, 1)

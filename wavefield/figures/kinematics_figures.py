@@ -121,8 +121,7 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     Counterpart of the paper's coherence curves, with its common normalisation, on the left; the standard
     magnitude-squared coherence with its level of chance on the right.
     """
-    figure, axes = panels(2)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2)
     k = cycles(coherence)
     for ax, stem in ((left, "C_"), (right, "gamma2_")):
         draw_curves(ax, k, {label: np.abs(coherence[stem + n].values) for n, label in _COHERENCES.items()})
@@ -144,8 +143,7 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(2, height=4.4)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2, height=4.4)
     kx, ky = (plane[name].values / (2 * np.pi) for name in ("kx", "ky"))
     label = "|C(k)| of z_t with w − u·∇z"
     norm = Normalize(0, 1)
@@ -200,7 +198,7 @@ def balance_history(kinematics: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=7.6, height=3.6)
+    figure, [[ax]] = panels(1, width=7.6, height=3.6)
     labels = {
         "w_rms": "w",
         "nonlinear_rms": "u·∇z",
@@ -210,6 +208,6 @@ def balance_history(kinematics: xr.Dataset) -> Figure:
     stored = {name: label for name, label in labels.items() if name in kinematics}
     curves = {label: 100 * kinematics[name].values for name, label in stored.items()}
     curves = {label: values for label, values in curves.items() if np.isfinite(values).any()}
-    draw_curves(axes[0, 0], kinematics.time.values, curves, log="y")
-    finish(axes[0, 0], "time (s)", "rms over the grid (cm s⁻¹)", RIGHT)
+    draw_curves(ax, kinematics.time.values, curves, log="y")
+    finish(ax, "time (s)", "rms over the grid (cm s⁻¹)", RIGHT)
     return figure

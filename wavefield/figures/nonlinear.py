@@ -22,7 +22,7 @@ def bound_spectra(bound: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=7.2, height=4.4)
+    figure, [[ax]] = panels(1, width=7.2, height=4.4)
     top = float(bound.E_free.max())
     names = {
         "E_free": "free waves",
@@ -31,10 +31,10 @@ def bound_spectra(bound: xr.Dataset) -> Figure:
     }
     spectra = {label: bound[name].values for name, label in names.items()}
     curves = {label: np.where(E > 1e-9 * top, E, np.nan) for label, E in spectra.items()}
-    draw_curves(axes[0, 0], hertz(bound), curves, log="y")
+    draw_curves(ax, hertz(bound), curves, log="y")
     fraction, std = 100 * float(bound.bound_fraction), 100 * float(bound.bound_fraction_std)
     title = f"bound: {fraction:.2g} ± {std:.1g} % of the variance"
-    finish(axes[0, 0], HERTZ, "E$^z$(ω) (m² s rad⁻¹)", ylim=(1e-7 * top, 3 * top), title=title)
+    finish(ax, HERTZ, "E$^z$(ω) (m² s rad⁻¹)", ylim=(1e-7 * top, 3 * top), title=title)
     return figure
 
 
@@ -56,8 +56,7 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
     probable ones, each in a colour of its own. Right: squared coherence of all quartets less that of
     surrogates against the frequency by which the fourth wave is off the dispersion relation.
     """
-    figure, axes = panels(2, height=4.4)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2, height=4.4)
     kx, ky = (resonances[f"quartet_k{axis}"].values / (2 * np.pi) for axis in "xy")
     significant = np.flatnonzero(resonances.quartet_significant.values)
     for style, i in zip(LINES * 2, significant[:10], strict=False):
@@ -96,8 +95,7 @@ def quartet_map(resonances: xr.Dataset) -> Figure:
     Points: k1 and k2. Line: k3 of resonant quartets, the fourth wave being k4 = k1 + k2 - k3 (Phillips'
     figure of eight where k1 = k2). Grey: no more than chance exceeds in 5 % of the map, or no quartet.
     """
-    figure, axes = panels(1, width=5.6, height=4.6)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=5.6, height=4.6)
     kx, ky = (resonances[f"map_k{axis}"].values / (2 * np.pi) for axis in "xy")
     values, level = resonances.map_coherence.values, float(resonances.map_level)
     _draw_above(ax, kx, ky, values, level, "squared coherence (1)")

@@ -19,8 +19,7 @@ def current_profile(shear: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=5.6, height=4.6)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=5.6, height=4.6)
     centimetres = 100 * shear.z.values
     for style, name in zip(LINES[1:], "xy"):
         speed, std = 100 * shear[f"current_{name}"].values, 100 * shear[f"current_{name}_std"].values
@@ -46,8 +45,7 @@ def breaking_map(snapshot: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = map_panels(snapshot.z, 1, width=7.4)
-    ax = axes[0, 0]
+    figure, [[ax]] = map_panels(snapshot.z, 1, width=7.4)
     draw_map(ax, snapshot.z, "z (cm)", factor=100, cmap="Greys_r", title=moment_title(snapshot))
     B = snapshot.B.values
     rows, columns = np.nonzero(np.isfinite(B))

@@ -147,8 +147,7 @@ def method_diagram(pairs: Sequence[tuple[str, str]], velocity: Sequence[str]) ->
     middle = [c for c in cameras if sum(c in pair for pair in pairs) > 1]
     outer = [c for c in cameras if c not in middle]
     order = [*outer[: len(outer) // 2], *middle, *outer[len(outer) // 2 :]]
-    figure, axes = panels(1, width=8.6, height=3.9)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=8.6, height=3.9)
     blue, orange = LINES[1]["color"], LINES[2]["color"]
     place = {name: 1.0 - i for i, name in enumerate(order)}
     wide = max(_width(f"{name}, t + dt") for name in order)

@@ -61,8 +61,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     frequency, k = hertz(energy), cycles(energy)
     values = positive(energy.values)
     top = float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
-    figure, axes = panels(1, width=7.2, height=4.8)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=7.2, height=4.8)
     ax.set_facecolor(_LOWEST_COLOUR)
     label = f"E$^{name}$(k, ω) ({_units(name)})"
     draw_cells(ax, k, frequency, values, label, norm=LogNorm(top * 1e-7, top), cmap="viridis")
@@ -150,8 +149,7 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     Counterpart of the paper's temporal spectrum. Lines are thin and pale where the store marks them as not
     valid; the band is the 95 % interval of the stereo spectrum.
     """
-    figure, axes = panels(1, width=7.6, height=4.8)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=7.6, height=4.8)
     frequency = hertz(spectra)
     peak = 0.0
     for style, (name, label) in zip(LINES, _METHODS.items(), strict=False):
@@ -219,8 +217,7 @@ def noise_spectra(spectra: xr.Dataset, fusion: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(2)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2)
     curves = {
         "elevation (fusion)": spectra.Ez_fusion.values,
         "noise of stereo z": fusion.noise_z.values,
@@ -249,8 +246,7 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(2)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2)
     k, measured = cycles(dispersion), dispersion.ridge_k.values / (2 * np.pi)
     frequency = dispersion.ridge_omega.values / (2 * np.pi)
     left.scatter(measured, frequency, s=5, color=LINES[1]["color"], label="measured points")
@@ -280,8 +276,7 @@ def directions(direction: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(2)
-    left, right = axes[0]
+    figure, [[left, right]] = panels(2)
     densities = zip(direction.omega_map.values / (2 * np.pi), direction.D.transpose("omega_map", "theta"))
     curves = {f"{frequency:.2f} Hz": D.values for frequency, D in densities}
     draw_curves(left, np.degrees(direction.theta.values), curves, LINES[1:])

@@ -36,8 +36,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
     stride = {d: slice(None, None, -(-snapshot.sizes[d] // MAX_POLYGONS)) for d in ("y", "x")}
     part = snapshot[["z", "w"]].isel(stride).transpose("y", "x")
     z, w = 100 * part.z.values.astype(float), 100 * part.w.values.astype(float)
-    figure, grid = panels(1, width=7.2, height=4.8, projection="3d")
-    axes = grid[0, 0]
+    figure, [[axes]] = panels(1, width=7.2, height=4.8, projection="3d")
     half = limit(w)
     colours = ScalarMappable(Normalize(-half, half), SIGNED)
     figure.colorbar(colours, ax=axes, label="w (cm s⁻¹)", shrink=0.6, pad=0.13, extend="both")
@@ -99,10 +98,10 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
     -----
     Counterpart of the paper's velocity snapshot.
     """
-    figure, axes = map_panels(snapshot.w, 1, width=7.4)
-    draw_map(axes[0, 0], snapshot.w, "w (cm s⁻¹)", factor=100)
-    axes[0, 0].set_title(moment_title(snapshot), loc="left")
-    _draw_vectors(axes[0, 0], snapshot)
+    figure, [[ax]] = map_panels(snapshot.w, 1, width=7.4)
+    draw_map(ax, snapshot.w, "w (cm s⁻¹)", factor=100)
+    ax.set_title(moment_title(snapshot), loc="left")
+    _draw_vectors(ax, snapshot)
     return figure
 
 
@@ -118,6 +117,6 @@ def elevation_map(snapshot: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = map_panels(snapshot.z, 1, width=7.4)
-    draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=moment_title(snapshot))
+    figure, [[ax]] = map_panels(snapshot.z, 1, width=7.4)
+    draw_map(ax, snapshot.z, "z (cm)", factor=100, title=moment_title(snapshot))
     return figure

@@ -20,8 +20,7 @@ def crest_curves(crests: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=5.6)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=5.6)
     level = crests.level.values
     for style, name in zip(LINES[1:], ("crest", "trough"), strict=False):
         part, std = crests[f"{name}_exceedance"].values, crests[f"{name}_exceedance_std"].values
@@ -78,8 +77,7 @@ def vortex_spectra(split: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=5.6)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=5.6)
     step = float(split.omega[1] - split.omega[0])
     names = {"waves": "waves", "vortices": "vortices", "leak": "waves that the windows turn across"}
     over_k = {n: (split[f"E_{n}"].where(split.valid).sum("omega") * step).values for n in names}
@@ -105,8 +103,7 @@ def path_map(paths: xr.Dataset, start: int = 0) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=6.4, height=4.8)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=6.4, height=4.8)
     one = paths.isel(start=start)
     ax.plot(one.path_x.transpose("age", "path").values, one.path_y.transpose("age", "path").values, lw=0.8)
     ax.plot(one.path_x.isel(age=0).values, one.path_y.isel(age=0).values, "k.", markersize=3)
@@ -130,8 +127,7 @@ def energy_bars(budget: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=6.4)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=6.4)
     names = ("growth", "divergence", "viscous", "unexplained")
     place = np.arange(budget.sizes["band"])
     for i, (style, name) in enumerate(zip(LINES[1:], names)):

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wavefield.atomic_write import write_error
+from wavefield.atomic_write import write_error, writing
 from wavefield.errors import ExperimentError, RunStopped
 from wavefield.execution.cluster import MapUnordered, open_cluster
 from wavefield.execution.run_log import jobs_folder, log_file
@@ -68,11 +68,9 @@ def analyze_on_workers(
     if not isinstance(workflow, Workflow):
         workflow = Workflow.load(workflow)
     source, target = Path(cube).absolute(), Path(out).absolute()
-    try:
+    with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         place = tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".partial", dir=target.parent)
-    except OSError as error:
-        raise write_error(target, error) from None
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
             with open_cluster(workflow, jobs_folder(target), True, True, _WORKER_IMPORTS) as map_unordered:

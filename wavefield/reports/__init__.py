@@ -2,8 +2,4 @@
 
 from wavefield.lazy_names import lazy_names
 
-__all__, __getattr__ = lazy_names(__name__, __file__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__all__, __getattr__, __dir__ = lazy_names(__name__, __file__)

@@ -76,8 +76,7 @@ def _row(run: str, cube: Path, groups: Mapping[str, xr.Dataset] | None, output: 
 
 
 def _figure(spectra: Mapping[str, xr.DataArray]) -> Figure:
-    figure, axes = panels(1, width=8.0, height=4.5)
-    ax = axes[0, 0]
+    figure, [[ax]] = panels(1, width=8.0, height=4.5)
     for k, (run, one) in enumerate(spectra.items()):
         style = {**LINES[k % len(LINES)], "linewidth": 1.0 + 0.8 * (k // len(LINES))}
         ax.loglog(one["omega"].values / (2 * np.pi), one.where(one > 0).values, label=run, **style)

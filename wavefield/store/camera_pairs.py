@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 import zarr
 
-from wavefield.atomic_write import write_error
+from wavefield.atomic_write import writing
 from wavefield.errors import StoreError
 from wavefield.store.layout import add_array, gather_metadata
 from wavefield.store.metadata import keep_metadata
@@ -35,7 +35,7 @@ register(
 def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: int) -> None:
     """Put the statistics into a cube; they belong to a ledger of this checksum, which is written last."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
-    try:
+    with writing(path / GROUP):
         group = zarr.open_group(path / GROUP, mode="a", zarr_format=3)
         group.attrs.put({})
         for row in rows_of(GROUP):
@@ -44,8 +44,6 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: i
         group.attrs.put(attributes | {"ledger_checksum": ledger_checksum})
         gather_metadata(path)
         keep_metadata(path)
-    except OSError as error:
-        raise write_error(path / GROUP, error) from None
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:

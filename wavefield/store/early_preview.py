@@ -16,7 +16,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
-from wavefield.atomic_write import write_error
+from wavefield.atomic_write import writing
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING
 from wavefield.store.preview import Thinning, open_preview, preview_path, thin_chunk, thinning
@@ -38,7 +38,7 @@ def create_early(cube: Path, preview: CubeGroup, group: CubeGroup, every: int) -
     steps, ny, nx = group["z"].shape
     thin = early_thinning(group)
     shape = len(thin.names), -(-ny // thin.every), -(-nx // thin.every)
-    try:
+    with writing(preview_path(cube)):
         zarr.create_array(
             preview_path(cube),
             name="early",
@@ -51,8 +51,6 @@ def create_early(cube: Path, preview: CubeGroup, group: CubeGroup, every: int) -
             overwrite=True,
         )
         preview.attrs[_EVERY] = every  # last: without it, there are none
-    except OSError as error:
-        raise write_error(preview_path(cube), error) from None
 
 
 def early_every(preview: CubeGroup | None) -> int:
@@ -67,10 +65,8 @@ def write_early(cube: Path, group: CubeGroup, step: int, fields: Mapping[str, ND
     if preview is not None and every:
         thin = early_thinning(group)
         thin = replace(thin, scales=tuple(PACKING.get(name, 1.0) for name in thin.names))
-        try:
+        with writing(preview_path(cube)):
             preview["early"][..., step // every] = thin_chunk(fields, thin)[..., 0]
-        except OSError as error:
-            raise write_error(preview_path(cube), error) from None
 
 
 def early_steps(cube: Path, preview: CubeGroup | None) -> list[int]:

@@ -18,7 +18,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from wavefield.atomic_write import OwnFile, atomic, write_error, zarr_store
+from wavefield.atomic_write import OwnFile, atomic, writing, zarr_store
 from wavefield.errors import StoreError
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING, StoreLayout, in_16_bits
@@ -147,12 +147,10 @@ def write_preview(cube: Path, group: CubeGroup, start: int, fields: Mapping[str,
 def store_thinned(cube: Path, preview: CubeGroup, start: int, thinned: NDArray[np.int16]) -> None:
     """Put a thinned chunk (variable, y, x, n) into the preview, its ledger last."""
     stop = start + thinned.shape[-1]
-    try:
+    with writing(preview_path(cube)):
         preview["fields"][..., start:stop] = thinned
         preview["checksum"][start // preview["done"].chunks[0]] = zlib.crc32(thinned.tobytes())
         preview["done"][start:stop] = np.uint8(1)
-    except OSError as error:
-        raise write_error(preview_path(cube), error) from None
 
 
 def stored_thinned(preview: CubeGroup, start: int, stop: int) -> NDArray[np.int16] | None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import zarr
 
-from wavefield.atomic_write import write_error
+from wavefield.atomic_write import writing
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, gather_metadata
 from wavefield.store.metadata import ARCHIVE, keep_metadata
@@ -40,11 +40,9 @@ def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> lis
     ]
     if not changed and _gathered(path) and (path / ARCHIVE).exists():
         return []
-    try:
+    with writing(path):
         # the recipe is written last, then the metadata are gathered for quick opening
         _write(open_group(path, "r+"), path, recipe, new)
-    except OSError as error:
-        raise write_error(path, error) from None
     return changed
 
 
@@ -54,14 +52,12 @@ def state_jitter(path: Path, found: Mapping[str, float]) -> None:
     group = open_group(path)
     if {name: group.attrs[name] for name in JITTER if name in group.attrs} == new:
         return
-    try:
+    with writing(path):
         group = open_group(path, "r+")
         kept = {name: value for name, value in group.attrs.asdict().items() if name not in JITTER}
         group.attrs.put(kept | new)
         gather_metadata(path)
         keep_metadata(path)
-    except OSError as error:
-        raise write_error(path, error) from None
 
 
 def _gathered(path: Path) -> bool:

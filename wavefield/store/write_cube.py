@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.atomic_write import make_durable, write_error
+from wavefield.atomic_write import make_durable, writing
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, in_16_bits
@@ -43,7 +43,7 @@ def write_chunk(
     absent = [name for name in CUBE_FIELDS if name not in fields]
     if absent:
         raise ValueError(f"the measurement gave no {', '.join(absent)}")
-    try:
+    with writing(path):
         for name in CUBE_FIELDS:
             array = group[name]
             values = np.asarray(fields[name])
@@ -69,8 +69,6 @@ def write_chunk(
         _to_disk(path, chunk, DESCRIPTIONS)
         group["frame_status"][start:stop] = frame_status
         _to_disk(path, chunk, ("frame_status",))
-    except OSError as error:
-        raise write_error(path, error) from None
 
 
 def _keep_descriptions(path: Path, group: CubeGroup, number: int, ledger: bytes) -> None:
@@ -117,9 +115,7 @@ def reset_chunks(path: Path, starts: Sequence[int]) -> None:
 def discard_chunks(path: Path, starts: Sequence[int]) -> None:
     """Remove what is stored of damaged chunks; the ledger then calls them not started."""
     size = read_layout(open_group(path)).chunk_steps
-    try:
+    with writing(path):
         for chunk in (start // size for start in starts):
             for name in ("frame_status", *WATCHED):  # the ledger first: nothing done is ever without its data
                 chunk_path(path, name, chunk).unlink(missing_ok=True)
-    except OSError as error:
-        raise write_error(path, error) from None
