@@ -126,10 +126,11 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     _WRITERS[kind](cube, path)
 
 
-def _by_steps(cube: "xr.Dataset") -> Iterator["xr.Dataset"]:
-    count = cube.sizes["time"]
-    for start in range(0, count, _AT_ONCE):
-        yield cube.isel(time=slice(start, min(start + _AT_ONCE, count))).load()
+def _steps_of(cube: "xr.Dataset") -> Iterator["xr.Dataset"]:
+    """One step of a cube after the other, loaded."""
+    for start in range(0, cube.sizes["time"], _AT_ONCE):
+        chunk = cube.isel(time=slice(start, start + _AT_ONCE)).load()
+        yield from (chunk.isel(time=k) for k in range(chunk.sizes["time"]))
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
@@ -156,7 +157,7 @@ def _matlab(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_matlab import write_matlab
 
     with atomic(path, PRODUCTS["matlab"]) as draft:
-        write_matlab(cube, _by_steps(cube), draft)
+        write_matlab(cube, _steps_of(cube), draft)
 
 
 def _paraview(cube: "xr.Dataset", path: Path) -> None:
@@ -164,7 +165,7 @@ def _paraview(cube: "xr.Dataset", path: Path) -> None:
 
     folder = path.with_name(f"{path.stem}_steps")
     with atomic(folder, _STEPS) as draft:
-        text = write_paraview(_by_steps(cube), draft, folder.name)
+        text = write_paraview(_steps_of(cube), draft, folder.name)
     write_text(path, text, PRODUCTS["paraview"])
 
 
@@ -172,7 +173,7 @@ def _vtkhdf(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.vtkhdf import write_vtkhdf
 
     with atomic(path, PRODUCTS["vtkhdf"]) as draft:
-        write_vtkhdf(cube, _by_steps(cube), draft)
+        write_vtkhdf(cube, _steps_of(cube), draft)
 
 
 def _uvmat(cube: "xr.Dataset", path: Path) -> None:
@@ -180,7 +181,7 @@ def _uvmat(cube: "xr.Dataset", path: Path) -> None:
 
     dt = 1.0 / float(recipe_of(cube.attrs)["frame_rate"])
     with atomic(path, PRODUCTS["uvmat"]) as draft:
-        write_uvmat(_by_steps(cube), draft, path.stem, dt)
+        write_uvmat(_steps_of(cube), draft, path.stem, dt)
 
 
 _WRITERS: dict[str, Callable[[Any, Path], None]] = {

@@ -8,11 +8,13 @@ import h5py
 import numpy as np
 import xarray as xr
 
+from wavefield.variables import CUBE_DIMS
+
 _HEADER = 512  # bytes before the HDF5
 _CLASS = {"float32": "single", "float64": "double"}  # numpy's types whose names differ
 
 
-def write_matlab(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> None:
+def write_matlab(cube: xr.Dataset, steps: Iterator[xr.Dataset], path: Path) -> None:
     """Write a cube as a MAT-file of version 7.3, which `load` and `matfile` (a step at a time) read.
     Fields are (y, x, time) in MATLAB; ``units`` and ``long_name`` are structs of texts, ``recipe`` is JSON.
     """
@@ -20,13 +22,10 @@ def write_matlab(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> 
     with h5py.File(path, "w", userblock_size=_HEADER) as file:
         for name, variable in cube.variables.items():
             _lay_out(file, str(name), variable)
-        at = 0
-        for chunk in chunks:
-            stop = at + chunk.sizes["time"]
-            for name, variable in chunk.variables.items():
-                if "time" in variable.dims and variable.ndim == 3:
-                    file[str(name)][at:stop] = np.asarray(variable).transpose(0, 2, 1)
-            at = stop
+        fields = [str(name) for name, variable in cube.variables.items() if variable.dims == CUBE_DIMS]
+        for k, step in enumerate(steps):
+            for name in fields:
+                file[name][k] = np.asarray(step[name]).T
         for key in ("units", "long_name"):
             _write_struct(file, key, {str(n): str(v.attrs.get(key, "")) for n, v in cube.variables.items()})
         for name, value in cube.attrs.items():
@@ -39,14 +38,14 @@ def write_matlab(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> 
 
 def _lay_out(file: h5py.File, name: str, variable: xr.Variable) -> None:
     """A field without its values yet, or a vector; MATLAB reads dimensions in reverse."""
-    if variable.ndim == 3:
+    if variable.dims == CUBE_DIMS:
         count, ny, nx = variable.shape
         data = file.create_dataset(
             name, (count, nx, ny), variable.dtype, chunks=(1, nx, ny), compression=4, shuffle=True
         )
     else:
         values = np.asarray(variable)
-        data = file.create_dataset(name, data=np.atleast_2d(values).T if values.ndim == 2 else values[None])
+        data = file.create_dataset(name, data=values.T if values.ndim > 1 else values[None])
     kind = str(data.dtype)
     data.attrs["MATLAB_class"] = np.bytes_(_CLASS.get(kind, kind))
 

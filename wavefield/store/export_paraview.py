@@ -17,20 +17,18 @@ _HEAD = '<?xml version="1.0"?>\n<!-- written by wavefield -->\n'
 _VELOCITY = ("u", "v", "w")
 
 
-def write_paraview(chunks: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
+def write_paraview(steps: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
     """Write every step as a structured grid (.vts); returns the text of the series of them (.pvd).
     Points are (x, y, z), ``velocity`` is (u, v, w); nodes without z are hidden (``vtkGhostType``).
     """
     draft.mkdir()
     lines: list[str] = []
-    for chunk in chunks:
-        x, y = np.meshgrid(np.asarray(chunk.x), np.asarray(chunk.y))
-        for k in range(chunk.sizes["time"]):
-            one = chunk.isel(time=k)
-            name = f"step_{len(lines):05d}.vts"
-            (draft / name).write_bytes(structured_grid(x, y, one))
-            place = quoteattr(f"{folder}/{name}")
-            lines.append(f'<DataSet timestep="{float(one.time):.9g}" part="0" file={place}/>')
+    for step in steps:
+        x, y = np.meshgrid(np.asarray(step.x), np.asarray(step.y))
+        name = f"step_{len(lines):05d}.vts"
+        (draft / name).write_bytes(structured_grid(x, y, step))
+        place = quoteattr(f"{folder}/{name}")
+        lines.append(f'<DataSet timestep="{float(step.time):.9g}" part="0" file={place}/>')
     head = f'{_HEAD}<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">'
     body = "\n".join(lines)
     return f"{head}\n<Collection>\n{body}\n</Collection>\n</VTKFile>\n"

@@ -19,16 +19,13 @@ _ROLES = {  # name here: name and role there
 }
 
 
-def write_uvmat(chunks: Iterator[xr.Dataset], draft: Path, stem: str, dt: float) -> None:
+def write_uvmat(steps: Iterator[xr.Dataset], draft: Path, stem: str, dt: float) -> None:
     """Write every step as a NetCDF 3 file as UVMAT's `struct2nc` does: metres, y upwards.
     ``FF`` (UVMAT's flag of false vectors) is 0 where the node was measured, else the bits of ``quality``.
     """
     draft.mkdir()
-    number = 0
-    for chunk in chunks:
-        for k in range(chunk.sizes["time"]):
-            number += 1
-            _write_step(draft / f"{stem}_{number}.nc", chunk.isel(time=k), dt)
+    for number, step in enumerate(steps, 1):
+        _write_step(draft / f"{stem}_{number}.nc", step, dt)
 
 
 def _write_step(path: Path, step: xr.Dataset, dt: float) -> None:

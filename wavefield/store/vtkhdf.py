@@ -24,8 +24,8 @@ _LISTS = {
 _OFFSETS = ("PartOffsets", "CellOffsets", "ConnectivityIdOffsets")
 
 
-def write_vtkhdf(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> None:
-    """Write a cube as VTKHDF, a few steps at a time; points and fields as in `export_paraview`.
+def write_vtkhdf(cube: xr.Dataset, steps: Iterator[xr.Dataset], path: Path) -> None:
+    """Write a cube as VTKHDF, step by step; points and fields as in `export_paraview`.
     Cells lie between four nodes that all have an elevation, stored again only where they change.
     """
     x, y = np.meshgrid(np.asarray(cube.x), np.asarray(cube.y))
@@ -41,26 +41,24 @@ def write_vtkhdf(cube: xr.Dataset, chunks: Iterator[xr.Dataset], path: Path) -> 
             root.create_dataset(
                 name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK,), compression=4, shuffle=True
             )
-        steps = root.create_group("Steps")
-        steps.attrs["NSteps"] = count
-        steps["Values"] = np.asarray(cube.time, np.float64)
-        steps["NumberOfParts"] = np.ones(count, np.int64)
+        places = root.create_group("Steps")
+        places.attrs["NSteps"] = count
+        places["Values"] = np.asarray(cube.time, np.float64)
+        places["NumberOfParts"] = np.ones(count, np.int64)
         for name in _OFFSETS:
-            steps[name] = np.zeros(count if name == "PartOffsets" else (count, 1), np.int64)
-        before, at = None, 0
-        for chunk in chunks:
-            for k in range(chunk.sizes["time"]):
-                arrays = points_and_fields(x, y, chunk.isel(time=k))
-                shown = (arrays["vtkGhostType"].ravel() == 0)[corners].all(axis=1)
-                if before is None or not np.array_equal(shown, before):
-                    starts = _add_cells(root, corners[shown], x.size)
-                    before = shown
-                for name, start in zip(_OFFSETS, starts):
-                    steps[name][at] = start
-                _write_step(root, at, count, "Points", "PointOffsets", arrays.pop("Points"))
-                for name, values in arrays.items():
-                    _write_step(root, at, count, f"PointData/{name}", f"PointDataOffsets/{name}", values)
-                at += 1
+            places[name] = np.zeros(count if name == "PartOffsets" else (count, 1), np.int64)
+        before = None
+        for at, step in enumerate(steps):
+            arrays = points_and_fields(x, y, step)
+            shown = (arrays["vtkGhostType"].ravel() == 0)[corners].all(axis=1)
+            if before is None or not np.array_equal(shown, before):
+                starts = _add_cells(root, corners[shown], x.size)
+                before = shown
+            for name, start in zip(_OFFSETS, starts):
+                places[name][at] = start
+            _write_step(root, at, count, "Points", "PointOffsets", arrays.pop("Points"))
+            for name, values in arrays.items():
+                _write_step(root, at, count, f"PointData/{name}", f"PointDataOffsets/{name}", values)
 
 
 def _add_cells(root: h5py.Group, corners: NDArray[np.int64], points: int) -> tuple[int, int, int]:
