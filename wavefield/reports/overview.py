@@ -9,7 +9,7 @@ import xarray as xr
 from wavefield import figures
 from wavefield.pipeline import Run
 from wavefield.reports.html_page import Listing, Picture, ReportSection, Table
-from wavefield.reports.number_text import number, without_folders
+from wavefield.reports.number_text import number, rms_of, without_folders
 from wavefield.reports.run_data import in_light_sheet
 from wavefield.reports.run_numbers import RunNumbers
 from wavefield.rig.pairs import pairs_of
@@ -21,16 +21,11 @@ _LONG = 300  # letters: longer attributes are not in the table of metadata
 
 def run_summary(numbers: RunNumbers) -> ReportSection:
     """What was measured, how much of it, how well."""
-    eps_y, eps_piv = number(1e3 * numbers.rms("eps_y"), "mm", 2), number(numbers.rms("eps_piv"), "px", 2)
-    gist = f"displacements differ by {eps_piv} (rms)"
-    if not in_light_sheet(numbers.run):
-        gist = f"sight lines miss each other by {eps_y}, {gist}"
-    table = Table("Run summary", ("quantity", "value"), _summary_rows(numbers))
-    return ReportSection("Run summary", [table], folded=True, gist=gist)
-
-
-def _summary_rows(numbers: RunNumbers) -> list[tuple[str, str]]:
     run, cube = numbers.run, numbers.run.cube
+    eps_y, eps_piv = 1e3 * rms_of(numbers.part.eps_y), rms_of(numbers.part.eps_piv)
+    gist = f"displacements differ by {number(eps_piv, 'px', 2)} (rms)"
+    if not in_light_sheet(run):
+        gist = f"sight lines miss each other by {number(eps_y, 'mm', 2)}, {gist}"
     rows = [("step status", numbers.step_status)]
     if "path_frames" in cube.coords:
         frames = int(cube.path_frames)
@@ -39,22 +34,21 @@ def _summary_rows(numbers: RunNumbers) -> list[tuple[str, str]]:
     if "z_level_std" in cube:
         level = number(1e3 * float(cube.z_level_std), "mm")
         rows.append(("uncertainty of z = 0, common to all nodes", level))
-    eps_y, eps_piv = number(1e3 * numbers.rms("eps_y"), "mm"), number(numbers.rms("eps_piv"), "px")
+    misfit = f"{number(eps_piv, 'px')} (published for a similar rig: 0.34 to 0.37 px)"
+    mismatch = f"{number(eps_y, 'mm')} (published for a similar rig: 0.4 to 0.8 mm)"
     rows += [
         ("measured nodes in view", f"{100 * numbers.measured_in_view:.2f} %"),
         *without_cameras(numbers.part.quality, numbers.n_in_view, cube.attrs.get("cameras", ())),
-        ("rms of z about its mean", number(100 * numbers.std("z"), "cm")),
-        ("mismatch of sight lines (eps_y), rms", f"{eps_y} (published for a similar rig: 0.4 to 0.8 mm)"),
-        (
-            "misfit of the displacements (eps'), rms",
-            f"{eps_piv} (published for a similar rig: 0.34 to 0.37 px)",
-        ),
+        ("rms of z about its mean", number(100 * float(numbers.part.z.std()), "cm")),
+        ("mismatch of sight lines (eps_y), rms", mismatch),
+        ("misfit of the displacements (eps'), rms", misfit),
     ]
     statistics = run.wave_group("statistics")
     for name, label in (("steepness", "steepness k_p σ"), ("slope_rms", "rms slope")):
         if statistics is not None and name in statistics:
             rows.append((label, number(float(statistics[name]))))
-    return rows
+    table = Table("Run summary", ("quantity", "value"), rows)
+    return ReportSection("Run summary", [table], folded=True, gist=gist)
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:

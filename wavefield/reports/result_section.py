@@ -4,9 +4,9 @@ from wavefield import figures
 from wavefield.pipeline import Run
 from wavefield.reports.elevation_section import probes_of
 from wavefield.reports.html_page import Facts, Item, Picture, Remarks, ReportSection, Text
-from wavefield.reports.number_text import number
+from wavefield.reports.number_text import median_of, number, rms_of
 from wavefield.reports.player import player
-from wavefield.reports.run_data import extremes_of, in_folder, in_light_sheet, reason_of, snapshot
+from wavefield.reports.run_data import extremes_of, in_folder, in_light_sheet, reason_of, snapshot, thinned
 from wavefield.reports.run_numbers import RunNumbers
 from wavefield.store.verdict import Verdict
 from wavefield.text import spell_time
@@ -28,10 +28,10 @@ def result(numbers: RunNumbers) -> ReportSection:
 def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
     """Name, value and note of the main results."""
     run, cube = numbers.run, numbers.run.cube
-    rate, u, v, w = float(cube.attrs["frame_rate"]), *(number(100 * numbers.rms(n)) for n in "uvw")
+    rate, u, v, w = float(cube.attrs["frame_rate"]), *(number(100 * rms_of(numbers.part[n])) for n in "uvw")
     duration = cube.sizes["time"] / rate
     lasting = spell_time(duration) if duration > 120 else f"{duration:.3g} s"
-    std = {n: 1e3 * numbers.median_std(n) for n in "zuvw"}
+    std = {n: 1e3 * median_of(thinned(cube, f"{n}_std")[f"{n}_std"]) for n in "zuvw"}
     in_view = "" if numbers.in_view > 0.9995 else f"; {_percent(numbers.measured_in_view)} of what is in view"
     sheet = in_light_sheet(run)
     return [
@@ -60,7 +60,7 @@ def _height(numbers: RunNumbers) -> tuple[str, str, str]:
     if statistics is not None and "significant_height" in statistics:
         height, note = float(statistics["significant_height"]), ""
     else:
-        height, note = 4 * numbers.std("z"), "four times the rms of z"
+        height, note = 4 * float(numbers.part.z.std()), "four times the rms of z"
     return "Significant wave height Hs", number(100 * height, "cm"), note
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 
 from wavefield.pipeline import Run
-from wavefield.reports.number_text import median_of, rms_of
 from wavefield.reports.run_data import thinned
 from wavefield.variables import FrameStatus, Quality
 
@@ -24,18 +23,6 @@ class RunNumbers:
     def part(self) -> xr.Dataset:
         """The fields (time, y, x), with fewer steps where they are large."""
         return thinned(self.run.cube, *_FIELDS)
-
-    def rms(self, name: str) -> float:
-        """Rms of a field."""
-        return rms_of(self.part[name])
-
-    def std(self, name: str) -> float:
-        """Rms of a field about its mean."""
-        return float(self.part[name].std())
-
-    def median_std(self, name: str) -> float:
-        """Median of the standard uncertainty of a field."""
-        return median_of(thinned(self.run.cube, f"{name}_std")[f"{name}_std"])
 
     @cached_property
     def _measured(self) -> int:
