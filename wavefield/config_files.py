@@ -172,10 +172,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
     _measure(node, path, {})
-    for value in _broken_paths(node):
-        raise ExperimentError(
-            f"{path}, line {value.start_mark.line + 1}: {_BACKSLASH}: {value.value[:60]!r}; {_SLASH}"
-        )
+    texts = (part for part in _below(node) if isinstance(part, yaml.ScalarNode) and part.style == '"')
+    for text in texts:  # in which \t, \n, ... of a path have become control characters
+        if _BROKEN_PATH.search(text.value):
+            raise ExperimentError(
+                f"{path}, line {text.start_mark.line + 1}: {_BACKSLASH}: {text.value[:60]!r}; {_SLASH}"
+            )
     for first, second in _twice(node):
         raise ExperimentError(
             f"{path}, line {second.start_mark.line + 1}: {second.value!r} is there twice "
@@ -238,12 +240,7 @@ def _measure(node: yaml.Node, path: Path, sizes: dict[int, int]) -> int:
     if id(node) in sizes:
         return sizes[id(node)]
     sizes[id(node)] = _LARGEST + 1  # until it is known: an alias within itself has no end
-    parts: list[yaml.Node] = []
-    if isinstance(node, yaml.MappingNode):
-        parts = [part for pair in node.value for part in pair]
-    elif isinstance(node, yaml.SequenceNode):
-        parts = node.value
-    size = 1 + sum(_measure(part, path, sizes) for part in parts)
+    size = 1 + sum(_measure(part, path, sizes) for part in _parts(node))
     if size > _LARGEST:
         raise ExperimentError(
             f"{path}, line {node.start_mark.line + 1}: more than {_LARGEST} values; write out its aliases "
@@ -253,29 +250,29 @@ def _measure(node: yaml.Node, path: Path, sizes: dict[int, int]) -> int:
     return size
 
 
-def _broken_paths(node: yaml.Node) -> Iterator[yaml.Node]:
-    """Paths in double quotes whose \\t, \\n, ... have become control characters."""
-    if isinstance(node, yaml.ScalarNode):
-        if node.style == '"' and _BROKEN_PATH.search(str(node.value)):
-            yield node
-    elif isinstance(node, yaml.CollectionNode):
-        for value in node.value:
-            for part in value if isinstance(value, tuple) else (value,):
-                yield from _broken_paths(part)
+def _parts(node: yaml.Node) -> list[yaml.Node]:
+    """Keys and values of a mapping, or items of a list."""
+    if isinstance(node, yaml.MappingNode):
+        return [part for pair in node.value for part in pair]
+    return list(node.value) if isinstance(node, yaml.SequenceNode) else []
+
+
+def _below(node: yaml.Node) -> Iterator[yaml.Node]:
+    """A node and all that it holds."""
+    yield node
+    for part in _parts(node):
+        yield from _below(part)
 
 
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
-    if isinstance(node, yaml.MappingNode):
-        seen: dict[Any, yaml.Node] = {}
-        for key, value in node.value:
+    """Keys that a mapping has twice."""
+    for mapping in _below(node):
+        seen: dict[str, yaml.Node] = {}
+        for key, _ in mapping.value if isinstance(mapping, yaml.MappingNode) else ():
             word = str(key.value)
             if word in seen and word != "<<":
                 yield seen[word], key
             seen[word] = key
-            yield from _twice(value)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            yield from _twice(value)
 
 
 # -- where a value is ----------------------------------------------------------------------------------

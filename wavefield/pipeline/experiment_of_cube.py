@@ -1,15 +1,22 @@
-"""The experiment file of a cube: named relative to the store, so that a copied folder has its own."""
+"""The experiment of a cube: its file, named relative to the store, so that a copied folder has its own, and
+its images, compared with those that the cube was begun with by some frames.
+"""
 
 import hashlib
 import json
 import os
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from wavefield.errors import ExperimentError, WavefieldError
-from wavefield.pipeline.fingerprint import check_images
-from wavefield.series import Experiment
+import numpy as np
+
+from wavefield.errors import ExperimentError, StoreError, WavefieldError
+from wavefield.sampling import from_first_to_last
+from wavefield.series import Experiment, FrameSeries
+
+SAMPLE_FRAMES = 3  # frames of each camera: first, middle and last
 
 
 def image_names(experiment: Experiment, camera: str) -> list[Any]:
@@ -87,3 +94,31 @@ def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, ob
     except (WavefieldError, OSError):  # images that are no longer there
         return
     check_images(str(store), first, frames)
+
+
+def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
+    """Checksums of the grey levels of some frames of each camera."""
+    out: dict[str, dict[str, int]] = {}
+    for name, frames in series.items():
+        read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}
+        out[name] = {k: _sum(image) for k, image in read.items() if image is not None}
+    return out
+
+
+def _sum(image: np.ndarray) -> int:
+    return zlib.crc32(np.ascontiguousarray(image).tobytes())
+
+
+def check_images(
+    store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
+) -> None:
+    """Refuse to go on with other images than a cube was begun with."""
+    for name, sums in begun.items():
+        for index, requested in sums.items():
+            frames = series.get(name)
+            image = frames.read(int(index)).image if frames is not None else None
+            if frames is not None and image is not None and _sum(image) != requested:
+                raise StoreError(
+                    f"{store} was begun with other images: {frames.place(int(index))} is not what it was; "
+                    "write to another store with -o, or remove this one"
+                )

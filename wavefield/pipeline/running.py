@@ -24,8 +24,7 @@ from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.chunk import Chunk, EarlyStep, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work
 from wavefield.pipeline.early import SECONDS, plan_early
-from wavefield.pipeline.experiment_of_cube import labels
-from wavefield.pipeline.fingerprint import check_images, fingerprints
+from wavefield.pipeline.experiment_of_cube import check_images, fingerprints, labels
 from wavefield.pipeline.learning import learn_record, once_per_cube
 from wavefield.pipeline.magnitudes import refuse_small_fields
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
