@@ -58,29 +58,20 @@ register(
         "rate of rise of the surface",
         meaning="at a fixed node: rise of the surface along the water's path, less u . grad z",
     ),
-    _cube(
-        "u",
-        "m s-1",
-        "velocity along x",
-        standard_name="surface_sea_water_x_velocity",
-        meaning="at mid-time, along the path through the frames around it",
-        extra={"ancillary_variables": "u_std quality"},
-    ),
-    _cube(
-        "v",
-        "m s-1",
-        "velocity along y",
-        standard_name="surface_sea_water_y_velocity",
-        meaning="at mid-time, along the path through the frames around it",
-        extra={"ancillary_variables": "v_std quality"},
-    ),
-    _cube(
-        "w",
-        "m s-1",
-        "vertical velocity",
-        standard_name="upward_sea_water_velocity",
-        meaning="at mid-time, along the path through the frames around it",
-        extra={"ancillary_variables": "w_std quality"},
+    *(
+        _cube(
+            name,
+            "m s-1",
+            text,
+            standard_name=standard_name,
+            meaning="at mid-time, along the path through the frames around it",
+            extra={"ancillary_variables": f"{name}_std quality"},
+        )
+        for name, text, standard_name in (
+            ("u", "velocity along x", "surface_sea_water_x_velocity"),
+            ("v", "velocity along y", "surface_sea_water_y_velocity"),
+            ("w", "vertical velocity", "upward_sea_water_velocity"),
+        )
     ),
     _cube("eps_y", "m", "stereo mismatch across the sight line"),
     _cube("eps_piv", "pixel", "misfit of the cameras' displacements"),
