@@ -12,6 +12,7 @@ so that a changed recipe is kept next to the old one. ``run`` and ``recipe`` are
 """
 
 import errno
+import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -33,8 +34,6 @@ if TYPE_CHECKING:  # slow to import: most commands ask only whether a file is a 
     from wavefield.series import Experiment
     from wavefield.store.ledger import Status
 
-_OPTIONS = "intake.readers.user_parameters:OptionsUserParameter"
-_TEXT = "intake.readers.user_parameters:SimpleUserParameter"
 _XARRAY = "intake.readers.readers:XArrayDatasetReader"
 _DRIVERS = {  # what a catalog may have intake import, by key
     "datatype": r"intake\.readers\.datatypes:[A-Z]\w*",
@@ -42,7 +41,6 @@ _DRIVERS = {  # what a catalog may have intake import, by key
     "cls": r"intake\.readers\.user_parameters:[A-Z]\w*",
     "output_instance": r"(xarray|pandas|numpy|dask)[\w.]*:[A-Z]\w*|numpy:ndarray",
 }
-_PARTS = ["spectra", "coherence", "kinematics", "statistics"]
 
 
 def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = None) -> str:
@@ -99,62 +97,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 def new_catalog(stem: str) -> dict[str, Any]:
     """An intake catalog without runs."""
-    base = "{CATALOG_DIR}/" + stem + "/{run}"
-
-    def parameter(
-        kind: str, description: str, default: str, options: list[str] | None = None
-    ) -> dict[str, Any]:
-        out = {"cls": kind, "dtype": "str", "description": description, "default": default}
-        return out if options is None else {**out, "options": options}
-
-    def data(kind: str, url: str, **more: object) -> dict[str, Any]:
-        return {
-            "datatype": f"intake.readers.datatypes:{kind}",
-            "kwargs": {"url": url, "storage_options": None, **more},
-            "metadata": {},
-            "user_parameters": {},
-        }
-
-    def entry(source: str, description: str, **keywords: object) -> dict[str, Any]:
-        return {
-            "reader": _XARRAY,
-            "kwargs": {"data": "{data(" + source + ")}", **keywords},
-            "output_instance": "xarray:Dataset",
-            "metadata": {"description": description},
-            "user_parameters": {},
-        }
-
-    return {
-        "version": 2,
-        "metadata": {"title": stem},
-        "user_parameters": {
-            "run": parameter(_OPTIONS, "which experiment", "", []),
-            "recipe": parameter(
-                _OPTIONS, "which of its cubes: the first digits of the recipe's hash", "latest", ["latest"]
-            ),
-            # not `folder`: intake drops a keyword of a reader that has the name of a parameter
-            "location": parameter(_TEXT, "folder of the images, if not that of the experiment file", ""),
-            "part": parameter(_OPTIONS, "which part of the waves", "spectra", _PARTS),
-        },
-        "data": {
-            "experiment_file": data("FileData", f"{base}/experiment.yaml"),
-            "cube_store": data("Zarr", base + "/{recipe}/cube.zarr", root=""),
-            "waves_store": data("Zarr", base + "/{recipe}/waves.zarr", root=""),
-        },
-        "entries": {
-            "frames": entry(
-                "experiment_file",
-                "images of all cameras",
-                engine="wavefield",
-                folder="{location}",
-                chunks={},
-                open_local=True,
-            ),
-            "cube": entry("cube_store", "z, u, v, w (time, y, x)", engine="zarr", chunks={}),
-            "waves": entry("waves_store", "spectra and coherences", engine="zarr", group="{part}", chunks={}),
-        },
-        "aliases": {"frames": "frames", "cube": "cube", "waves": "waves"},
-    }
+    template = Path(__file__).with_name("new_catalog.yaml").read_text(encoding="utf-8")
+    data: dict[str, Any] = yaml.safe_load(template.replace("STEM", json.dumps(stem)[1:-1]))
+    return data
 
 
 def is_catalog(path: str | Path) -> bool:
