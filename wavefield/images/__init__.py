@@ -20,7 +20,6 @@ from wavefield.images.plain_tiff import read_plain_tiff
 from wavefield.images.tiff_page import page_of, read_page
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported here
-JPEG_ENDINGS = (".jpg", ".jpeg")
 TIFF_ENDINGS = (".tif", ".tiff")
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 FILE_ENDS = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
@@ -139,22 +138,11 @@ def _quiet() -> Iterator[None]:
             cv2.utils.logging.setLogLevel(before)
 
 
-def _is_complete(path: str | Path, end: bytes) -> bool:
-    with open(path, "rb") as stream:
-        size = stream.seek(0, 2)
-        stream.seek(max(0, size - TAIL_BYTES))
-        return end in stream.read()
-
-
 def _read_file(path: str | Path) -> np.ndarray | None:
     """Read an image with OpenCV; None if it is damaged or of another kind."""
-    ending = Path(path).suffix.lower()
     try:
-        # found beforehand: libpng and libjpeg print their complaints about truncated files
-        if ending in FILE_ENDS and not _is_complete(path, FILE_ENDS[ending]):
-            return None
-        if ending in JPEG_ENDINGS:
-            # from memory: OpenCV decodes the rest of a truncated file otherwise
+        if Path(path).suffix.lower() in FILE_ENDS:
+            # checked beforehand: OpenCV decodes the rest of a truncated file, and its libraries complain
             return _decoded(Path(path).read_bytes(), str(path))
         return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     except (cv2.error, OSError):
