@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from wavefield.pipeline import advice
@@ -15,7 +16,7 @@ def late(subject="cam3", weight="grave"):
 @pytest.fixture
 def prepared(monkeypatch):
     """A run of three cameras whose pairs all contain the third."""
-    monkeypatch.setattr(advice, "has_step", lambda series: True)
+    monkeypatch.setattr(advice, "complete_steps", lambda series: np.array([True]))
     pairs = (("cam3", "cam1"), ("cam3", "cam2"))
     return SimpleNamespace(
         rig=("cam1", "cam2", "cam3"),

@@ -35,9 +35,10 @@ def advise(prepared: PreparedRun, measured: float, wrong: Sequence[Remark] = ())
     """What would measure more: a camera of the remarks, or settings, tried on the step of the forecast."""
     if measured >= ENOUGH or not complete_steps(prepared.series).any():
         return ""
-    settings, found = prepared.geometry.settings, f"advice: only {100 * measured:.0f} % measured"
+    found = f"advice: only {100 * measured:.0f} % measured"
     if wrong:
         return f"{found}: {_of_cameras(prepared, wrong)}"
+    settings = prepared.geometry.settings
     tried = {name: fraction_measured(_quality(prepared, settings.adjusted(name))) for name in _OTHERS}
     best = max(tried, key=lambda name: tried[name])
     if tried[best] > measured + _GAIN:
