@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +62,10 @@ def measure_reading_speed(
     if not all(sizes) or step_seconds <= 0:
         return None
     step_bytes = sum(sizes) * (1 + 5 / chunk_steps)
-    return ReadingSpeed(step_bytes, step_bytes / step_seconds, workers, _try_disk(list(_files(series))))
+    # those from the end of the record first: they are the least likely to be remembered
+    frames = zip(*(reversed(one.entries) for one in series.values()))
+    paths = dict.fromkeys(entry.path for frame in frames for entry in frame if entry is not None)
+    return ReadingSpeed(step_bytes, step_bytes / step_seconds, workers, _try_disk(paths))
 
 
 def _frame_bytes(series: FrameSeries) -> float:
@@ -80,17 +83,7 @@ def file_size(path: str) -> int:
         return 0
 
 
-def _files(series: Mapping[str, FrameSeries]) -> Iterator[str]:
-    """Files of images, those from the end of the record first: they are the least likely to be remembered."""
-    seen = set()
-    for frames in zip(*(reversed(one.entries) for one in series.values())):
-        for entry in frames:
-            if entry is not None and entry.path not in seen:
-                seen.add(entry.path)
-                yield entry.path
-
-
-def _try_disk(paths: list[str]) -> float | None:
+def _try_disk(paths: Iterable[str]) -> float | None:
     """Bytes/s of reading files that the system is asked to forget before; None if there is too little."""
     if not hasattr(os, "posix_fadvise"):
         return None
