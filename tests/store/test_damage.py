@@ -24,7 +24,7 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.pipeline import open_cube, open_run, run, status
 
-DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "40"))
+DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "20"))
 PRODUCTS = ("cube.zarr", "cube_preview.zarr", "waves.zarr", "verdict.json")
 
 

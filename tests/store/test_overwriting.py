@@ -23,7 +23,7 @@ from wavefield.errors import StoreError
 from wavefield.store.export import PRODUCTS
 from wavefield.store.wave_store import WAVES
 
-DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "30"))
+DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "15"))
 ENDINGS = (".nc", ".mat", ".pvd", ".vtkhdf", ".uvmat")
 
 # the words of every command that writes, and what of its own it may replace
