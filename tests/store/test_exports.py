@@ -12,6 +12,7 @@ from scipy.io import netcdf_file
 import wavefield as wf
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
+from wavefield.store.export_matlab import write_matlab
 from wavefield.store.vtkhdf import write_vtkhdf
 
 
@@ -35,6 +36,15 @@ def test_matlab_reads_fields_as_y_x_time(reference, cube, tmp_path):
         assert file["units"].attrs["MATLAB_class"] == b"struct"
         assert file["units/w"][:].astype("<u2").tobytes().decode("utf-16-le") == "m s-1"
         assert '"grid"' in file["recipe"][:].astype("<u2").tobytes().decode("utf-16-le")
+
+
+def test_what_is_no_field_is_written_to_matlab_with_its_values(cube, tmp_path):
+    part = cube.isel(time=slice(2))
+    shift = np.random.default_rng(1).random((3, cube.sizes["frame"], 3), np.float32)
+    part["camera_shift"] = (("camera", "frame", "part"), shift)  # as a corrected vibration leaves it
+    write_matlab(part, (part.isel(time=k) for k in range(2)), tmp_path / "cube.mat")
+    with h5py.File(tmp_path / "cube.mat") as file:
+        np.testing.assert_array_equal(file["camera_shift"][:].T, shift)
 
 
 def points_and_fields(path):
