@@ -41,8 +41,8 @@ print("\\n" + json.dumps([min(times), vectors]))
 OURS = """
 import cv2
 cv2.setNumThreads(1)
-from wavefield.matching import Settings, match, prepare
-settings = Settings.piv()
+from wavefield.matching import MatchSettings, match, prepare
+settings = MatchSettings.piv()
 first = prepare(a, settings)
 def run():
     # of a series: an image is prepared once, and matched with the one before and the one after
