@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.waves.estimation.deconvolution import richardson_lucy
 from wavefield.waves.estimation.transfer_functions import elevation_from_w
 from wavefield.waves.estimation.welch import LOWEST
-from wavefield.waves.estimation.windows import hann
+from wavefield.waves.estimation.windows import hann, richardson_lucy
 
 Array = NDArray[Any]
 

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.waves.estimation.deconvolution import richardson_lucy
-from wavefield.waves.estimation.windows import hann_power
+from wavefield.waves.estimation.windows import hann_power, richardson_lucy
 
 Array = NDArray[Any]
 

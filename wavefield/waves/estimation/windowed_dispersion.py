@@ -15,8 +15,7 @@ from scipy import ndimage
 
 from wavefield.water import dispersion, group_velocity
 from wavefield.waves.estimation import wave_kernels
-from wavefield.waves.estimation.deconvolution import richardson_lucy
-from wavefield.waves.estimation.windows import hann_power
+from wavefield.waves.estimation.windows import hann_power, richardson_lucy
 
 Array = NDArray[Any]
 

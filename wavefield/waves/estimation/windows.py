@@ -1,4 +1,6 @@
-"""Windows, degrees of freedom and confidence intervals of Welch's method."""
+"""Windows, degrees of freedom and confidence intervals of Welch's method; deconvolution from windows."""
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy import fft, special  # scipy.stats takes half a second to import
@@ -54,3 +56,18 @@ def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     tails = 0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2
     low, high = (unique / (2 * special.gammaincinv(unique / 2, tail)) for tail in tails)  # of chi squared
     return low[index].reshape(dof.shape), high[index].reshape(dof.shape)
+
+
+def richardson_lucy(
+    measured: np.ndarray,
+    estimate: np.ndarray,
+    through_window: Callable[[np.ndarray], np.ndarray],
+    corrected: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    rounds: int,
+) -> np.ndarray:
+    """Non-negative estimate that a window turns into what was measured (Richardson 1972, Lucy 1974).
+    ``corrected(estimate, ratio)`` multiplies it by measured / ``through_window(estimate)``, window-averaged.
+    """
+    for _ in range(rounds):
+        estimate = corrected(estimate, measured / through_window(estimate))
+    return estimate
