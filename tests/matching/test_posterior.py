@@ -19,6 +19,8 @@ from wavefield.matching import (
     shrinkage,
 )
 from wavefield.matching.cosines import cosines
+from wavefield.matching.posterior_variance import hole_variance
+from wavefield.matching.prior import _share_of_limits
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 
@@ -317,3 +319,31 @@ def test_what_is_missing_counts_as_far_as_the_spectrum_is_waves():
     same, less = PosteriorVariance(replace(prior, waves=0.1), a.shape)(a)
     np.testing.assert_array_equal(same, noise)
     np.testing.assert_allclose(less, 0.1 * missing, rtol=1e-5)
+
+
+@pytest.mark.parametrize("truth", [0.0, 0.5, 1.0])
+def test_limits_of_a_spectrum_are_found_in_noise_as_far_as_they_are_there(truth):
+    """The estimate is right on average and as uncertain as it says; what is expected of waves follows it."""
+    rng = np.random.default_rng(8)
+    limit, count = np.geomspace(0.5, 0.01, 15), np.full(15, 40)
+    found = []
+    for _ in range(300):
+        level = rng.uniform(0.9, 1.2)
+        power = level * (1.0 + truth * limit) * rng.chisquare(count) / count
+        found.append(_share_of_limits(limit, power - 1.0, count))
+    share, std = np.transpose(found)
+    assert share.mean() == pytest.approx(truth, abs=0.12)
+    assert share.std() == pytest.approx(std.mean() * (1.0 + truth * 0.3), rel=0.2)
+    expected = replace(prior_of(steep_law), shown=((0.0,) * 40,), share=(truth, 0.05)).expected
+    assert expected(np.array([1.0]), np.array([0.0])) == pytest.approx(truth, abs=0.05)
+
+
+def test_a_hole_in_a_long_wave_adds_little_where_it_is_narrow_and_the_wave_where_it_is_wide():
+    ky, kx = (np.pi * np.arange(n) / n for n in (60, 70))
+    k = np.hypot(kx, ky[:, None])
+    spectrum = np.where(k < 0.35, 1.0, 1e-6)
+    added = hole_variance(spectrum, 0.05)
+    without = 0.05 * np.mean(k < 0.35)  # the variance where there is no hole
+    assert added[0].max() < 0.5 * without
+    assert added[-1, -1] > 0.5 * spectrum.mean()
+    assert (np.diff(added[:, -1]) > 0).all()

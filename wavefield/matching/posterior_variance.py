@@ -27,7 +27,7 @@ HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
 HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
 EVERY = 4  # blocks whose variance is computed: it is even over the reach of a block's response
 MIN_WAVE_FRACTION = 1e-3  # of a spectrum
-MEASURED_RIM_WIDTH = 5  # blocks around a hole whose field is given
+MEASURED_RIM_WIDTH = 10  # blocks around a hole whose field is given
 
 
 class PosteriorVariance:
@@ -45,7 +45,7 @@ class PosteriorVariance:
     For an even information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
     and 1/S / (F^2 A + 1/S)^2 the missing part of the waves. Where information differs from place to place the
     level of A is taken that equals the information around, weighed by the squared impulse response of its own
-    level. In a hole the variance given the rim adds to it, tabulated for round holes by radius and depth.
+    level. What a hole adds, given its surroundings, is tabulated for round ones by radius and depth.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -53,16 +53,17 @@ class PosteriorVariance:
         square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
         self.shape = shape
         self.typical_information = prior.information
-        self._waves = max(prior.waves, MIN_WAVE_FRACTION)
+        waves = np.maximum(prior.expected(kx, ky), MIN_WAVE_FRACTION)
         levels = INFORMATION_LEVELS * prior.information
         precision = [square * a + inverse for a in levels]
         noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, precision)]
-        missing = [self._waves * np.mean(inverse / c**2, axis=(1, 2)) for c in precision]
+        missing = [np.mean(waves * inverse / c**2, axis=(1, 2)) for c in precision]
         self._log = np.log(levels).astype(np.float32)
         # (2 c, levels): noise of every component, then what is missing of it
         self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
             np.float32
         )
+        self._typical = np.float32(np.add(noise[1], missing[1])[:, None, None])
         kernels = np.array(
             [_squared_response((square * a / c).mean(axis=0)) for a, c in zip(levels, precision)]
         )
@@ -72,14 +73,11 @@ class PosteriorVariance:
         down, along = (cosines(n, m).astype(np.float32) for n, m in zip(shape, (my, mx)))
         self._forward = down, np.ascontiguousarray(along.T)
         self._inverse = np.ascontiguousarray(down[:, ::EVERY].T), np.ascontiguousarray(along[:, ::EVERY])
-        self._spectrum = 1.0 / inverse
+        self._spectrum = waves / inverse
 
     @cached_property
     def _holes(self) -> list[Float]:
-        return [
-            self._waves * hole_variance(variance, 1.0 / self.typical_information)
-            for variance in self._spectrum
-        ]
+        return [hole_variance(variance, 1.0 / self.typical_information) for variance in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
         """Variance by noise and by missing waves, each (1 or c, ny, nx), for the information (ny, nx)."""
@@ -96,7 +94,9 @@ class PosteriorVariance:
         hole = hole_mask(information, min(self.typical_information, own))
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
-            missing += _in_holes(~hole, self._holes)
+            # less information around has counted a part of it already
+            more = self._typical + _in_holes(~hole, self._holes) - noise - missing
+            missing += np.maximum(more, np.float32(0)) * hole
         return noise, missing
 
     def _to_full_lattice(self, some: Float) -> Float:
@@ -141,7 +141,10 @@ def _squared_response(gain: Float) -> Float:
 
 
 def hole_variance(spectrum: Float, noise: float) -> Float:
-    """Variance of a field of a spectrum (ny, nx) in round holes with measured rims, (radii, depths)."""
+    """What round holes with measured rims add to the variance of a field of a spectrum (ny, nx).
+    (radii, depths): the variance less that where the inside is measured as well. Away from the rim one block
+    of two or four stands for all.
+    """
     ny, nx = spectrum.shape
     covariance = _impulse(spectrum)
     side = min(ny, nx)
@@ -158,15 +161,19 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
         g = np.arange(-np.ceil(radius + MEASURED_RIM_WIDTH), np.ceil(radius + MEASURED_RIM_WIDTH) + 1)
         x, y = np.meshgrid(g, g)
         d = np.hypot(x, y)
-        sampled = (d < radius + 2) | ((x + y) % 2 == 0)  # further out every second block suffices
-        rim = (d >= radius) & (d < radius + MEASURED_RIM_WIDTH) & sampled
-        p = np.stack([x[rim], y[rim]], axis=1)
+        outside = d >= radius
+        every = np.select([outside & (d < radius + 2), outside & (d < radius + 5)], [1, 2], 4)
+        known = (every == 1) | ((x + y) % 2 == 0) & ((every == 2) | (x % 2 == 0))
+        known &= d < radius + MEASURED_RIM_WIDTH
+        p = np.stack([x[known], y[known]], axis=1)
         q = np.stack([radius * (1 - np.array(HOLE_DEPTHS)), np.zeros(len(HOLE_DEPTHS))], axis=1)
-        measured = between(p, p) + noise * np.eye(len(p))
-        rim_to_inside = between(p, q)
-        out[i] = np.maximum(
-            along[0] - np.sum(rim_to_inside * np.linalg.solve(measured, rim_to_inside), axis=0), 0.0
-        )
+        rim = outside[known]
+        measured = between(p, p) + noise * np.diag(1.0 / every[known])
+        to_q = between(p, q)
+
+        without = np.sum(to_q * np.linalg.solve(measured, to_q), axis=0)
+        given = np.sum(to_q[rim] * np.linalg.solve(measured[np.ix_(rim, rim)], to_q[rim]), axis=0)
+        out[i] = np.maximum(without - given, 0.0)
     return out
 
 

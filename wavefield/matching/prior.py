@@ -34,6 +34,7 @@ MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise 
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
+SHORTEST_IN_LIMITS = 0.5 * np.pi  # rad per block: what shorter waves show of a spectrum is noise
 MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
 CERTAIN_NOISE_FRACTION = 0.9  # the noise is uncertain by a tenth
 MIN_INFORMATION_SHARE = 1e-3  # of what a prior assumes, in the fields that it gave; else they show nothing
@@ -66,6 +67,11 @@ class Prior:
     waves : float
         Fraction of the spectrum that is waves: noise of long wavelength among them, as on still water, is not
         missing from a field.
+    shown : tuple of tuple of float
+        Least power of every ring of every component over this one: 1 where waves are significant, and in all
+        if empty. In other rings the power is a limit, which weights take for waves.
+    share : (float, float)
+        How much of these limits the fields show on the whole, and its standard deviation.
 
     Notes
     -----
@@ -79,6 +85,8 @@ class Prior:
     information: float
     noise: float = 1.0
     waves: float = 1.0
+    shown: tuple[tuple[float, ...], ...] = ()
+    share: tuple[float, float] = (1.0, 0.0)
 
     @classmethod
     def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
@@ -121,6 +129,16 @@ class Prior:
         out += s * ((1 - t) * table[:, after, i] + t * table[:, after, i + 1])
         return np.asarray(np.exp(out))
 
+    def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """Power of waves that is expected over `spectrum`, which is a limit where none were detected.
+        The share of that is from 0 to 1, all as likely before the fields showed something of it.
+        """
+        share, (estimate, std) = np.linspace(0.0, 1.0, 101), self.share
+        away = (share - np.clip(estimate, -3.0 * std, 1.0 + 3.0 * std)) / max(std, 1e-3)
+        weight = np.exp(-0.5 * np.square(away))
+        table = np.maximum(self.shown or [[1.0] * len(self.k)], float(share @ weight / weight.sum()))
+        return self.waves * np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in table])
+
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""
         return np.asarray(footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
@@ -158,14 +176,17 @@ class Prior:
         """Plain data for a recipe."""
         power = [[list(ring) for ring in directions] for directions in self.power]
         numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
-        return {"k": list(self.k), "power": power} | numbers
+        limits = {"shown": [list(rings) for rings in self.shown], "share": list(self.share)}
+        return {"k": list(self.k), "power": power} | numbers | limits
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
         """Inverse of `to_dict`."""
         power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in data["power"])
         information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
-        return cls(tuple(map(float, data["k"])), power, information, noise, waves)
+        shown = tuple(tuple(map(float, rings)) for rings in data.get("shown", ()))
+        share, std = map(float, data.get("share", (1.0, 0.0)))
+        return cls(tuple(map(float, data["k"])), power, information, noise, waves, shown, (share, std))
 
 
 def _in_all_directions(k: Float) -> tuple[Float, Float]:
@@ -291,7 +312,7 @@ def better_prior(
     lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in significant]
     relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
     limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise_power
-    signal = np.where(significant, signal, limit)
+    measured, signal = signal, np.where(significant, signal, limit)
     least = float(noise.min())
     upper_limit = np.where(occupied, np.minimum(limit, DETECTED_SIGNAL_TO_NOISE * noise_power), np.inf)
     rings = np.array(
@@ -306,7 +327,27 @@ def better_prior(
         tuple(tuple(float(f"{v:.4g}") for v in ring) for ring in directions)
         for directions in shapes * rings[:, None]
     )
-    return Prior(binning.k, table, information, prior.noise, prior.waves)
+    # noise hardly changes while the same beads are seen: samples count as one
+    chance = LIMIT_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(binning.count, 1))
+    of_limit, found = rings / noise_power, measured / noise_power
+    seen = ~np.array(significant) & (binning.middle < SHORTEST_IN_LIMITS)
+    shown = np.where(significant, 1.0, found * (seen & (found > chance)) / of_limit)
+    weight = binning.count * (seen & (found < of_limit + chance))
+    share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
+    at_least = tuple(tuple(float(f"{v:.4g}") for v in one) for one in shown)
+    return Prior(binning.k, table, information, prior.noise, prior.waves, at_least, share)
+
+
+def _share_of_limits(limit: Float, found: Float, weight: Float) -> tuple[float, float]:
+    """How much of the limits that rings (rings,) have over noise is found in them, and its std.
+    The level of the noise is fitted as well.
+    """
+    total = max(float(weight.sum()), 1e-30)
+    mean, level = float(weight @ limit) / total, float(weight @ found) / total
+    apart = limit - mean
+    square = max(float(weight @ np.square(apart)), 1e-6)
+    slope = float(weight @ (apart * found)) / square
+    return slope / max(1.0 + level - slope * mean, 0.1), float(np.sqrt(2.0 / square))
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
@@ -325,6 +366,29 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
     for one, last in zip(out, lasts):
         one[:, last:] = one[:, last - 1 : last]
     return out
+
+
+def pooled_share(shares: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """`Prior.share` of several fields of the same waves together, by the precision of each.
+
+    Parameters
+    ----------
+    shares : sequence of (float, float)
+        Of each field, with its standard deviation.
+
+    Returns
+    -------
+    float, float
+        Of all, with its standard deviation.
+
+    Examples
+    --------
+    >>> pooled_share([(0.2, 0.5), (0.6, 0.5)])
+    (0.4, 0.3535533905932738)
+    """
+    precision = np.array([std**-2 if std > 0 else 1e12 for _, std in shares])
+    mean = float(precision @ [share for share, _ in shares] / precision.sum())
+    return mean, float(precision.sum() ** -0.5)
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:

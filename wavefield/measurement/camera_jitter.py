@@ -19,6 +19,7 @@ Float = NDArray[np.floating]
 _SAMPLED_NODES = 400  # evenly over the field: enough for motion that is common to all
 _MIN_FREEDOM = 0.05  # of the variance of the motion that residuals must show
 _MIN_NODES = 50  # for a mean over the field
+_PARTS = 8  # of the field, whose residuals show by how much the median is off by chance
 
 
 def row_direction(centres: Sequence[Float]) -> Float:
@@ -45,7 +46,9 @@ def mean_residuals(
     # a motion m of the pictures leaves M m, M = 1 - J (J^T W J)^-1 J^T W; with variance s^2 along a direction
     # e of each picture E|e^T M m|^2 = s^2 tr(P P^T), P = e^T M e, from which s^2 follows
     leaves = np.eye(rows) - J @ np.linalg.solve(back @ J, back)
-    left = np.median(np.einsum("nij,nj->ni", leaves, moved.reshape(rows, -1)[:, sample].T), axis=0)
+    rest = np.einsum("nij,nj->ni", leaves, moved.reshape(rows, -1)[:, sample].T)
+    left = np.median(rest, axis=0)
+    parts = np.array([np.median(part, axis=0) for part in np.array_split(rest, _PARTS)])
     M = leaves.mean(axis=0)
     size = [0.0, 0.0]
     determined = [False, False]
@@ -54,7 +57,8 @@ def mean_residuals(
         freedom = float(np.trace(P @ P.T))
         determined[k] = freedom > _MIN_FREEDOM * rows / 2
         if determined[k]:
-            size[k] = float(np.sqrt(float(np.sum(np.square(e.T @ left))) / freedom))
+            chance = float(np.sum(np.var(parts @ e, axis=0, ddof=1))) / _PARTS
+            size[k] = float(np.sqrt(max(float(np.sum(np.square(e.T @ left))) - chance, 0.0) / freedom))
     return left, (size[0] if determined[0] else size[1], size[1])
 
 

@@ -39,7 +39,8 @@ class Differences:
     )  # std of the water's motion from frame to frame, metres
     waves: float = 1.0  # fraction of the displacements' spectra that all cameras share (`Prior.waves`)
     noise_variance: float = 0.0  # of dx, dy and dz of the water together, square metres
-    # Std of the rise from frame to frame by waves that blocks do not resolve, and their wavelength, metres
+    # Variance of the rise from frame to frame by waves that blocks do not resolve, m^2; their wavelength, m;
+    # typical ones have the standard deviation
     unresolved: tuple[float, float] = (0.0, 0.0)
 
 
@@ -115,7 +116,7 @@ def typical_differences(steps: Sequence[Differences], pixel: float) -> Differenc
         float(np.median(part)) for part in zip(*((one.noise, one.waves, one.noise_variance) for one in steps))
     )
     own = own_noise([one.own for one in steps])
-    rise, wavelength = np.sqrt(np.mean(np.square([one.unresolved for one in steps]), axis=0))
-    unresolved = float(rise), float(wavelength)
+    variance, wavelength = np.mean([one.unresolved for one in steps], axis=0)
+    unresolved = float(np.sqrt(max(variance, 0.0))), float(wavelength)
     moved_by_water = float(x), float(y), float(z)
     return Differences(camera_jitter, True, noise, own, moved_by_water, waves, noise_variance, unresolved)

@@ -47,6 +47,10 @@ def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) ->
 
 
 def own_noise(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Factor on the noise of each camera relative to that of all: the median over steps, at least 1."""
+    """Factor on the noise of each camera relative to that of all: the median over steps.
+    Cameras that err alike seem less noisy than they are: what others have more is shared out, the mean is 1.
+    """
     names = sorted({name for step in steps for name in step})
-    return {name: max(1.0, float(np.median([s[name] for s in steps if name in s]))) for name in names}
+    found = {name: max(1.0, float(np.median([s[name] for s in steps if name in s]))) for name in names}
+    mean = float(np.mean([*found.values()])) if found else 1.0
+    return {name: factor / mean for name, factor in found.items()}

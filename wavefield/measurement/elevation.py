@@ -30,7 +30,7 @@ MatchedPairs = tuple[Blocks, list[PairMatch]]
 
 _MIN_COMMON_BLOCKS = 50  # by which pairs are compared
 _LOCAL_BLOCKS = 8.0  # over which waves are averaged, standard deviation
-_MAX_SHARE = np.float32(6.0)  # of the mean: more is not stated of single places
+_LEAST_SHARE, _MAX_SHARE = np.float32(0.5), np.float32(6.0)  # of the mean, stated of single places
 _NOISE_ALONG = 1.05  # of z over that across the sight lines: cameras see a bead's light at different places
 
 
@@ -91,13 +91,13 @@ def surface_of(
 
 
 def local_share(modes: Modes, waves: Float, information: Float) -> Float:
-    """How much stronger waves that the prior removes in part are here than on average, (ny, nx), at least 1.
+    """How much stronger waves that the prior removes in part are here than on average, (ny, nx).
     Where what is left of them is large, so is what is missing. waves (1, my, mx): less the prior mean.
     """
     lost = modes.inverse / (np.square(modes.foot) * np.float32(modes.prior.information) + modes.inverse)
     square = cv2.GaussianBlur(np.square(modes.field(lost * waves)[0]), (0, 0), _LOCAL_BLOCKS)
     mean = float(np.mean(square[information > 0])) if (information > 0).any() else 0.0
-    return np.asarray(np.clip(square / np.float32(max(mean, 1e-30)), np.float32(1.0), _MAX_SHARE))
+    return np.asarray(np.clip(square / np.float32(max(mean, 1e-30)), _LEAST_SHARE, _MAX_SHARE))
 
 
 def _jitter_variance(matches: Sequence[PairMatch], geometry: GridGeometry, jitter: float) -> float:
@@ -105,7 +105,8 @@ def _jitter_variance(matches: Sequence[PairMatch], geometry: GridGeometry, jitte
     usable = np.logical_and.reduce([m.valid for m in matches])
     if usable.sum() < _MIN_COMMON_BLOCKS:
         usable = np.logical_or.reduce([m.valid for m in matches])
-    heights = np.array([np.median(m.height[usable]) for m in matches])
+    # medians of differences: those of heights differ by what noise does to waves
+    heights = np.array([np.median((m.height - matches[0].height)[usable]) for m in matches])
     between = jitter * geometry.pixel  # two frames, each of which has moved
     return elevation_variance(heights, geometry.parallaxes([m.pair for m in matches]), 0.5 * between**2)
 

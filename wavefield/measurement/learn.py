@@ -165,6 +165,8 @@ def _learned(
             factor = float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS))
             prior = replace(prior, noise=factor, waves=found.waves)
             priors[name] = measured[name].better(prior) if name in measured else prior
+        share = matching.pooled_share([prior.share for prior in priors.values()])
+        priors = {name: replace(prior, share=share) for name, prior in priors.items()}
         own = {name: record.own_noise(name) * found.own.get(name, 1.0) for name in priors}
         record = replace(
             record,

@@ -90,7 +90,7 @@ def map_elevation(
     z = blocks.filled
     waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
     pairs = [_PairScores(m, pixel) for m in matches]
-    smooth = _smooth_across(matches, modes)
+    smooth, epipolar = _smooth_across(matches, modes)
     seen, scores = None, [z[0]]
     information, least = z[:1], np.inf
     convergence = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in pairs]))))
@@ -118,8 +118,6 @@ def map_elevation(
         waves, seen = convergence.next(modes, waves, solved, seen)
         if convergence.converged:
             break
-    counts = information[0] > 0
-    epipolar = float(np.sqrt(np.mean(np.square(smooth[counts])))) if counts.any() else 0.0
     lengths = [np.hypot(*one.D) for one in pairs]
     inconsistent = inconsistent_scores(scores, [one.hessian for one in pairs], lengths)
     return ElevationEstimate(waves, mean, slopes, information[0], epipolar, inconsistent)
@@ -147,12 +145,17 @@ def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
     return np.asarray(out * matching.noise_factor_near_holes(information, _NOISE_AT_HOLES))
 
 
-def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> Float:
-    """Smooth part of the "elevation" across the sight lines, metres, (ny, nx)."""
+def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
+    """Smooth part of the "elevation" across the sight lines, (ny, nx), and its rms without noise, metres.
+    Waves that are shorter by a third show the noise.
+    """
     waves = modes.waves(combine([m.turned for m in matches]).filled)
-    waves[:, _SMOOTH_MODES:] = 0.0
-    waves[:, :, _SMOOTH_MODES:] = 0.0
-    return np.asarray(modes.field(waves)[0])
+    smooth = np.zeros_like(waves)
+    smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
+    shorter = (waves - smooth)[0, : 3 * _SMOOTH_MODES // 2, : 3 * _SMOOTH_MODES // 2]
+    noise = float(np.sum(np.square(shorter))) / 1.25  # as many modes more
+    square = float(np.sum(np.square(smooth))) - noise
+    return np.asarray(modes.field(smooth)[0]), float(np.sqrt(max(square, 0.0) / np.prod(modes.lattice)))
 
 
 class _PairScores:

@@ -32,7 +32,8 @@ _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 def unresolved_rise(
     found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry
 ) -> tuple[float, float]:
-    """Std of the rise per frame by waves that blocks do not resolve, and their wavelength, metres.
+    """Variance of the rise per frame by waves that blocks do not resolve, m^2, and their wavelength, metres.
+    By chance it may be negative; steps are averaged.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
     """
     motions, jacobians, scales = {}, {}, []
@@ -56,8 +57,8 @@ def unresolved_rise(
     if not common:
         return 0.0, 0.0
     beads = _COMMON_OF_BEADS * float(np.mean(total))
-    variance = max(float(np.mean(common)) - beads, 0.0) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
-    return float(np.sqrt(variance)), float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales))
+    variance = (float(np.mean(common)) - beads) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
+    return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales))
 
 
 def _blocks_at(lattice: BlockLattice, x: Float, y: Float) -> tuple[Blocks, Blocks, NDArray[np.bool_]]:
