@@ -8,7 +8,7 @@ import pytest
 from rendering import write_points
 from solve_cases import nodes, poses
 
-from wavefield.calibration import calibrate
+from wavefield.calibration import Target, calibrate
 from wavefield.calibration.pointfile import read_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.predicted_errors import predict_errors
@@ -122,3 +122,47 @@ def test_a_refused_rig_is_written_on_request_and_marked(tmp_path, capsys, undraw
     assert written.provenance["usable"] is False
     assert written.provenance["images"].keys() == set(written)
     assert written.provenance["problems"]
+
+
+def test_images_that_were_squeezed_when_they_were_stored_have_oblong_pixels():
+    rng, grid = np.random.default_rng(8), nodes()[::2]
+    square = paper_rig()
+    rig = Rig(
+        {
+            n: replace(c, fx=0.84 * c.fx, cx=0.84 * c.cx, size=(int(0.84 * c.size[0]), c.size[1]))
+            for n, c in square.cameras.items()
+        }
+    )
+    views = {name: {} for name in rig}
+    for pose, (R, t) in poses(seed=4).items():
+        world = np.column_stack([0.1 * grid, np.zeros(len(grid))]) @ R.T + t
+        for name in rig:
+            views[name][pose] = seen(rig[name], grid, world, rng, 0.05)
+    found = calibrate(views, 0.1, model="paper")
+    assert found.usable, found.problems
+    assert worst_pixel(found.rig, rig) < 0.1
+    for name in rig:
+        assert found.rig[name].fy / found.rig[name].fx == pytest.approx(1 / 0.84, abs=1e-3)
+
+
+@pytest.mark.parametrize("header", ["", "x,y,z,X,Y\n"])
+def test_free_points_of_known_position_calibrate_from_tables(tmp_path, header):
+    rig, rng = paper_rig(), np.random.default_rng(11)
+    points = rng.uniform([-0.8, -0.6, -0.2], [0.8, 0.6, 0.2], (150, 3))
+    views = {}
+    for name in rig:
+        one = seen(rig[name], np.arange(300).reshape(150, 2), points, rng, 0.02)
+        place = 1e3 * points[one.node[:, 0] // 2]
+        rows = np.hstack([place, one.pixel] if header else [one.pixel, place])
+        lines = [("," if header else "\t").join(f"{v:.6f}" for v in row) for row in rows]
+        (tmp_path / name).write_text(header + "\n".join(lines))
+        views[name] = {"body": read_points(tmp_path / name, (1024, 1024), unit=1e-3)}
+    found = calibrate(views, Target("points", mesh=1e-3), flat="", model=MODEL)
+    assert found.usable, found.problems
+    assert worst_pixel(found.rig, rig) < 0.05
+
+
+def test_a_table_of_free_points_that_lacks_a_column_is_refused(tmp_path):
+    (tmp_path / "points.csv").write_text("x,y,X,Y\n1,2,3,4\n")
+    with pytest.raises(CalibrationError, match="x,y,z,X,Y"):
+        read_points(tmp_path / "points.csv", (100, 100), unit=1e-3)

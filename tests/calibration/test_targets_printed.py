@@ -142,6 +142,45 @@ def test_a_grid_without_all_its_rings_and_one_larger_than_stated_are_refused():
         find_target(image, Target("dots", mesh, (5, 5), diameter=diameter, origin_mark="ring"))
 
 
+def marked_dot(kind, mesh, diameter, bright):
+    """Reflectance of a large grid of dots of which (20, 15) has a box or a circle around it, or is larger."""
+    plain, reach = dots((40, 30), mesh, diameter, True), 0.5 * diameter + 0.12 * mesh
+
+    def inside(x, y):
+        u, v = x - 20 * mesh, y - 15 * mesh
+        away = np.maximum(abs(u), abs(v)) if kind == "box" else np.hypot(u, v)
+        mark = {"larger": away < reach, "none": np.zeros_like(away, bool)}.get(
+            kind, abs(away - reach) < 0.03 * mesh
+        )
+        out = np.where(mark, np.maximum(plain(x, y), 0.6), plain(x, y))
+        return out if bright else 1.0 - out
+
+    return inside
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_dots_out_of_view_are_numbered_from_an_odd_one(seed):
+    rng, mesh = np.random.default_rng(seed), 0.04
+    kind = ("box", "circle", "larger", "none")[seed % 4]
+    diameter = rng.uniform(0.2, 0.55) * mesh
+    at = np.array([20, 15]) * mesh + rng.uniform(-2, 2, 2) * mesh
+    camera = camera_at(SIZE, rng.uniform(0, 40), rng.uniform(0, 360), rng.uniform(-35, 35), 2.0, 1700, at)
+    image = pattern_picture(camera, marked_dot(kind, mesh, diameter, bool(seed // 4 % 2)), PICTURE, samples=2)
+    target = Target("dots", mesh, diameter=diameter, origin_mark="odd dot")
+    if kind == "none":
+        with pytest.raises(CalibrationError, match="no dot has a box"):
+            find_target(image, target)
+        return
+    points = find_target(image, target)
+    assert len(points) > 30
+    axes = (np.array([[1, 0], [0, 1]]), np.array([[0, 1], [-1, 0]]))
+    errors = []
+    for turn in (*axes, *(-a for a in axes)):  # x is to the right in the image, whatever it is on the target
+        x, y = ((points.node @ turn) + (20, 15)).T * mesh
+        errors.append(np.sqrt(((points.pixel - np.stack(camera.project(x, y, 0.0), -1)) ** 2).mean()))
+    assert min(errors) < 0.05
+
+
 @pytest.mark.parametrize("roll", [15.0, 100.0])
 def test_corners_of_a_charuco_board_are_exact_beside_its_markers(roll):
     image, camera = seen((6, 4), 0.05, charuco((7, 5), 0.05, 0.037), tilt=45.0, roll=roll, span=0.65)

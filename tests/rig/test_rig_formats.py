@@ -1,5 +1,6 @@
 import csv
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from wavefield.errors import RigError
 from wavefield.rig import Camera, Rig
-from wavefield.rig.formats import load_rig, save_opencv, save_uvmat, save_vic
+from wavefield.rig.formats import load_rig, save_opencv, save_rig, save_uvmat, save_vic
 
 
 def same(a, b, tolerance=1e-12):
@@ -180,11 +181,26 @@ def test_vic_there_and_back(tmp_path, shared):
         same(first[name], second[name], 1e-11)
 
 
+@pytest.mark.parametrize("program", ["vic3d", "dice", "openptv"])
+def test_lengths_in_a_unit_that_is_not_the_programs(tmp_path, program):
+    rig = two("p1", "p2", "tau_x", "tau_y", "k1", "k2", "k3", "skew")
+    path = tmp_path / ("rig" if program == "openptv" else "rig.xml")
+    if program == "openptv":
+        path.mkdir()
+        rig = Rig({name: replace(camera, fy=camera.fx) for name, camera in rig.cameras.items()})
+    save_rig(rig, path, program)
+    for unit, metres in (("inch", 0.0254), ("0.5", 0.5), ("mm", 1e-3)):
+        back = load_rig(path, unit=unit, names=list(rig))
+        assert back.provenance["imported"]["unit"] == unit
+        for name in rig:
+            assert np.allclose(back[name].centre, rig[name].centre * metres / 1e-3, rtol=1e-9)
+    back.save(tmp_path / "own.yaml")
+    same(load_rig(tmp_path / "own.yaml", unit="inch")[next(iter(rig))], back[next(iter(rig))])
+
+
 def test_vic_at_the_pole_of_its_angles(tmp_path):
     rig = two("p1", "p2", "tau_x", "tau_y")
     R = np.array([[0.0, 0.6, 0.8], [0.0, 0.8, -0.6], [-1.0, 0.0, 0.0]])
-    from dataclasses import replace
-
     rig = Rig({"cam1": replace(rig["cam1"], rotation=R)})
     save_vic(rig, tmp_path / "cal.xml")
     same(rig["cam1"], load_rig(tmp_path / "cal.xml")["cam1"], 1e-11)

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from wavefield.calibration.blobs import find_blobs
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.printed_points import dot_centres, make_points, right_handed, shape_of
-from wavefield.calibration.ring_marks import find_rings, numbered_from_rings
+from wavefield.calibration.ring_marks import find_odd_dot, find_rings, numbered_from_rings
 from wavefield.calibration.target import Target
 from wavefield.calibration.target_lattice import Candidates, TargetLattice, independent_pair, most_central
 from wavefield.errors import CalibrationError
@@ -19,10 +19,10 @@ MIN_FULLNESS = 0.3  # of a ring: its area over that of an ellipse of its moments
 
 def find_dots(image: Image, target: Target) -> TargetPoints:
     """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
-    With rings in place of three dots the grid may be partly out of view.
+    With marks the grid may be partly out of view.
     """
-    if target.origin_mark == "ring":
-        return _find_with_rings(image, target)
+    if target.marked_dots:
+        return _find_with_marks(image, target)
     shape = shape_of(target)
     best: tuple[Nodes, Array, Image] | None = None
     most = 0
@@ -39,7 +39,7 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
     if best is None:
         raise CalibrationError(
             f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {most}); "
-            "all of it must be in view and in focus, or rings must mark its origin (origin_mark: ring)"
+            "all of it must be in view and in focus, or marks must number it (origin_mark: ring, or odd dot)"
         )
     node, pixel, polarity = best
     span = node.max(0) + 1
@@ -50,7 +50,8 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
     return make_points(image, node, pixel, (*notes, *more), noise)
 
 
-def _find_with_rings(image: Image, target: Target) -> TargetPoints:
+def _find_with_marks(image: Image, target: Target) -> TargetPoints:
+    rings = target.origin_mark == "ring"
     grids = [
         (polarity, lattice)
         for polarity in (image, 255.0 - image)
@@ -60,11 +61,15 @@ def _find_with_rings(image: Image, target: Target) -> TargetPoints:
         raise CalibrationError(
             f"no grid of at least {MIN_DOTS} dots was found; it must be in view and in focus"
         )
-    polarity, lattice = max(grids, key=lambda one: (len(find_rings(*one)) == 3, len(one[1])))
-    rings = find_rings(polarity, lattice)
-    dots = ~(lattice.node[:, None] == rings).all(2).any(1)
-    pixel = lattice.pixel[dots]
-    node = numbered_from_rings(lattice.node[dots], pixel, rings)
+    polarity, lattice = max(grids, key=lambda one: (rings and len(find_rings(*one)) == 3, len(one[1])))
+    marks = find_rings(polarity, lattice) if rings else find_odd_dot(polarity, lattice)[None]
+    dots = ~(lattice.node[:, None] == marks).all(2).any(1)
+    node, pixel = lattice.node[dots], lattice.pixel[dots]
+    node, turned = (
+        (numbered_from_rings(node, pixel, marks), ())
+        if rings
+        else right_handed(None, node - marks, pixel, (1, 1))
+    )
     span = tuple((np.ptp(node, axis=0) + 1).tolist())
     if target.shape is not None and (span[0] > target.shape[0] or span[1] > target.shape[1]):
         raise CalibrationError(
@@ -72,7 +77,7 @@ def _find_with_rings(image: Image, target: Target) -> TargetPoints:
             f"{target.shape[1]} that are stated as the target's shape"
         )
     pixel, noise, notes = dot_centres(polarity, node, pixel, target)
-    return make_points(image, node, pixel, notes, noise)
+    return make_points(image, node, pixel, (*turned, *notes), noise)
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:

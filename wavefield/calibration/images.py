@@ -23,7 +23,7 @@ from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
 
-TABLES = (".csv", ".txt")  # points found by another program
+TABLES = (".csv", ".txt", ".dat", "")  # endings of points found by another program
 MAX_WORKERS = 8
 MAX_FAILED = 0.5  # of the target images: if more show no target, what they show is examined
 
@@ -65,8 +65,8 @@ def one_note_each(unfound: Sequence[tuple[str, Path]]) -> list[str]:
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
     """Find the target in one image; a sentence where it cannot be found."""
     try:
-        if path.suffix.lower() in TABLES:
-            return read_points(path, size)
+        if is_table(path):
+            return read_points(path, size, unit=target.mesh if target.kind == "points" else None)
         return find_target(read_image(path), target)
     except (CalibrationError, FrameError) as error:
         sentence = str(error)
@@ -87,8 +87,13 @@ def placed_at(points: TargetPoints, height: float) -> TargetPoints:
     return replace(points, z=own + height, placed=True)
 
 
+def is_table(path: Path) -> bool:
+    """Whether a file holds points in place of an image."""
+    return path.suffix.lower() in TABLES
+
+
 def _shown_instead(paths: list[Path], target: Target) -> str:
-    return likely_target([path for path in paths if path.suffix.lower() not in TABLES], target)
+    return likely_target([path for path in paths if not is_table(path)], target)
 
 
 def calibrate_experiment(
@@ -142,7 +147,7 @@ def calibrate_experiment(
     ]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     unfound: list[tuple[str, Path]] = []  # why no target was found, and in which image
-    frame_sizes = _frame_sizes(experiment) if any(p.suffix.lower() in TABLES for _, _, p in jobs) else {}
+    frame_sizes = _frame_sizes(experiment) if any(is_table(p) for _, _, p in jobs) else {}
     place = place_of(experiment.path, ("calibration", "target"))
     workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
     with ProcessPoolExecutor(workers, mp_context=worker_context(__name__), initializer=start_worker) as pool:

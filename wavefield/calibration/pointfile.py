@@ -2,20 +2,26 @@
 
 import csv
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
-from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.points import Nodes, TargetPoints
 from wavefield.errors import CalibrationError
 from wavefield.file_access import accessing
 from wavefield.rig.lens import Array
 
 COLUMNS = ("i", "j", "X", "Y")
+FREE_COLUMNS = ("x", "y", "z", "X", "Y")
+PLAIN_COLUMNS = "X Y x y z"  # of a table without a header, as MyPTV's
 
 
-def read_points(path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1) -> TargetPoints:
+def read_points(
+    path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
+) -> TargetPoints:
     """Read target points from a CSV file with columns i, j, X, Y and, where available, std (px) and z (m).
     size and std are used where the file states none; CalibrationError for a line that makes no sense.
+    With a unit (metres) the columns are x, y, z, X, Y of any points, or without a header X, Y, x, y, z.
     """
     path = Path(path)
     lines = _lines(path)
@@ -28,15 +34,15 @@ def read_points(path: str | Path, size: tuple[int, int] | None = None, std: floa
         )
     # node (i, j) is at x = i * mesh, y = j * mesh, right-handed seen from above; X, Y are column and row, px,
     # from 0 at the centres of pixels; z in the physical frame gives the view's pose, as of a traversed target
-    data, placed = _table(lines, path, std)
-    node = np.rint(data[:, :2]).astype(np.int64)
+    data, placed = _table(lines, path, std) if unit is None else _free_points(lines, path, std, unit)
+    node = data[:, :2] if unit else np.rint(data[:, :2]).astype(np.int64)
     if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):
         raise CalibrationError(f"{path}: i and j must be whole numbers, X and Y finite and std positive")
     if len(np.unique(np.column_stack([node, data[:, 5]]), axis=0)) != len(node):
         raise CalibrationError(f"{path} holds the same node twice; keep one line per node")
     z = data[:, 5] if placed else None
     notes = (f"points read from {path.name}",)
-    return TargetPoints(node, data[:, 2:4], data[:, 4], size, notes, z, placed)
+    return TargetPoints(cast(Nodes, node), data[:, 2:4], data[:, 4], size, notes, z, placed)
 
 
 def _lines(path: Path) -> list[str]:
@@ -63,20 +69,43 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
 
 def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
     """Columns i, j, X, Y, std, z, and whether the file has z."""
-    rows = csv.DictReader(
-        (line for line in lines if line.strip() and not line.startswith("#")), skipinitialspace=True
-    )
+    rows = csv.DictReader(_content(lines), skipinitialspace=True)
     header = rows.fieldnames or ()
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise CalibrationError(
-            f"{path} lacks the column {', '.join(missing)}; its header must be i,j,X,Y, or also std and z"
+            f"{path} lacks the column {', '.join(missing)}; its header must be i,j,X,Y, or also std and z "
+            "(points that are no grid: kind: points)"
         )
+    return _numbers(rows, path, {"std": std, "z": 0.0}, (*COLUMNS, "std", "z")), "z" in header
+
+
+def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple[Array, bool]:
+    """Columns x, y (in the unit), X, Y, std, z (metres) of points that are in the physical frame."""
+    content = [line.replace(",", " ") for line in _content(lines)]
+    header = content[0].split() if content else []
+    if not set(header) & set(FREE_COLUMNS):
+        content.insert(0, PLAIN_COLUMNS)
+        header = PLAIN_COLUMNS.split()
+    if not set(header) >= set(FREE_COLUMNS):
+        raise CalibrationError(f"{path}: its header must be {','.join(FREE_COLUMNS)}, or also std")
+    rows = csv.DictReader((" ".join(line.split()) for line in content), delimiter=" ")
+    table = _numbers(rows, path, {"std": std}, ("x", "y", "X", "Y", "std", "z"))
+    table[:, 5] *= unit
+    return table, True
+
+
+def _content(lines: list[str]) -> list[str]:
+    return [line for line in lines if line.strip() and not line.startswith("#")]
+
+
+def _numbers(
+    rows: "csv.DictReader[str]", path: Path, default: dict[str, float], columns: tuple[str, ...]
+) -> Array:
     table = []
     for count, row in enumerate(rows, 1):
         try:
-            values = [float(row[name]) for name in COLUMNS]
-            table.append([*values, float(row.get("std") or std), float(row["z"]) if "z" in header else 0.0])
-        except (TypeError, ValueError):
+            table.append([float(row.get(name) or default[name]) for name in columns])
+        except (KeyError, TypeError, ValueError):
             raise CalibrationError(f"{path}: point {count} is not made of numbers: {dict(row)}") from None
-    return np.array(table, float).reshape(-1, 6), "z" in header
+    return np.array(table, float).reshape(-1, len(columns))

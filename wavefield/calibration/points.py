@@ -18,7 +18,7 @@ class TargetPoints:
     ----------
     node : ndarray of int, (n, 2)
         Indices (i, j): the node is at x = i * mesh, y = j * mesh on the target;
-        right-handed seen from above.
+        right-handed seen from above. Of free points x and y in units of the mesh, not whole numbers.
     pixel : ndarray, (n, 2)
         Position (X, Y) = (column, row), px.
     std : ndarray, (n,)

@@ -18,6 +18,7 @@ FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length
 MAX_MEDIAN_MISFIT = 0.02  # image widths: of points with known z
 LENSES = ("auto", "perspective", "fisheye")
 SUSPICIOUS_MISFIT = 0.05  # px, rms: beyond it the lens may be a fisheye
+MAX_OBLONG_RATIO = 0.5  # of the misfit with pixels that are not square to that with square ones
 MAX_VIEW_MISFIT = 8.0, 6.0  # px, and times the median view's: a view beyond both is no plane grid
 FEW_TERMS = ("f", "c", "k1")
 FULL_TERMS = ("f", "aspect", "c", "k1", "k2", "p", "k3")  # of both kinds of lens
@@ -103,8 +104,7 @@ def _fit_of_likely_lens(o: Observations) -> tuple[Fit, list[int]]:
     refused: CalibrationError | None = None
     try:
         plain, poses = _perspective_fit(o)
-        rms = float(np.sqrt(np.mean(plain.residual**2)))
-        if rms < SUSPICIOUS_MISFIT and len(poses) == len(np.unique(o.pose)):
+        if _rms(plain) < SUSPICIOUS_MISFIT and len(poses) == len(np.unique(o.pose)):
             return plain, poses
     except (CalibrationError, np.linalg.LinAlgError) as error:
         refused = CalibrationError(str(error))
@@ -162,7 +162,16 @@ def _fisheye_fit(o: Observations) -> tuple[Fit, list[int]]:
 def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
     used = o.only(np.isin(o.pose, poses))
     terms = ("f", "k1") if len(poses) < 3 else FEW_TERMS
-    return fit(used, start, [terms], poses[0], placed=o.placed)
+    square = fit(used, start, [terms], poses[0], placed=o.placed)
+    if len(poses) < 3 or _rms(square) < SUSPICIOUS_MISFIT:
+        return square
+    # images that were squeezed when they were stored
+    oblong = fit(used, start, [(*terms, "aspect")], poses[0], placed=o.placed)
+    return oblong if _rms(oblong) < MAX_OBLONG_RATIO * _rms(square) else square
+
+
+def _rms(result: Fit) -> float:
+    return float(np.sqrt(np.mean(result.residual**2)))
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:

@@ -35,15 +35,17 @@ class Target:
 
     Parameters
     ----------
-    kind : {"strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level"}
+    kind : {"strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level", "points"}
         White strings stretched across a dark ground; chessboard corners; centres of round dots; the
         chessboard corners of a ChArUco board; middles of the tags of an AprilGrid; dots on two parallel
-        planes, every second row on the deeper one and set off by half a dot.
+        planes, every second row on the deeper one and set off by half a dot; any points of known position,
+        in tables in place of images.
     mesh : float
         Distance between neighbouring nodes, metres (of an AprilGrid: a tag and the gap beside it); of a
-        two-level target that of neighbouring rows, half of that between the dots of a row.
+        two-level target that of neighbouring rows, half of that between the dots of a row; of points
+        the unit of x, y and z in their tables (0.001 for mm).
     shape : tuple of int, optional
-        Nodes along x and along y. Needed for a chessboard (inner corners) and for dots without rings; for
+        Nodes along x and along y. Needed for a chessboard (inner corners) and for dots without marks; for
         ChArUco the number of *squares* along x and y, as its makers count; for an AprilGrid that of tags. A
         grid of strings needs none.
     origin_mark, x_mark : str
@@ -51,7 +53,8 @@ class Target:
         a square in place of the dot at (0, 0) and a triangle in place of one further along x, or both between
         the dots, the triangle at (1, 0) and the square at (0, 1). A grid of dots
         with ``origin_mark: ring`` has rings in place of three dots: (0, 0), one further along x and one
-        further along y; it may be partly out of view.
+        further along y; with ``origin_mark: odd dot`` the one at (0, 0) has a box or a circle around it, or
+        is larger, and x is taken to the right in the image. Either may be partly out of view.
     diameter : float, optional
         Diameter of a dot, metres. With it the bias of a dot's centroid in perspective is removed.
     dictionary : str
@@ -77,10 +80,10 @@ class Target:
     (9, 6)
     """
 
-    kind: Literal["strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level"]
+    kind: Literal["strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level", "points"]
     mesh: Length
     shape: tuple[Nodes, Nodes] | None = None
-    origin_mark: Literal["disc", "square", "ring"] = "disc"
+    origin_mark: Literal["disc", "square", "ring", "odd dot"] = "disc"
     x_mark: Literal["small disc", "triangle"] = "small disc"
     diameter: Length | None = None
     dictionary: str = ""
@@ -91,10 +94,13 @@ class Target:
     def __post_init__(self) -> None:
         if self.kind == "two-level" and not self.depth:
             raise ValueError("a two-level target needs its depth, for example depth: 0.002 (metres)")
-        with_rings = self.origin_mark == "ring"
-        if with_rings and self.kind != "dots":
-            raise ValueError("rings mark the origin of a grid of dots only (kind: dots)")
-        if self.shape is None and self.kind not in ("strings", "two-level") and not with_rings:
+        if self.origin_mark in ("ring", "odd dot") and self.kind != "dots":
+            raise ValueError(f"origin_mark: {self.origin_mark} is for a grid of dots only (kind: dots)")
+        if (
+            self.shape is None
+            and self.kind not in ("strings", "two-level", "points")
+            and not self.marked_dots
+        ):
             raise ValueError(f"a {self.kind} target needs its shape, for example shape: [9, 6]")
         if self.diameter is not None and self.diameter >= self.mesh:
             raise ValueError("the target's dots are larger than its mesh; check diameter and mesh (metres)")
@@ -108,6 +114,11 @@ class Target:
                 raise ValueError(
                     "the target's markers are larger than its squares; check marker and mesh (metres)"
                 )
+
+    @property
+    def marked_dots(self) -> bool:
+        """Whether marks number a grid of dots, which may then be partly out of view."""
+        return self.origin_mark in ("ring", "odd dot")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> "Target":

@@ -187,8 +187,10 @@ Examples:
     help="Whose format to write.",
 )
 @click.option("--size", multiple=True, help="Image size where the file does not state it: WxH or camera=WxH.")
-@click.option("--unit", default="m", show_default=True, help="Unit of length of OpenCV's files.")
-def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str) -> None:
+@click.option("--unit", help="Unit of length, or metres of one, where it is not stated in the file or usual.")
+def convert(
+    files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str | None
+) -> None:
     """Show a rig, or convert one from or to another program's.
 
     FILES is one file or folder, or camera=file for each camera: of wavefield, UVMAT, VIC-3D, DICe, DaVis,

@@ -17,7 +17,6 @@ from wavefield.series.experiment_parts import CalibrationSection
 from wavefield.series.target_listing import find_views
 
 _CACHED_IMAGES = 6
-_TABLES = (".csv", ".txt")  # points that another program has found, in place of an image
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,10 @@ def find_in_image(path: Path, section: CalibrationSection) -> FoundTarget:
 
 def target_images(experiment: Experiment) -> dict[str, dict[str, Path]]:
     """Target images of an experiment by camera and pose."""
+    from wavefield.calibration.images import is_table
+
     return {
-        camera: {pose: path for pose, path in poses.items() if path.suffix.lower() not in _TABLES}
+        camera: {pose: path for pose, path in poses.items() if not is_table(path)}
         for camera, poses in find_views(experiment).items()
     }
 

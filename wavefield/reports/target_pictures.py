@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from wavefield.calibration import TargetPoints
-from wavefield.calibration.images import TABLES, TargetRig
+from wavefield.calibration.images import TargetRig, is_table
 from wavefield.figures.style import LINES, file_of, panels
 from wavefield.images import read_image
 from wavefield.rig import Rig
@@ -46,7 +46,7 @@ def draw_found(result: TargetRig) -> bytes | None:
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
         for camera, found in result.views.items()
-        if found and all(path.suffix.lower() not in TABLES for path in result.images[camera].values())
+        if found and not any(is_table(path) for path in result.images[camera].values())
     }
     if not poses:
         return None

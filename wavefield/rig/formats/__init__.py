@@ -6,6 +6,7 @@ All lengths become metres, all pixel coordinates (column, row) with centres at i
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -56,7 +57,7 @@ def load_rig(
     path: str | Path | Mapping[str, str | Path],
     sizes: Mapping[str, Size] | None = None,
     names: Sequence[str] | None = None,
-    unit: str = "m",
+    unit: str | None = None,
 ) -> Rig:
     """Read a rig in any supported format, recognised from the file's content.
 
@@ -68,9 +69,10 @@ def load_rig(
         Image size per camera, px; UVMAT's files and OpenCV's stereo files do not store it.
     names : sequence of str, optional
         Names for the cameras, in the file's order; cam1, cam2, ... if left out.
-    unit : str, default "m"
-        Unit of length in files that do not state it (OpenCV, MATLAB, MyPTV: that of the target), or a number
-        of metres (WASS: the distance between the cameras; COLMAP, Metashape: the length of one unit).
+    unit : str, optional
+        Unit of length, or a number of metres: of files that do not state it (OpenCV, MATLAB, MyPTV: that of
+        the target; WASS: the distance between the cameras; COLMAP, Metashape), else metres; of others where
+        theirs is not the usual one (VIC-3D, DICe, OpenPTV, DaVis: mm).
 
     Returns
     -------
@@ -102,9 +104,12 @@ def load_rig(
             {"imported": {name: rig.provenance.get("imported", {}) for name, rig in rigs.items()}},
         )
     path = Path(path)
-    options = ImportOptions(sizes, names, unit)
+    options = ImportOptions(sizes, names, unit or "m")
     try:
-        return _load(path, options)
+        rig = _imported(path, options)
+        if rig is None:  # wavefield's own, or the folder of an experiment
+            return Rig.load(path / "rig.yaml" if path.is_dir() else path)
+        return rig if unit is None else _in_unit(rig, options)
     except RigError as error:
         sentence = str(error)
         if str(path) not in sentence:
@@ -117,14 +122,23 @@ def load_rig(
         ) from None
 
 
-def _load(path: Path, options: ImportOptions) -> Rig:
+def _in_unit(rig: Rig, options: ImportOptions) -> Rig:
+    """The rig with its lengths in the unit that was stated, where its program has one of its own."""
+    note = dict(rig.provenance["imported"])
+    factor = options.length / LENGTHS.get(str(note.get("unit")), options.length)
+    cameras = {name: replace(one, translation=factor * one.T) for name, one in rig.cameras.items()}
+    return Rig(cameras, {"imported": note | {"unit": options.unit}})
+
+
+def _imported(path: Path, options: ImportOptions) -> Rig | None:
+    """A rig of another program; None for one of wavefield."""
     if path.is_dir():
         if is_openptv(path):
             return load_openptv(path, options)
         if is_colmap(path):
             return load_colmap(path, options)
         if (path / "rig.yaml").is_file() and not any(path.glob("intr*.xml")):
-            return Rig.load(path / "rig.yaml")  # the folder of an experiment
+            return None
         return load_wass(path, options)
     if path.suffix == ".mat" and path.exists():
         return load_matlab(path, options)
@@ -138,7 +152,7 @@ def _load(path: Path, options: ImportOptions) -> Rig:
     if is_dice_text(text):
         return load_dice_text(text, path, options)
     data = yaml.load(text, Loader=YAML_LOADER)
-    return load_kalibr(data, path, options) if is_kalibr(data) else Rig.load(path)
+    return load_kalibr(data, path, options) if is_kalibr(data) else None
 
 
 def _load_xml(path: Path, options: ImportOptions) -> Rig:
