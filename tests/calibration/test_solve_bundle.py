@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from solve_cases import MESH, nodes, views
 
 from wavefield.calibration.bundle import fit
-from wavefield.calibration.least_squares import Whitener, huber, minimise
+from wavefield.calibration.least_squares import Whitener, huber, minimise, normal_matrix
 from wavefield.calibration.observations import Geometry, collect
 from wavefield.calibration.parameters import layout, linearised, moved, predict
 from wavefield.calibration.start import calibrate_single
@@ -146,3 +146,11 @@ def test_nodes_are_numbered_once():
     o = collect(views(seed=0), MESH)
     assert len(np.unique(o.nodes, axis=0)) == len(o.nodes)
     assert set(map(tuple, o.nodes)) <= set(map(tuple, nodes()))
+
+
+def test_the_normal_matrix_of_many_cameras_is_that_of_all_products():
+    rng = np.random.default_rng(4)
+    J, weight = np.zeros((1000, 200)), rng.uniform(0.2, 1.0, 1000)
+    for k in range(0, 1000, 50):
+        J[k : k + 50, rng.permutation(200)[:17]] = rng.normal(size=(50, 17))
+    assert np.allclose(normal_matrix(J, weight), J.T @ (weight[:, None] * J), rtol=0, atol=1e-12)

@@ -156,7 +156,7 @@ def test_free_points_of_known_position_calibrate_from_tables(tmp_path, header):
         rows = np.hstack([place, one.pixel] if header else [one.pixel, place])
         lines = [("," if header else "\t").join(f"{v:.6f}" for v in row) for row in rows]
         (tmp_path / name).write_text(header + "\n".join(lines))
-        views[name] = {"body": read_points(tmp_path / name, (1024, 1024), unit=1e-3)}
+        views[name] = {"body": read_points(tmp_path / name, rig[name].size, unit=1e-3)}
     found = calibrate(views, Target("points", mesh=1e-3), flat="", model=MODEL)
     assert found.usable, found.problems
     assert worst_pixel(found.rig, rig) < 0.05

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wavefield.calibration.least_squares import Whitener, huber, minimise
+from wavefield.calibration.least_squares import Whitener, huber, minimise, normal_matrix
 from wavefield.calibration.observations import Geometry, Observations
 from wavefield.calibration.parameters import (
     ParameterLayout,
@@ -59,7 +59,8 @@ def fit(
 
     def with_jacobian(x: Array) -> tuple[Array, Array]:
         pixel, J, _ = linearised(start, plan, x, o)
-        r, J = (pixel - o.pixel).ravel() * inverse, J.reshape(2 * len(o), -1) * inverse[:, None]
+        r, J = (pixel - o.pixel).ravel() * inverse, J.reshape(2 * len(o), -1)
+        J *= inverse[:, None]
         return (whitener(r), whitener(J)) if whitener else (r, J)
 
     x = np.zeros(len(plan.names))
@@ -73,7 +74,7 @@ def fit(
     # exact points leave no residuals at all, but a covariance of zero is of no use
     scale = max(robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1)), 1e-6)
     weight = np.minimum(1.0, limit / np.maximum(np.abs(r), 1e-300))
-    normal = J.T @ (weight[:, None] * J)
+    normal = normal_matrix(J, weight)
     d = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     units = np.outer(d, d)
     covariance = scale**2 * np.linalg.pinv(normal * units, rcond=1e-15, hermitian=True) * units

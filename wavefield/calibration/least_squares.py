@@ -10,6 +10,8 @@ from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
 MAX_ITERATIONS = 60
+MANY = 150  # parameters: with more zeros are not multiplied
+ROWS = 128  # of a Jacobian taken together then: they have one or two cameras and poses
 
 
 class Whitener:
@@ -61,6 +63,19 @@ def huber(r: Array, limit: float) -> float:
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 
 
+def normal_matrix(J: Array, weight: Array) -> Array:
+    """J^T W J, (p, p), of rows in the order of cameras and poses."""
+    if J.shape[1] <= MANY:
+        return np.asarray(J.T @ (weight[:, None] * J) if (weight < 1.0).any() else J.T @ J)
+    out = np.zeros((J.shape[1], J.shape[1]))
+    for k in range(0, len(J), ROWS):
+        part = J[k : k + ROWS]
+        used = np.flatnonzero(part.any(axis=0))
+        part = part[:, used]
+        out[np.ix_(used, used)] += part.T @ (weight[k : k + ROWS, None] * part)
+    return out
+
+
 def minimise(
     residual: Callable[[Array], Array],
     with_jacobian: Callable[[Array], tuple[Array, Array]],
@@ -82,7 +97,7 @@ def minimise(
         gradient = J.T @ (weight * r)
         # p x p: `scipy.optimize.least_squares` decomposes J at each step, thirty times slower for thousands
         # of observations; the squared condition number costs steps, not accuracy: steps end with the gradient
-        normal = J.T @ (weight[:, None] * J) if (weight < 1.0).any() else J.T @ J
+        normal = normal_matrix(J, weight)
         diagonal = np.maximum(diagonal, np.sqrt(np.diag(normal)))
         d = np.where(diagonal > 0.0, diagonal, 1.0)
         scaled, slope = normal / np.outer(d, d), gradient / d

@@ -77,7 +77,9 @@ def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
             f"{path} lacks the column {', '.join(missing)}; its header must be i,j,X,Y, or also std and z "
             "(points that are no grid: kind: points)"
         )
-    return _numbers(rows, path, {"std": std, "z": 0.0}, (*COLUMNS, "std", "z")), "z" in header
+    placed = "z" in header
+    default = {"std": std} if placed else {"std": std, "z": 0.0}
+    return _numbers(rows, path, default, (*COLUMNS, "std", "z")), placed
 
 
 def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple[Array, bool]:
