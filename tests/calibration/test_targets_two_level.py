@@ -107,6 +107,9 @@ def test_a_target_without_its_marks_is_refused_with_what_was_found():
     camera = camera_at((320, 256), 30.0, 0.0, 0.0, 0.8, 1700.0)
     with pytest.raises(CalibrationError, match=r"not both in view .* dots were found"):
         find_target(picture(camera, marks=((99, 99), (98, 98))), TARGET)
+    far = camera_at((320, 256), 5.0, 0.0, 0.0, 0.8, 1080.0)
+    with pytest.raises(CalibrationError, match=r"dots are 4\.\d px wide: .* five"):
+        find_target(picture(far), TARGET)
     with pytest.raises(CalibrationError, match="no two levels"):
         find_target(np.random.default_rng(0).integers(0, 255, (200, 200)).astype(np.uint8), TARGET)
     with pytest.raises(CalibrationError, match="needs its depth"):

@@ -53,9 +53,12 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
             return _numbered(polarity, marked, second, (between, np.empty((0, 2), int)), target)
         if in_place:
             return _numbered(polarity, marked, second, in_place, target)
+    width = min(_width(level, target) for level in (one, other))
+    small = f"; dots are {width:.1f} px wide: in their place marks are recognised from five on: come closer"
     raise CalibrationError(
-        "the square that marks the origin and the triangle that marks x are not both in view on one "
-        f"level of the target ({len(one.node)} and {len(other.node)} dots were found)"
+        "the square that marks the origin and the triangle that marks x are not both in view on one level of "
+        f"the target ({len(one.node)} and {len(other.node)} dots were found)"
+        f"{small if width < MIN_MARK_WIDTH else ''}"
     )
 
 
