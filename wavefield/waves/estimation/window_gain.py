@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from wavefield.errors import CubeError, StoreError
 from wavefield.variables import CUBE_DIMS, annotate, validate
@@ -26,6 +27,7 @@ DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 HALF_BAND = 0.12  # of omega, around the dispersion relation
 MIN_HALF_BAND_LINES = 3
 MIN_POWER_GAIN = 0.25  # half the amplitude of a wave: less is not corrected
+CELLS_OF_WEIGHT = 2.0  # standard deviation over which directions are averaged along k
 MIN_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
 # field: measured variable, variable of the truth
 _TRUTH = {"z": ("z_t", "z_t"), "u": ("u", "dx"), "v": ("v", "dy"), "w": ("w", "dz")}
@@ -218,9 +220,27 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
     return np.where(valid, 1.0 / np.where(valid, power, 1.0), 1.0), valid
 
 
+def with_directions(gain: xr.Dataset, density_w: xr.DataArray) -> xr.Dataset:
+    """The gain with ``weight`` (direction, k): the part of a ring's waves in each direction.
+    From the spectrum of w over (omega, ky, kx); cameras near the horizon lose waves along the line of sight.
+    """
+    ky, kx = np.meshgrid(density_w["ky"].values, density_w["kx"].values, indexing="ij")
+    sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
+    cell = min(float(np.diff(density_w[name][:2])[0]) for name in ("ky", "kx"))
+    turn = np.rint(np.arctan2(ky, kx) * sectors / np.pi).astype(int) % sectors
+    ring = np.minimum(np.rint(np.hypot(ky, kx) / step).astype(int), gain.sizes["k"] - 1)
+    energy = np.zeros((sectors, gain.sizes["k"]))
+    np.add.at(energy, (turn, ring), density_w.sum("omega").values)
+    energy = gaussian_filter1d(energy, CELLS_OF_WEIGHT * cell / step, axis=1)
+    waves = energy / np.maximum(gain["gain_w"].transpose("direction", "k").values ** 2, MIN_POWER_GAIN)
+    weight = waves / np.maximum(waves.sum(axis=0), np.finfo(float).tiny)
+    return gain.assign(weight=(("direction", "k"), weight))
+
+
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
-    """Gain of a power or cross spectrum over rings (k in rad/m), for an even distribution of directions."""
-    product = (gain[f"gain_{one}"] * gain[f"gain_{other}"]).mean("direction", skipna=False)
+    """Gain of a power or cross spectrum over rings (k in rad/m); directions count evenly without weights."""
+    product = gain[f"gain_{one}"] * gain[f"gain_{other}"] * gain.get("weight", 1.0 / gain.sizes["direction"])
+    product = product.sum("direction", skipna=False)
     known = np.isfinite(product.values)
     # below the lowest ring as in it: windows do not affect waves longer than the rectangle
     values = np.interp(k, product["k"].values[known], product.values[known], right=0.0)

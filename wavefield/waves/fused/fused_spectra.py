@@ -32,7 +32,7 @@ from wavefield.waves.estimation.transfer_functions import (
 )
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
-from wavefield.waves.estimation.window_gain import MIN_POWER_GAIN, read_gain, ring_gain
+from wavefield.waves.estimation.window_gain import MIN_POWER_GAIN, read_gain, ring_gain, with_directions
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
 from wavefield.waves.spectra.field_spectra import E_omega, density
@@ -420,7 +420,8 @@ def fused_spectra(
     -----
     N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
     noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) replaces
-    the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them.
+    the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them;
+    H^2 of a ring is the mean over directions, weighted by the energy that w has in each.
     It assumes independent noises: ``noise_coherence`` measures their correlation. On a current U, w is
     integrated at omega - k . U in every cell.
     """
@@ -430,6 +431,9 @@ def fused_spectra(
     welch = Welch.of(cube, segment, record)
     (sums,) = dask.compute(lazy_sums(cube, Requested(NAMES, PAIRS, ("w", *PLANES)), welch))
     moving = SpectraOnCurrent.of(sums, welch, water, current)
+    if gain is not None:
+        of_w = xr.DataArray(density(sums["map w"], welch), welch.plane, ("omega", "ky", "kx"))
+        gain = with_directions(gain, of_w)
     return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
 
 
@@ -448,6 +452,8 @@ def _fused(
     if used.source != NO_CURRENT:
         zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
         moving = SpectraOnCurrent(used.velocity, density_w, zw)
+    if gain is not None:
+        gain = with_directions(gain, density_w)
     out = from_spectra(ring, (depth, gamma), gain, moving).assign_attrs(used.attrs)
     for method in METHODS:
         out[f"Ez_{method}"].attrs |= used.attrs

@@ -18,7 +18,7 @@ from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
-from wavefield.waves.estimation.window_gain import correction
+from wavefield.waves.estimation.window_gain import correction, with_directions
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra import field_spectra
 from wavefield.waves.spectra.segment_sums import NAMES, Requested, sources, sum_segment, transforms
@@ -196,11 +196,15 @@ def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[s
     return annotate(out, "spectra")
 
 
+def _spectra(ring: xr.Dataset, gain: xr.Dataset | None, density_w: xr.DataArray) -> xr.Dataset:
+    return by_field(ring, None if gain is None else with_directions(gain, density_w))
+
+
 def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: Welch) -> xr.Dataset:
     return label(sums, NAMES, pairs, welch)
 
 
 register(
     Product("ring", ("ring_sums", "pairs", "welch"), _ring),
-    Product("spectra", ("ring", "gain"), by_field, group="spectra", cost=2),
+    Product("spectra", ("ring", "gain", "density_w"), _spectra, group="spectra", cost=2),
 )
