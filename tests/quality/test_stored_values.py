@@ -81,6 +81,19 @@ def test_a_step_without_motion_or_of_two_intervals_is_named(seed):
     assert 7 in discontinuous(continuities(lost, np.ones(lost.shape, bool), contradicting))
 
 
+@pytest.mark.parametrize("noise", [0.1, 0.3, 0.4])
+@pytest.mark.parametrize("turn", [0.7, 0.8, 0.9])
+def test_a_lost_frame_shows_among_eight_steps_of_short_waves(turn, noise):
+    rng = np.random.default_rng(3)
+    lattice = np.exp(1j * np.cumsum(rng.uniform(0.0, 1.0, (30, 40)), axis=1))
+    w = np.sqrt(2) * np.array([(lattice * np.exp(-1j * turn * k)).real for k in range(9)])
+    w = w + noise * rng.standard_normal(w.shape)
+    everywhere = np.ones((8, *w.shape[1:]), bool)
+    lost = np.concatenate([w[:3], w[3:4] + w[4:5], w[5:]])
+    assert 3 in discontinuous(continuities(lost, everywhere, noise))
+    assert discontinuous(continuities(w[:8], everywhere, noise)).size == 0
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_steps_of_much_noise_are_not_compared(seed):
     size = float(np.std(sea(seed, noise=0.0)["w"]))

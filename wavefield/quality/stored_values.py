@@ -70,7 +70,9 @@ def continuity(rise: Sequence[Array], measured: Sequence[Mask], std: Sequence[Ar
     # the least noise of the neighbours: that of steps beside a lost frame contains the contradiction
     least = min(float(np.sum(np.square(std[k][everywhere]))) for k in (0, 1, 3, 4))
     noise = float(NEIGHBOURS @ NEIGHBOURS) * least
-    return float(here @ expected) / square if noise < MAX_NOISE * square else np.nan
+    # a step of two intervals is far above noise even where the phases of its neighbours nearly cancel
+    size = max(square, float(here @ here))
+    return float(here @ expected) / square if noise < MAX_NOISE * size else np.nan
 
 
 def discontinuous(continuities: Array) -> NDArray[np.intp]:
