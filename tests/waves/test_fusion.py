@@ -196,7 +196,7 @@ def test_what_is_taken_from_the_directions_of_a_sea_comes_back(towards):
         ratio = (undone[f"Ez_{method}"] / true[f"Ez_{method}"]).values
         valid = undone[f"valid_{method}"].values & (hertz > 0.22) & (hertz < 0.6)
         assert hertz[valid].max() > 0.42
-        np.testing.assert_allclose(ratio[valid], 1, atol=0.06)
+        np.testing.assert_allclose(ratio[valid], 1, atol=0.08)
 
 
 def test_noise_is_told_from_what_windows_take(through_windows):
