@@ -1,4 +1,4 @@
-"""Waves that are higher in a part of the field are stated more uncertain there."""
+"""Waves are stated more uncertain in the part of a field where they are higher, less where it is calm."""
 
 import numpy as np
 import pytest
@@ -26,14 +26,14 @@ def test_what_is_missing_of_short_waves_is_more_where_they_are_higher(seed):
     modes = Modes(Prior.isotropic((0.1, 1.0, 3.0), (5.0, 1.0, 0.2), 1.0), SHAPE)
     even = short_waves(seed)
     shares = local_share(modes, modes.waves(even[None].astype(np.float32)), INFORMATION)
-    assert shares.min() == 1.0
-    assert shares.mean() < 1.25, "chance alone"
+    assert shares.min() >= 0.5
+    assert shares.mean() == pytest.approx(1.0, abs=0.1), "chance alone"
     x = np.arange(SHAPE[1]) / SHAPE[1]
     envelope = np.sin(0.5 * np.pi * x) ** 2
     shares = local_share(modes, modes.waves((envelope * even)[None].astype(np.float32)), INFORMATION)
     rough = shares[:, x > 0.85].mean()
     assert rough == pytest.approx(1.0 / np.mean(envelope**2), rel=0.35)
-    assert (shares[:, x < 0.4] == 1.0).all()
+    assert (shares[:, x < 0.3] == 0.5).all()
 
 
 def test_still_water_has_the_same_everywhere():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -79,15 +80,16 @@ def test_a_file_that_two_patterns_name_is_one_pose(tmp_path):
 def test_a_table_of_points_without_a_size_takes_it_from_the_images(tmp_path):
     from wavefield.calibration.images import _find_in_file, _frame_sizes
 
+    target = Target("strings", 0.1)
     table = tmp_path / "cam1_pose1.csv"
     table.write_text("i,j,X,Y\n0,0,3.0,4.0\n0,1,13.0,4.0\n")
-    assert "no images of its camera" in _find_in_file(table, None)
+    assert "no images of its camera" in _find_in_file(table, target)
     for camera in ("cam1", "cam2"):
         for k in range(2):
             write_image(tmp_path / camera / f"img_{k:05d}.tif", np.eye(30, 48, dtype=np.uint8) * 90)
     sizes = _frame_sizes(note(tmp_path, "{camera}_*.csv"))
     assert sizes == {"cam1": (48, 30), "cam2": (48, 30)}
-    assert _find_in_file(table, None, sizes["cam1"]).size == (48, 30)
+    assert _find_in_file(table, target, sizes["cam1"]).size == (48, 30)
 
 
 @pytest.mark.parametrize("pattern", ["{camera}/*.tif", "{camera}/{camera}*.tif", "*/{camera}*.tif"])

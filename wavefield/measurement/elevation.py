@@ -97,7 +97,8 @@ def local_share(modes: Modes, waves: Float, information: Float) -> Float:
     lost = modes.inverse / (np.square(modes.foot) * np.float32(modes.prior.information) + modes.inverse)
     square = cv2.GaussianBlur(np.square(modes.field(lost * waves)[0]), (0, 0), _LOCAL_BLOCKS)
     mean = float(np.mean(square[information > 0])) if (information > 0).any() else 0.0
-    return np.asarray(np.clip(square / np.float32(max(mean, 1e-30)), _LEAST_SHARE, _MAX_SHARE))
+    share = square / np.float32(mean) if mean > 0 else np.ones_like(square)
+    return np.asarray(np.clip(share, _LEAST_SHARE, _MAX_SHARE))
 
 
 def _jitter_variance(matches: Sequence[PairMatch], geometry: GridGeometry, jitter: float) -> float:
