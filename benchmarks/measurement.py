@@ -48,7 +48,7 @@ ASKED = {
 LABELS = {  # on the validation page
     "random": "random sea, 1.4 cm rms",
     "light": "the same, one camera five times darker than another, flicker of 30 %",
-    "steep": "steep sea, slopes to 0.39",
+    "steep": "steep sea, slopes beyond 0.3",
     "low_light": "poor light: beads 45 grey levels over a background of 30, read noise 7",
     "gaps": "eight gaps of 3 to 8 cm radius, clustered beads",
     "noisy": "twice the noise, 10 % of the beads visible to one camera only",
