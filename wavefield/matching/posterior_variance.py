@@ -170,7 +170,6 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
         rim = outside[known]
         measured = between(p, p) + noise * np.diag(1.0 / every[known])
         to_q = between(p, q)
-
         without = np.sum(to_q * np.linalg.solve(measured, to_q), axis=0)
         given = np.sum(to_q[rim] * np.linalg.solve(measured[np.ix_(rim, rim)], to_q[rim]), axis=0)
         out[i] = np.maximum(without - given, 0.0)

@@ -220,17 +220,17 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
     return np.where(valid, 1.0 / np.where(valid, power, 1.0), 1.0), valid
 
 
-def with_directions(gain: xr.Dataset, density_w: xr.DataArray) -> xr.Dataset:
+def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
     """The gain with ``weight`` (direction, k): the part of a ring's waves in each direction.
-    From the spectrum of w over (omega, ky, kx); cameras near the horizon lose waves along the line of sight.
+    From the spectrum of w over (ky, kx); cameras near the horizon lose waves along the line of sight.
     """
-    ky, kx = np.meshgrid(density_w["ky"].values, density_w["kx"].values, indexing="ij")
+    ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
     sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
-    cell = min(float(np.diff(density_w[name][:2])[0]) for name in ("ky", "kx"))
+    cell = min(float(np.diff(plane_w[name][:2])[0]) for name in ("ky", "kx"))
     turn = np.rint(np.arctan2(ky, kx) * sectors / np.pi).astype(int) % sectors
     ring = np.minimum(np.rint(np.hypot(ky, kx) / step).astype(int), gain.sizes["k"] - 1)
     energy = np.zeros((sectors, gain.sizes["k"]))
-    np.add.at(energy, (turn, ring), density_w.sum("omega").values)
+    np.add.at(energy, (turn, ring), plane_w.values)
     energy = gaussian_filter1d(energy, CELLS_OF_WEIGHT * cell / step, axis=1)
     waves = energy / np.maximum(gain["gain_w"].transpose("direction", "k").values ** 2, MIN_POWER_GAIN)
     weight = waves / np.maximum(waves.sum(axis=0), np.finfo(float).tiny)

@@ -433,7 +433,7 @@ def fused_spectra(
     moving = SpectraOnCurrent.of(sums, welch, water, current)
     if gain is not None:
         of_w = xr.DataArray(density(sums["map w"], welch), welch.plane, ("omega", "ky", "kx"))
-        gain = with_directions(gain, of_w)
+        gain = with_directions(gain, of_w.sum("omega"))
     return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
 
 
@@ -453,7 +453,7 @@ def _fused(
         zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
         moving = SpectraOnCurrent(used.velocity, density_w, zw)
     if gain is not None:
-        gain = with_directions(gain, density_w)
+        gain = with_directions(gain, density_w.sum("omega"))
     out = from_spectra(ring, (depth, gamma), gain, moving).assign_attrs(used.attrs)
     for method in METHODS:
         out[f"Ez_{method}"].attrs |= used.attrs

@@ -196,8 +196,8 @@ def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[s
     return annotate(out, "spectra")
 
 
-def _spectra(ring: xr.Dataset, gain: xr.Dataset | None, density_w: xr.DataArray) -> xr.Dataset:
-    return by_field(ring, None if gain is None else with_directions(gain, density_w))
+def _spectra(ring: xr.Dataset, gain: xr.Dataset | None, plane_w: xr.DataArray) -> xr.Dataset:
+    return by_field(ring, None if gain is None else with_directions(gain, plane_w))
 
 
 def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: Welch) -> xr.Dataset:
@@ -206,5 +206,5 @@ def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: We
 
 register(
     Product("ring", ("ring_sums", "pairs", "welch"), _ring),
-    Product("spectra", ("ring", "gain", "density_w"), _spectra, group="spectra", cost=2),
+    Product("spectra", ("ring", "gain", "plane_w"), _spectra, group="spectra", cost=2),
 )

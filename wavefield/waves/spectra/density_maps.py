@@ -19,6 +19,11 @@ def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> 
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
 
 
+def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
+    """Of the density (omega, ky, kx), over (ky, kx): small enough for workers."""
+    return w.sum("omega")
+
+
 def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
     """Lines of the spectrum next to some frequencies, Hz."""
     lines = welch.omega / (2 * np.pi)
@@ -41,6 +46,7 @@ register(
         Product(f"density_{name}", ("ring_sums", "welch"), partial(_density, name), planes=(name,))
         for name in ("z", "w")
     ),
+    Product("plane_w", ("density_w",), _sum_of_lines),
     Product("map_lines", ("welch", "map_frequencies"), map_lines),
     Product("maps", ("density_z", "density_w", "map_lines"), maps, group="spectra"),
 )
