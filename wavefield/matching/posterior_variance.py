@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import cv2
@@ -140,36 +140,44 @@ def _squared_response(gain: Float) -> Float:
     return out
 
 
+@cache
+def _around_hole(radius: float) -> tuple[Float, Float, Float, Float]:
+    """Blocks in and around a round hole, of which one of two or four stands for all away from the rim.
+    Their squared distances from each other, distances from the hole's depths, shares, and which are outside.
+    """
+    reach = radius + MEASURED_RIM_WIDTH
+    g = np.arange(-np.ceil(reach), np.ceil(reach) + 1)
+    x, y = np.meshgrid(g, g)
+    d = np.hypot(x, y)
+    outside = d >= radius
+    every = np.select([outside & (d < radius + 2), outside & (d < radius + 5)], [1, 2], 4)
+    known = (every == 1) | ((x + y) % 2 == 0) & ((every == 2) | (x % 2 == 0))
+    known &= d < reach
+    x, y = x[known], y[known]
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    to_depths = np.hypot(x[:, None] - radius * (1 - np.array(HOLE_DEPTHS)), y[:, None])
+    return squared.astype(int), to_depths, every[known], outside[known]
+
+
 def hole_variance(spectrum: Float, noise: float) -> Float:
     """What round holes with measured rims add to the variance of a field of a spectrum (ny, nx).
-    (radii, depths): the variance less that where the inside is measured as well. Away from the rim one block
-    of two or four stands for all.
+    (radii, depths): the variance less that where the inside is measured as well.
     """
-    ny, nx = spectrum.shape
     covariance = _impulse(spectrum)
-    side = min(ny, nx)
-    along = 0.5 * (covariance[0, :side] + covariance[:side, 0])
-    curve = spline_filter1d(along, mode="mirror")
+    side = min(spectrum.shape)
+    curve = spline_filter1d(0.5 * (covariance[0, :side] + covariance[:side, 0]), mode="mirror")
 
-    def between(p: Float, q: Float) -> Float:
-        distance = np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), side - 1)
-        out: Float = map_coordinates(curve, distance[None], mode="mirror", prefilter=False)
+    def at(distance: Float) -> Float:
+        out: Float = map_coordinates(
+            curve, np.minimum(distance, side - 1)[None], mode="mirror", prefilter=False
+        )
         return out
 
     out = np.zeros((len(HOLE_RADII), len(HOLE_DEPTHS)))
     for i, radius in enumerate(HOLE_RADII):
-        g = np.arange(-np.ceil(radius + MEASURED_RIM_WIDTH), np.ceil(radius + MEASURED_RIM_WIDTH) + 1)
-        x, y = np.meshgrid(g, g)
-        d = np.hypot(x, y)
-        outside = d >= radius
-        every = np.select([outside & (d < radius + 2), outside & (d < radius + 5)], [1, 2], 4)
-        known = (every == 1) | ((x + y) % 2 == 0) & ((every == 2) | (x % 2 == 0))
-        known &= d < radius + MEASURED_RIM_WIDTH
-        p = np.stack([x[known], y[known]], axis=1)
-        q = np.stack([radius * (1 - np.array(HOLE_DEPTHS)), np.zeros(len(HOLE_DEPTHS))], axis=1)
-        rim = outside[known]
-        measured = between(p, p) + noise * np.diag(1.0 / every[known])
-        to_q = between(p, q)
+        squared, to_depths, every, rim = _around_hole(radius)
+        measured = at(np.sqrt(np.arange(squared.max() + 1)))[squared] + noise * np.diag(1.0 / every)
+        to_q = at(to_depths)
         without = np.sum(to_q * np.linalg.solve(measured, to_q), axis=0)
         given = np.sum(to_q[rim] * np.linalg.solve(measured[np.ix_(rim, rim)], to_q[rim]), axis=0)
         out[i] = np.maximum(without - given, 0.0)
