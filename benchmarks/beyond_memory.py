@@ -1,6 +1,6 @@
 """E(k, omega) of a cube larger than memory: `python -m benchmarks.beyond_memory CUBE [--memory 0.5]`.
 
-On workers of a Dask cluster that are ended when they exceed so many GB. Said are the size of the variable in
+On workers of a Dask cluster that are ended when they exceed so many GB. Printed: the size of the variable in
 memory, what the workers read of the disk over what is stored of it (1: one pass), how many tasks of the graph
 move data from chunk to chunk (rechunk), the most memory of a worker, and whether E is that of one process.
 CUBE is made as by `benchmarks.waves` where it is not there: 12,000 x 150 x 200, 1.4 GB a variable.
@@ -58,7 +58,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("cube", type=Path)
     parser.add_argument("--memory", type=float, default=0.5, help="GB of each worker")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--steps", type=int, default=12_000, help="of the cube that are looked at")
+    parser.add_argument("--steps", type=int, default=12_000, help="of the cube that are read")
     options = parser.parse_args(words)
     if not options.cube.exists():
         write_cube(options.cube, options.steps)

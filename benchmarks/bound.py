@@ -1,4 +1,4 @@
-"""Bound waves and B at crests as the images tell them: `python -m benchmarks.bound [FOLDER] [--seed 401]`.
+"""Bound waves and B at crests from images: `python -m benchmarks.bound [FOLDER] [--seed 401]`.
 
 A steep sea with the waves that pairs of its waves force is simulated, calibrated and measured below FOLDER
 (what is there already is used; a folder that goes if none is given). The part of its energy that is bound is

@@ -4,7 +4,7 @@ Gaussian seas of free waves with linear kinematics, cos^(2s) (theta / 2) wide, s
 periodic basin. The truth of each estimate is the mean of the other draws' estimates, whose own error is taken
 into the count by as much narrower a deviation. Printed are the fractions of cells, weighted alike, whose
 interval holds it: E(k, omega) of w and of u . grad z, D(theta), E(omega) and E(k) of w; and how often two
-seas that know nothing of each other exceed the 5 % level of coherence.
+independent seas exceed the 5 % level of coherence.
 """
 
 from typing import Any

@@ -1,6 +1,6 @@
 """Current and surface tension fitted to the ridge, on exact seas: `python -m benchmarks.currents`.
 
-Seas of free waves ~ f^-5 between 1 and 6 Hz, cos^(2s) (theta / 2) wide, in a periodic basin of 7.7 m looked
+Seas of free waves ~ f^-5 between 1 and 6 Hz, cos^(2s) (theta / 2) wide, in a periodic basin of 7.7 m seen
 at through 1.5 x 2 m, 20 frames a second. Swept are s, the current (at a direction that is drawn) and the
 depth. Of each fit: the error of the current, mm/s, the same over its stated error, surface tension over the
 true one, and what was refused.

@@ -1,6 +1,6 @@
 """Time of one pair of images in other programs, beside ours: `python -m benchmarks.peers [--python PATH]`.
 
-PATH is a Python in which any of OpenPIV, pivtools and fluidimage are installed (they may want other versions
+PATH is a Python in which any of OpenPIV, pivtools and fluidimage are installed (they may need other versions
 of libraries than this program); by default this one. Every program gets the same pair of 1024 x 1024, one
 thread, one run to warm up; CPU time, the least of three. Missing programs are named.
 """

@@ -1,7 +1,7 @@
 """How long a user waits: `python -m benchmarks.waits [--only PART ...] [--steps 400] [--folder DIR]`.
 
-Wall times of whole commands, from the shell to their end, full-size cameras unless said otherwise; run it on
-a quiet machine. Experiments are simulated below a temporary folder (6 MB a step; --folder keeps them). The
+Wall times of whole commands, from the shell to their end, full-size cameras unless stated otherwise; run it
+on a quiet machine. Experiments are simulated below a temporary folder (6 MB a step; --folder keeps them). The
 commands run once before, on a small tank, so that nothing is compiled meanwhile.
 """
 

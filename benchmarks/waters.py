@@ -283,10 +283,10 @@ def one_draw(seed: int, number: int) -> Outcome:
         tank = Tank(conditions.scene)
         path = write_experiment(conditions, tank, folder)
         found = wf.check(path)
-        said = [str(problem) for problem in found.problems]
+        refusals = [str(problem) for problem in found.problems]
         verdicts = [found.verdict] if found.verdict else []
         if found.problems:
-            outcome.refused = said[0]
+            outcome.refused = refusals[0]
         else:
             wf.run(path, workflow=wf.Workflow(cluster="none"))
             verdict = wf.status(folder / "cube.zarr").verdict

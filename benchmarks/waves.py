@@ -137,7 +137,7 @@ def speed(path: Path) -> None:
     row("komega, gaps and edges known, with reading", "", f"{known:.2f}")
     row("  the same over bare rfftn twice (overlap), both with reading", "1.5", f"{known / both / 2:.2f}")
     row("  the same, reading taken off both", "1.5", f"{(known - read) / (both - read) / 2:.2f}")
-    row("komega, gaps and edges looked for, with all reading", "", f"{whole:.2f}")
+    row("komega, gaps and edges searched, with all reading", "", f"{whole:.2f}")
     row("  the same over bare rfftn twice (overlap), with reading", "1.5", f"{whole / both / 2:.2f}")
     row("its total over the variance", "1", f"{float(wv.total(E.E) / stored.w[:2000].var()):.3f}")
     time_of_peer = peer(stored.w)
@@ -162,7 +162,7 @@ def in_memory() -> None:
             asked, _ = cpu(lambda c=cube, n=segment: wv.komega(c, segment=n).compute(), 5)
             bare, _ = cpu(lambda a=values, n=segment, f=firsts: [scipy.fft.rfftn(a[k : k + n]) for k in f], 5)
         row(f"{steps} x {ny} x {nx}, segments of {segment}", "1.5", f"{spent / bare:.2f}")
-        row("  gaps and edges looked for as well", "", f"{asked / bare:.2f}")
+        row("  gaps and edges searched as well", "", f"{asked / bare:.2f}")
 
 
 _WHOLE = """

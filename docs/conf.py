@@ -1,4 +1,4 @@
-"""The pages as a site: `sphinx-build -W docs docs/_build/html`; CONTRIBUTING.md says how it is published.
+"""The pages as a site: `sphinx-build -W docs docs/_build/html`; CONTRIBUTING.md has how it is published.
 
 Nothing is fetched, neither while it is made nor while it is read. Gallery and notebooks use the demo, which
 is run here and kept; the notebooks are executed.

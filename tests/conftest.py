@@ -76,7 +76,7 @@ def without_pixels() -> Callable[[], AbstractContextManager[None]]:
 
 
 # What takes longest comes first, so that no worker is left alone with it at the end. On a new machine the
-# very first compiles the loops that measure, for a minute and more: the other looks at waves meanwhile.
+# very first compiles the loops that measure, for a minute and more: the other tests waves meanwhile.
 LONG = (
     "test_end_to_end",
     "test_analyze",

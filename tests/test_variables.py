@@ -66,7 +66,7 @@ def test_what_does_not_fit_is_refused_by_name():
         validate(xr.Dataset({"quality": field("f4", "1")}), "quality")
 
 
-def test_names_mean_what_their_group_says():
+def test_names_agree_with_their_group():
     ds = xr.Dataset({"time": ("time", [0.0]), "mean": ((), 1.0)})
     assert annotate(ds, "statistics")["mean"].attrs["units"] == "m"
     assert "units" not in annotate(ds)["mean"].attrs

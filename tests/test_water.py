@@ -33,7 +33,7 @@ def test_a_depth_that_is_none_is_refused(depth):
         water.dispersion(1.0, depth)
 
 
-def test_the_experiment_says_what_its_water_is():
+def test_the_experiment_states_what_its_water_is():
     assert WaterSection(depth=0.7).attributes() == {"water_depth": 0.7}
     soapy = WaterSection(surface_tension=0.03, density=998.0).attributes()
     assert soapy["surface_tension_over_density"] == pytest.approx(3.006e-5, rel=1e-3)

@@ -18,7 +18,7 @@ from wavefield.rig import Camera
 def camera_at(
     size=(1024, 1024), tilt=0.0, turn=0.0, roll=0.0, distance=4.0, focal=2700.0, at=(0.0, 0.0), k1=-0.1
 ):
-    """A camera that looks at the point `at` of the target plane.
+    """A camera directed at the point `at` of the target plane.
 
     tilt: obliquity, degrees from the normal; turn: azimuth of the camera about z; roll: about its axis.
     """

@@ -118,9 +118,9 @@ def test_of_two_cameras_a_motion_is_corrected_and_the_ambiguity_of_positions_is_
     beside = np.mean(seen - exact[:2], axis=(1, 2))  # cam2 was not knocked
     assert 1e-4 < np.hypot(*beside) < found.position_ambiguity < 2e-3
     assert f"may be shifted by some {1e3 * found.position_ambiguity:.1f} mm" in found.sentence
-    said = remark_on_rest(SimpleNamespace(settings={"sheet_thickness": 1e-3}), found.rig)
-    assert said.weight == "remark"
-    assert f"some {1e3 * found.position_ambiguity:.1f} mm elsewhere" in str(said)
+    printed = remark_on_rest(SimpleNamespace(settings={"sheet_thickness": 1e-3}), found.rig)
+    assert printed.weight == "remark"
+    assert f"some {1e3 * found.position_ambiguity:.1f} mm elsewhere" in str(printed)
     # the velocities are true, at the places where the cameras really look
     cube, measured, *_ = velocities(tank, images, found.rig)
     assert measured.mean() > 0.98

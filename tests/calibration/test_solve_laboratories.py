@@ -114,9 +114,9 @@ def test_a_refused_rig_is_written_on_request_and_marked(tmp_path, capsys, undraw
     text += '  tilted: "{camera}_tilt_*.csv"\n  flat: "{camera}_flat.csv"\n  model: f\n'
     (tmp_path / "experiment.yaml").write_text(text)
     assert main(["-q", "calibrate", str(tmp_path / "experiment.yaml"), "--anyway"]) == 0
-    said = capsys.readouterr()
-    assert "not usable: " in said.err
-    assert "REFUSED" in said.out
+    printed = capsys.readouterr()
+    assert "not usable: " in printed.err
+    assert "REFUSED" in printed.out
     written = Rig.load(tmp_path / "rig.yaml")
     assert list(written) == list(exact)
     assert written.provenance["usable"] is False

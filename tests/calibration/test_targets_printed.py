@@ -65,7 +65,7 @@ def test_a_chessboard_turned_by_half_a_turn_keeps_its_numbers():
 def test_a_board_that_is_symmetric_when_turned_is_noted():
     image, _ = seen((7, 5), 0.05, chessboard((7, 5), 0.05))
     points = find_target(image, Target("chessboard", 0.05, (7, 5)))
-    assert "looks the same" in points.notes[0]
+    assert "has the same image" in points.notes[0]
     e1, e2 = SmoothMap(points.node, points.pixel, np.inf).slopes(np.array([[3, 2]]))[0]
     assert e1[0] > 0
     assert e1[0] * e2[1] - e1[1] * e2[0] < 0
@@ -252,7 +252,7 @@ def test_every_sharp_real_chessboard_is_found(shared):
 
 
 @pytest.mark.parametrize(
-    ("block", "says"),
+    ("block", "expected"),
     [
         ({"kind": "ropes", "mesh": 0.1}, "target.kind should be 'strings', 'chessboard'"),
         ({"kind": "strings"}, "mesh is missing"),
@@ -274,8 +274,8 @@ def test_every_sharp_real_chessboard_is_found(shared):
         ({"kind": "charuco", "mesh": 0.1, "shape": [9, 6], "marker": 0.2}, "larger than its squares"),
     ],
 )
-def test_an_impossible_target_is_refused(block, says):
-    with pytest.raises(CalibrationError, match=says):
+def test_an_impossible_target_is_refused(block, expected):
+    with pytest.raises(CalibrationError, match=expected):
         Target.from_dict(block)
 
 
@@ -292,7 +292,7 @@ def test_points_written_are_the_points_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "expected"),
     [
         ("i,j,X,Y\n0,0,1,2\n", "size"),
         ("# size 64 48\ni,j,X\n0,0,1\n", "lacks the column Y"),
@@ -302,9 +302,9 @@ def test_points_written_are_the_points_read(tmp_path):
         ("# size 64\ni,j,X,Y\n0,0,1,2\n", "size"),
     ],
 )
-def test_a_file_of_points_that_is_no_table_is_refused(tmp_path, text, says):
+def test_a_file_of_points_that_is_no_table_is_refused(tmp_path, text, expected):
     (tmp_path / "points.csv").write_text(text)
-    with pytest.raises(CalibrationError, match=says):
+    with pytest.raises(CalibrationError, match=expected):
         read_points(tmp_path / "points.csv")
     with pytest.raises(CalibrationError, match="no such file"):
         read_points(tmp_path / "other.csv")

@@ -226,7 +226,7 @@ def test_no_scheduler_at_the_address(tank, tmp_path, monkeypatch):
 
 
 def test_a_job_that_is_cancelled_ends_at_once_whatever_it_is_at(tmp_path):
-    """Its block would be written after the run has said that it ended."""
+    """Its block would be written after the run reported its end."""
     with (
         scheduler_and_worker(tmp_path) as (address, _, worker),
         Client(address, timeout=PATIENCE, set_as_default=False) as client,

@@ -29,7 +29,7 @@ def left(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_second_run_is_refused_and_told_who_holds_the_store(tmp_path):
+def test_a_second_run_is_refused_with_the_name_of_who_holds_the_store(tmp_path):
     store = tmp_path / "cube.zarr"
     with Lock.hold(store):
         with (
@@ -54,7 +54,7 @@ def two_users():
         shutil.rmtree(folder)
 
 
-def test_of_two_users_in_one_folder_the_second_is_told_who_is_there_and_what_may_not_be(two_users):
+def test_of_two_users_in_one_folder_the_second_reads_who_is_there_and_what_may_not_be(two_users):
     store = two_users / "cube.zarr"
     with Lock.hold(store):
         pass  # what is imported late is imported
@@ -90,7 +90,7 @@ def held_elsewhere(store, seconds_ago):
     os.utime(path, (then, then))
 
 
-def test_a_run_on_another_machine_is_believed_as_long_as_it_gives_signs_of_life(tmp_path):
+def test_a_run_on_another_machine_holds_the_store_as_long_as_it_gives_signs_of_life(tmp_path):
     store = tmp_path / "cube.zarr"
     held_elsewhere(store, 20)
     with pytest.raises(StoreError, match="process 1 of node7"), Lock.hold(store):

@@ -171,7 +171,7 @@ def test_an_allocation_that_fails_is_one_sentence_with_the_memory_that_is_needed
     assert "\n" not in str(error)
 
 
-def test_workers_that_the_system_ends_for_memory_are_told_from_others(tmp_path, monkeypatch):
+def test_workers_that_the_system_ends_for_memory_are_distinguished_from_others(tmp_path, monkeypatch):
     counts = iter([4, 5, 5, 5])
     monkeypatch.setattr(wavefield.execution.pool, "kills_for_memory", lambda: next(counts))
     ((_, error),) = Pool(1).map_unordered(Crashing(tmp_path, signal.SIGKILL), [1])

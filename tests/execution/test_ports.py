@@ -13,22 +13,22 @@ LOOPBACK = {"127.0.0.1", "::1"}
 
 
 def listening(process):
-    """Addresses at which a process and its descendants wait for others, and how many were looked at."""
-    found, looked = set(), 0
+    """Addresses at which a process and its descendants wait for others, and how many were examined."""
+    found, examined = set(), 0
     try:
         family = [process, *process.children(recursive=True)]
     except psutil.Error:
-        return found, looked
+        return found, examined
     for member in family:
         try:
             for one in member.net_connections("inet"):
                 waits = one.status == "LISTEN" or (one.type.name == "SOCK_DGRAM" and not one.raddr)
                 if waits and one.laddr:
                     found.add(one.laddr.ip)
-            looked += 1
+            examined += 1
         except psutil.Error:
             continue
-    return found, looked
+    return found, examined
 
 
 @pytest.mark.skipif(not SHIPPED.exists(), reason="the workflows lie beside the package's source only")
@@ -54,17 +54,17 @@ sys.exit(max(main(["-q", *words]) for words in {commands!r}))
 
     def watch():
         while not over.wait(0.1):
-            ips, looked = listening(watched)
+            ips, examined = listening(watched)
             found.update(ips)
-            most[0] = max(most[0], looked)
+            most[0] = max(most[0], examined)
 
     thread = threading.Thread(target=watch)
     thread.start()
     try:
-        said = process.communicate(timeout=300)[0].decode()
+        printed = process.communicate(timeout=300)[0].decode()
     finally:
         over.set()
         thread.join()
-    assert process.returncode in (0, 3), said
+    assert process.returncode in (0, 3), printed
     assert most[0] >= 2, "its workers were not seen"
     assert found <= LOOPBACK

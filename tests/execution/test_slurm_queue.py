@@ -45,7 +45,7 @@ def slurm(tmp_path, monkeypatch):
 
 @pytest.fixture
 def look(tmp_path, monkeypatch):
-    """Makes a watch that looks each time, after an hour in the queue."""
+    """Makes a watch that asks the queue each time, after an hour in the queue."""
     now = [0.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
 
@@ -61,7 +61,7 @@ def look(tmp_path, monkeypatch):
     return make
 
 
-def test_jobs_that_wait_are_said_to_once(slurm, look, caplog):
+def test_jobs_that_wait_are_reported_once(slurm, look, caplog):
     slurm("10|PENDING|Priority\n11|PENDING|Resources")
     once = look(Cluster())
     with caplog.at_level(logging.WARNING, "wavefield.run"):
@@ -109,7 +109,7 @@ def test_jobs_that_worked_or_were_preempted_do_not_end_the_run(slurm, look):
     assert cluster.given_up == ["job-1"]
 
 
-def test_a_job_whose_worker_came_and_went_between_two_looks_is_asked_for_again(slurm, look, tmp_path):
+def test_a_job_whose_worker_came_and_went_between_two_queries_is_submitted_again(slurm, look, tmp_path):
     for number in (10, 11):
         log = f"worker - INFO - Registered to: tls://here:1\nworker {number} was killed by signal 15\n"
         (tmp_path / f"wavefield-{number}.err").write_text(log)

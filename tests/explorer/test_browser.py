@@ -562,7 +562,7 @@ def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
     assert window.errors == []
 
 
-def test_a_lost_connection_is_said_and_the_page_stays(chrome, whole):
+def test_a_lost_connection_is_reported_and_the_page_stays(chrome, whole):
     from browser import Browser
 
     from wavefield.explorer.notebook import look

@@ -50,7 +50,7 @@ def test_a_catalog_names_drivers_of_intake_only(catalog, old, new, monkeypatch):
         find_cube(catalog, "calm")
 
 
-def test_a_run_of_a_catalog_is_looked_at_by_name(catalog):
+def test_a_run_of_a_catalog_is_opened_by_name(catalog):
     with pytest.raises(WavefieldError, match="no cube of any run yet; make it with `wavefield run"):
         find_cube(catalog)
     rough = made(catalog, "rough")

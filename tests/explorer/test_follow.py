@@ -232,7 +232,7 @@ def test_a_frame_that_is_not_written_to_its_end_waits(small_tank, tmp_path):
     assert follower.latest.number == 1
 
 
-def test_without_a_rig_each_camera_is_judged_and_the_reason_is_said(small_tank, tmp_path):
+def test_without_a_rig_each_camera_is_judged_and_the_reason_is_given(small_tank, tmp_path):
     folder = tmp_path / "live"
     follower = Follower(Experiment.load(record(folder)))
     write(folder, 0, small_tank[1][0])
@@ -442,7 +442,7 @@ def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, 
     assert learner.model.record != first.record
 
 
-def test_a_program_that_ends_while_it_learns_says_nothing_of_it(monkeypatch):
+def test_a_program_that_ends_while_it_learns_prints_nothing(monkeypatch):
     """Pools end before threads do; any other failure of theirs is one."""
 
     def learn(*_):

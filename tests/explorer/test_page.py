@@ -33,7 +33,7 @@ def cube(tmp_path_factory):
     return path
 
 
-def test_the_terminal_is_told_of_nothing_amiss_in_a_page(cube):
+def test_a_page_without_faults_prints_nothing_in_the_terminal(cube):
     found = check_integrity(list(build(cube)[1].models))
     assert (found.error, found.warning) == ([], [])
 
@@ -48,7 +48,7 @@ def test_every_variable_and_view_can_be_shown(cube):
     document.to_json()
 
 
-def test_models_can_be_told_apart_by_name(cube):
+def test_models_have_different_names(cube):
     _, document = build(cube)
     names = Counter(model.name for model in document.models if model.name)
     assert [name for name, count in names.items() if count > 1] == []

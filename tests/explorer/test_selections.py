@@ -26,7 +26,7 @@ def test_the_spectrum_of_a_sine_holds_its_variance_at_its_frequency():
     assert found.frequency[found.density.argmax()] == pytest.approx(2.5, abs=step)
 
 
-def test_the_interval_of_a_spectrum_holds_the_truth_as_often_as_it_says():
+def test_the_interval_of_a_spectrum_holds_the_truth_as_often_as_stated():
     rng = np.random.default_rng(5)
     inside = []
     for _ in range(60):
@@ -47,7 +47,7 @@ def test_gaps_are_bridged_up_to_two_steps_and_split_the_record_beyond():
     assert selections.spectrum(np.full(50, np.nan), DT) is None
 
 
-def test_a_plane_is_interpolated_exactly_and_nothing_is_said_outside():
+def test_a_plane_is_interpolated_exactly_and_nothing_is_given_outside():
     x, y = np.linspace(-1, 1, 11), np.linspace(-0.5, 0.5, 7)
     field = 3.0 + 2.0 * x[None, :] - 4.0 * y[:, None]
     distance, px, py = selections.line_points((-0.9, -0.4), (1.4, 0.45), 0.1)

@@ -1,4 +1,4 @@
-"""What is wrong with files, numbers and names is said in one sentence: which file, what to do, exit status.
+"""What is wrong with files, numbers and names is reported in one sentence: which file, what to do, exit status.
 
 One row per kind. To add one: a name, a function that spoils the laboratory's folder, the command, the exit
 status, and words that the sentence must have.
@@ -227,21 +227,23 @@ def files(lab):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words", "status", "says"), [row[1:] for row in TABLE], ids=[row[0] for row in TABLE]
+    ("spoil", "words", "status", "expected"), [row[1:] for row in TABLE], ids=[row[0] for row in TABLE]
 )
-def test_bad_input_is_one_sentence_with_file_and_remedy(lab, monkeypatch, capsys, spoil, words, status, says):
+def test_bad_input_is_one_sentence_with_file_and_remedy(
+    lab, monkeypatch, capsys, spoil, words, status, expected
+):
     monkeypatch.chdir(lab)
     spoil(lab)
     before = files(lab)
     capsys.readouterr()
     assert main(["-q", *words]) == status
-    said = capsys.readouterr().err
-    assert re.search(says, said), said
-    assert "Traceback" not in said
-    assert "did not foresee" not in said
+    printed = capsys.readouterr().err
+    assert re.search(expected, printed), printed
+    assert "Traceback" not in printed
+    assert "did not foresee" not in printed
     if status == 1:
-        assert said.startswith("wavefield: ")
-        assert said.count("\n") == 1
+        assert printed.startswith("wavefield: ")
+        assert printed.count("\n") == 1
     after = files(lab)
     assert {path: after.get(path) for path in before} == before  # nothing is lost
     left = {str(path) for path in set(after) - set(before)}

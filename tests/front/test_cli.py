@@ -143,7 +143,7 @@ def test_an_unforeseen_error_has_no_traceback_either(monkeypatch, tmp_path, caps
     assert "Traceback" not in error
 
 
-def test_interruption_says_that_nothing_is_lost(monkeypatch, tmp_path, capsys):
+def test_an_interruption_reports_that_nothing_is_lost(monkeypatch, tmp_path, capsys):
     import wavefield.pipeline
 
     def interrupted(store):
@@ -206,9 +206,9 @@ def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
 def test_a_file_that_is_no_rig_is_named_with_what_it_is(tmp_path, capsys, name, content, reason):
     (tmp_path / name).write_text(content)
     assert main(["rig", "show", str(tmp_path / name)]) == 1
-    said = capsys.readouterr().err
-    assert name in said
-    assert reason in said
+    printed = capsys.readouterr().err
+    assert name in printed
+    assert reason in printed
 
 
 def test_the_next_command_is_one_of_this_folder(tmp_path, monkeypatch, capsys):

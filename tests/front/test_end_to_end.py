@@ -53,15 +53,15 @@ def folder(tmp_path_factory, without_pixels):
         ["analyze", str(tank)],  # a folder stands for its cube
         ["report", experiment],
     ):
-        with redirect_stdout(io.StringIO()) as said, without_pixels():
+        with redirect_stdout(io.StringIO()) as printed, without_pixels():
             assert main(["-q", *words]) == 0, f"wavefield {' '.join(words)}"
-        (here / f"{words[0]}.txt").write_text(said.getvalue())
+        (here / f"{words[0]}.txt").write_text(printed.getvalue())
     return tank
 
 
 @pytest.fixture
 def checked(folder):
-    """What `wavefield check --pairs` says."""
+    """What `wavefield check --pairs` prints."""
     return (folder.parent / "check.txt").read_text()
 
 
@@ -115,12 +115,12 @@ def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
 
 
 def test_calibrate_prints_what_shows_a_wrong_mesh(folder):
-    said = (folder.parent / "calibrate.txt").read_text()
-    assert re.search(r"Distance from the target's origin: cam1 4\.\d\d m, cam2 4\.\d\d m", said)
-    assert re.search(r"On the water a pixel is 1\.\d mm; all cameras see x -0\.\d+ to 0\.\d+ m", said)
+    printed = (folder.parent / "calibrate.txt").read_text()
+    assert re.search(r"Distance from the target's origin: cam1 4\.\d\d m, cam2 4\.\d\d m", printed)
+    assert re.search(r"On the water a pixel is 1\.\d mm; all cameras see x -0\.\d+ to 0\.\d+ m", printed)
 
 
-def test_check_says_that_the_cameras_agree(checked):
+def test_check_reports_that_the_cameras_agree(checked):
     assert checked.startswith("verdict: sound\n")
     assert re.search(r"patches matched: cam1-cam2 \d+ %, epipolar error 0.0\d px", checked)
 
@@ -133,7 +133,7 @@ def _changed(folder, tmp_path, **entries):
     return str(tmp_path / "experiment.yaml")
 
 
-def test_check_says_where_cameras_are_not_of_the_same_moments(folder, tmp_path, capsys):
+def test_check_reports_where_cameras_are_not_of_the_same_moments(folder, tmp_path, capsys):
     cameras = yaml.safe_load((folder / "experiment.yaml").read_text())["cameras"]
     cameras["cam2"] |= {"offset": -1}
     workflow = str(folder.parent / "workflow.yaml")
@@ -295,7 +295,7 @@ def test_margin_leaves_out_the_edge_of_what_was_measured():
     assert kept.sum() == (20 - 4 - 8) * (30 - 6 - 8)
 
 
-def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path, undrawn):
+def test_a_report_is_written_without_the_images_too_and_states_it(folder, tmp_path, undrawn):
     from wavefield.pipeline import open_run
     from wavefield.reports import write_report
 

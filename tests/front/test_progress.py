@@ -65,7 +65,7 @@ def test_time_left_of_a_resumed_run_counts_only_what_this_run_did(clock):
     assert "910 of 1000 steps (91 %), 1 min 30 s left" in stream.getvalue()
 
 
-def test_a_failure_says_stopped(clock):
+def test_a_failure_is_reported_as_stopped(clock):
     stream = io.StringIO()
     with pytest.raises(ValueError, match="no"), Progress("Measuring", "steps", stream):
         raise ValueError("no")

@@ -84,7 +84,7 @@ def test_a_light_sheet_has_no_surface_and_no_waves_in_its_report(cube):
     assert "water surface" not in head_of(run, None).title
 
 
-def test_the_report_says_without_which_camera_nodes_were_measured():
+def test_the_report_names_the_camera_without_which_nodes_were_measured():
     quality = xr.DataArray(np.full((1, 10, 10), int(Quality.MEASURED), np.uint16))
     quality[0, :2] |= np.uint16(Quality.without(2))
     found = without_cameras(quality, 100, ["left", "middle", "right"])

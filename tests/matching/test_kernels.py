@@ -107,7 +107,7 @@ def expected_sums(case):
     return out
 
 
-def test_block_sums_are_what_they_say(case):
+def test_block_sums_follow_their_definition(case):
     a, b, u, v, slope, c2, *_ = case
     expected = expected_sums(case)
     work = matching_kernels.work_space(u.shape[1])

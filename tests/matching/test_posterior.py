@@ -69,7 +69,7 @@ def test_the_solver_agrees_with_a_dense_solve(fields):
     assert size == exact[0].size
 
 
-def test_a_gap_is_filled_as_well_as_its_uncertainty_says_and_better_than_by_nothing():
+def test_a_gap_is_filled_as_well_as_its_uncertainty_states_and_better_than_by_nothing():
     rng = np.random.default_rng(2)
     shape, noise = (60, 70), 0.05
     prior = prior_of(steep_law, information=1 / noise**2)
@@ -81,10 +81,10 @@ def test_a_gap_is_filled_as_well_as_its_uncertainty_says_and_better_than_by_noth
     a = known / noise**2
     errors, stds = [], []
     for truth in sea(shape, steep_law, rng, 12):
-        said = modes.seen(modes.waves(truth[None].astype(np.float32)))
-        said = said + noise * rng.standard_normal(shape).astype(np.float32)
-        start = modes.waves(known * said)
-        waves = modes.solve(a[None], a * said, start, 1e-3, 0 * start, modes.factor(a))
+        data = modes.seen(modes.waves(truth[None].astype(np.float32)))
+        data = data + noise * rng.standard_normal(shape).astype(np.float32)
+        start = modes.waves(known * data)
+        waves = modes.solve(a[None], a * data, start, 1e-3, 0 * start, modes.factor(a))
         errors.append(modes.field(waves)[0] - truth)
         stds.append(np.sqrt(sum(spread(a)))[0])
     error, std = np.array(errors), np.array(stds)
@@ -158,12 +158,12 @@ def test_field_and_spectrum_follow_from_each_other():
     # a first guess that is five times off
     prior = Prior.isotropic(prior.k, [5.0 * p for p in prior.power[0][0]], prior.information)
     exact = Modes(prior_of(steep_law, 1 / noise**2), shape)
-    said = exact.seen(exact.waves(fields)) + noise * rng.standard_normal(fields.shape).astype(np.float32)
+    data = exact.seen(exact.waves(fields)) + noise * rng.standard_normal(fields.shape).astype(np.float32)
     for _ in range(3):
         modes = Modes(prior, shape)
         waves = [
             modes.solve(a[None], a * f[None], modes.waves(f[None]), 1e-3, 0 * modes.inverse, modes.factor(a))
-            for f in said
+            for f in data
         ]
         prior = better_prior(prior, modes.kx, modes.ky, modes.foot, waves, 1 / noise**2)
     k = np.array(prior.k[2:14])
@@ -181,13 +181,13 @@ def directed(kx, ky):
     return np.array([law * (0.03 + (kx / k) ** 2), law * (0.03 + (ky / k) ** 2)])
 
 
-def learned(said, a, prior, rounds=4):
+def learned(data, a, prior, rounds=4):
     """A prior learned from blocks, and the fields that it gives in the end."""
-    h = np.stack([a, 0 * a, a])[: 3 if len(said[0]) == 2 else 1]
+    h = np.stack([a, 0 * a, a])[: 3 if len(data[0]) == 2 else 1]
 
     def most_probable(modes):
         factor = modes.factor(a)
-        return [modes.solve(h, a * f, modes.waves(f), 1e-3, 0 * modes.waves(f), factor) for f in said]
+        return [modes.solve(h, a * f, modes.waves(f), 1e-3, 0 * modes.waves(f), factor) for f in data]
 
     for _ in range(rounds):
         prior = prior.with_min_signal_to_noise()
@@ -208,9 +208,9 @@ def test_waves_have_a_direction_and_components_a_spectrum_of_their_own():
     a = np.full(shape, 1 / noise**2, np.float32)
     radial = Prior.isotropic(K, [steep_law(k) for k in K], 1 / noise**2)
     exact = Modes(Prior.isotropic(K, [1e3] * len(K), 1 / noise**2), shape)
-    said = [exact.seen(exact.waves(f)) for f in fields]
-    said = [f + noise * rng.standard_normal(f.shape).astype(np.float32) for f in said]
-    prior, found = learned(said, a, radial)
+    data = [exact.seen(exact.waves(f)) for f in fields]
+    data = [f + noise * rng.standard_normal(f.shape).astype(np.float32) for f in data]
+    prior, found = learned(data, a, radial)
     for turn in (0.3, 0.8, 1.2):
         k = np.array([0.25, 0.35, 0.5])
         x, y = k * np.cos(turn), k * np.sin(turn)
@@ -219,7 +219,7 @@ def test_waves_have_a_direction_and_components_a_spectrum_of_their_own():
     alike = Modes(Prior.isotropic(prior.k, np.array(prior.power).mean(axis=(0, 1)), prior.information), shape)
     h = np.stack([a, 0 * a, a])
     errors = []
-    for f, own, truth in zip(said, found, fields):
+    for f, own, truth in zip(data, found, fields):
         waves = alike.solve(h, a * f, alike.waves(f), 1e-3, 0 * alike.waves(f), alike.factor(a))
         inside = np.s_[:, 8:-8, 8:-8]
         errors.append([np.mean((g - truth)[inside] ** 2) for g in (own, alike.field(waves))])
@@ -242,10 +242,10 @@ def test_noise_that_is_thought_too_small_is_not_taken_for_waves():
         modes = Modes(prior, shape)
         found = []
         for truth in sea(shape, steep_law, np.random.default_rng(8), 3):
-            said = modes.seen(modes.waves(truth[None].astype(np.float32)))
-            said = said + noise * rng.standard_normal(shape).astype(np.float32)
+            data = modes.seen(modes.waves(truth[None].astype(np.float32)))
+            data = data + noise * rng.standard_normal(shape).astype(np.float32)
             gain = prior.gain(modes.kx, modes.ky)
-            found.append(modes.waves(said) * gain / modes.foot)
+            found.append(modes.waves(data) * gain / modes.foot)
         prior = better_prior(prior, modes.kx, modes.ky, modes.foot, found, prior.information)
     assert prior.mean_gain(np.array([2.2]))[0] < 0.1
 
@@ -282,17 +282,17 @@ def test_a_field_goes_on_into_a_hole_better_where_neighbours_that_err_alike_are_
         a = np.full(shape, 400.0, np.float32)
         a[22:38, 32:48] = 0
         shared = sea(shape, lambda k: np.exp(-0.5 * (2.5 * k) ** 2), rng)[0]
-        said = modes.seen(modes.waves(field[None].astype(np.float32)))[0] + 0.1 * shared / shared.std()
+        data = modes.seen(modes.waves(field[None].astype(np.float32)))[0] + 0.1 * shared / shared.std()
         for factor, found in error.items():
             information = (a / noise_factor_near_holes(a, factor))[None]
             start = np.zeros((1, *modes.shape), np.float32)
-            right = information * said[None].astype(np.float32)
+            right = information * data[None].astype(np.float32)
             waves = modes.solve(information, right, start, 1e-4, start, modes.factor(information[0]))
             found.append(np.mean((modes.field(waves)[0] - field)[22:38, 32:48] ** 2))
     assert np.mean(error[3.0]) < 0.95 * np.mean(error[1.0])
 
 
-def test_the_component_that_is_told_less_of_is_the_more_uncertain_one():
+def test_the_component_with_less_information_is_the_more_uncertain_one():
     rng = np.random.default_rng(4)
     counts = np.ones((60, 80), np.float32)
     hessian = np.zeros((3, 60, 80), np.float32)
@@ -323,7 +323,7 @@ def test_what_is_missing_counts_as_far_as_the_spectrum_is_waves():
 
 @pytest.mark.parametrize("truth", [0.0, 0.5, 1.0])
 def test_limits_of_a_spectrum_are_found_in_noise_as_far_as_they_are_there(truth):
-    """The estimate is right on average and as uncertain as it says; what is expected of waves follows it."""
+    """The estimate is right on average and as uncertain as it states; the expectation of waves follows it."""
     rng = np.random.default_rng(8)
     limit, count = np.geomspace(0.5, 0.01, 15), np.full(15, 40)
     found = []

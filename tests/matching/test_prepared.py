@@ -39,7 +39,7 @@ def test_normalisation_takes_out_local_mean_and_contrast(dtype, sigma):
     assert np.sqrt(np.mean((out - exact)[16:-16, 16:-16] ** 2)) < 0.03
 
 
-def test_masked_pixels_are_zero_and_tell_their_surroundings_nothing():
+def test_masked_pixels_are_zero_and_do_not_change_their_surroundings():
     image, good = scene(), np.ones((203, 187), bool)
     good[60:120, 50:130] = False
     settings = MatchSettings.piv(normalization=10.0)

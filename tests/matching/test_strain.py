@@ -82,7 +82,7 @@ def test_scores_of_a_displacement_without_slopes_stay(monkeypatch):
     np.testing.assert_array_equal(less, more)
 
 
-def test_strain_moments_are_what_they_say():
+def test_strain_moments_follow_their_definition():
     rng = np.random.default_rng(2)
     ny, nx = 7, 11
     image = rng.normal(0, 1, (5 * ny + 3 + 16, 5 * nx + 1 + 16)).astype(F)

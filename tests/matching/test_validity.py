@@ -44,7 +44,7 @@ def test_uniform_and_saturated_areas_are_invalid_and_spoil_nothing(pair, preset,
 
 
 @pytest.mark.parametrize("preset", ["piv", "stereo"])
-def test_masked_pixels_are_never_looked_at(pair, preset):
+def test_masked_pixels_are_never_read(pair, preset):
     a, b, move = pair
     settings = getattr(MatchSettings, preset)()
     mask = np.ones(a.shape, bool)

@@ -27,7 +27,7 @@ def rows(*slopes):
     return np.tile(one[..., None, None], (1, 1, 12, 15))
 
 
-def test_how_far_cameras_move_is_told_by_what_they_leave():
+def test_how_far_cameras_move_follows_from_their_residuals():
     rng = np.random.default_rng(1)
     J = rows(0.6, -0.6, 0.0)
     good, weight = np.ones((12, 15), bool), np.ones((6, 12, 15))
@@ -40,8 +40,8 @@ def test_how_far_cameras_move_is_told_by_what_they_leave():
         found.append(size)
         off.append(back @ moves)
     assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx([0.3, 0.1], rel=0.1)
-    said = displacement_variance(J, weight, good, LINE, (0.3, 0.1))
-    assert np.mean(np.square(off), axis=0) == pytest.approx(said, rel=0.15)
+    stated = displacement_variance(J, weight, good, LINE, (0.3, 0.1))
+    assert np.mean(np.square(off), axis=0) == pytest.approx(stated, rel=0.15)
 
 
 def test_two_cameras_are_thought_to_move_along_their_line_as_across_it():
@@ -65,8 +65,8 @@ def test_elevation_is_as_uncertain_as_moving_pictures_make_it():
     moves = rng.normal(0, 1, (4000, 3))
     z = (moves[:, 1:] - moves[:, :1]) / lengths
     off = z @ (lengths**2 / np.sum(lengths**2))
-    said = np.mean([elevation_variance(one, lengths) for one in z])
-    assert said == pytest.approx(np.mean(off**2), rel=0.06)
+    stated = np.mean([elevation_variance(one, lengths) for one in z])
+    assert stated == pytest.approx(np.mean(off**2), rel=0.06)
     assert elevation_variance(z[0, :1], lengths[:1]) == 0.0
     assert elevation_variance(z[0, :1], lengths[:1], 0.5) > 0.5
 
@@ -84,7 +84,9 @@ def test_a_level_that_no_water_has_is_unsteady_and_a_tank_that_sloshes_is_not():
     )
 
 
-def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_either(series, geometry, model):
+def test_of_two_cameras_of_which_one_vibrates_along_their_line_nothing_is_certain_and_wrong(
+    series, geometry, model
+):
     rng = np.random.default_rng(6)
     rig = type(series.rig)({name: series.rig[name] for name in ("cam1", "cam2")})
     steady = {name: series.block(1)[name] for name in rig}
@@ -104,7 +106,7 @@ def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_eit
         assert (error > 5 * out[f"{name}_std"][0][measured]).mean() < 0.01
 
 
-def test_a_camera_that_trembles_along_the_line_is_not_believed_to_a_hundredth_of_a_pixel(
+def test_a_camera_that_vibrates_along_the_line_is_not_certain_to_a_hundredth_of_a_pixel(
     series, geometry, model
 ):
     frames = {name: list(images) for name, images in series.block(1).items()}

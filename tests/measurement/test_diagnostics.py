@@ -28,7 +28,7 @@ def test_mismatch_predicts_the_error_of_each_pair(series, diagnosis):
         assert 0.3 < diagnosis.z_std[pair] / np.std(diagnosis.eps_y[pair]) < 3
 
 
-def test_it_says_how_noisy_the_images_are_and_what_would_help(diagnosis):
+def test_it_reports_how_noisy_the_images_are_and_what_would_help(diagnosis):
     assert set(diagnosis.noise) == {"z", "dx", "dy", "dz"}
     for name, value in diagnosis.noise.items():
         assert 0.002 < value / PIXEL < 0.2, name

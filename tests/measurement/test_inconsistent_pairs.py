@@ -10,7 +10,7 @@ from wavefield.variables import Quality
 SHAPE = 60, 80
 
 
-def said(shift: float, rng: np.random.Generator) -> list[list[np.ndarray]]:
+def scores_of_pairs(shift: float, rng: np.random.Generator) -> list[list[np.ndarray]]:
     """Scores, Hessians and lengths of two pairs; in the left half the second pair has z elsewhere."""
     length = np.full(SHAPE, 400.0, np.float32)  # px per metre
     hessian = np.square(length) * rng.uniform(0.0, 600.0, SHAPE).astype(np.float32)
@@ -19,18 +19,18 @@ def said(shift: float, rng: np.random.Generator) -> list[list[np.ndarray]]:
     return [noise, [hessian, hessian], [length, length]]
 
 
-def test_pairs_that_want_the_surface_elsewhere_are_found_where_they_do():
-    apart = inconsistent_scores(*said(1.3, np.random.default_rng(1)))
+def test_pairs_that_place_the_surface_elsewhere_are_found_where_they_do():
+    apart = inconsistent_scores(*scores_of_pairs(1.3, np.random.default_rng(1)))
     assert apart[:, :36].all()
     assert not apart[:, 48:].any()
 
 
 def test_pairs_that_differ_by_noise_do_not_contradict():
-    assert not inconsistent_scores(*said(0.0, np.random.default_rng(2))).any()
+    assert not inconsistent_scores(*scores_of_pairs(0.0, np.random.default_rng(2))).any()
 
 
 def test_one_pair_and_pairs_without_beads_contradict_nobody():
-    scores, hessians, lengths = said(1.3, np.random.default_rng(3))
+    scores, hessians, lengths = scores_of_pairs(1.3, np.random.default_rng(3))
     assert not inconsistent_scores(scores[:1], hessians[:1], lengths[:1]).any()
     empty = [0 * h for h in hessians]
     assert not inconsistent_scores([0 * s for s in scores], empty, lengths).any()
@@ -42,7 +42,7 @@ def test_what_windows_pull_along_is_widened_by_two_blocks():
     assert widened(where).sum() == 25
 
 
-def test_a_camera_moved_by_one_pixel_in_half_its_picture_is_not_believed_there(series, geometry, model):
+def test_a_camera_moved_by_one_pixel_in_half_its_picture_is_left_out_there(series, geometry, model):
     frames = series.block(1)
     half = frames["cam1"][0].shape[1] // 2
     moved = [np.hstack([np.roll(image, 1, axis=1)[:, :half], image[:, half:]]) for image in frames["cam1"]]

@@ -1,4 +1,4 @@
-"""What sample frames say of a record: how much of what is learned is waves."""
+"""What is learned from sample frames of a record: how much of what is learned is waves."""
 
 from types import SimpleNamespace
 

@@ -59,7 +59,7 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, geometry, mode
 
 
 def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked(series):
-    """Blocks tell as much, and waves are as high, beneath a mask as beside it."""
+    """Blocks hold as much, and waves are as high, beneath a mask as beside it."""
     geometry = GridGeometry(series.rig, series.grid)
     steps = [({n: f[0] for n, f in series.frames.items()}, {n: f[1] for n, f in series.frames.items()})]
     masks = {name: np.zeros(camera.size[::-1], bool) for name, camera in series.rig.cameras.items()}
@@ -77,7 +77,7 @@ def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked
     assert 0.75 < np.mean(high) < 1.3, high
 
 
-def test_masked_nodes_hold_nothing_and_say_so(series, geometry, model, drawn):
+def test_masked_nodes_hold_nothing_and_are_flagged(series, geometry, model, drawn):
     with_mask = GridGeometry(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
     found = measure(around(drawn[0]), with_mask, RATE, Model(with_mask, model.record), around(drawn[1]))
     masked = (found["quality"][0] & MASKED) != 0

@@ -48,7 +48,7 @@ def test_every_field_of_the_table_comes_with_its_type(series, cube):
     assert (cube["frame_status"] == FrameStatus.DONE).all()
 
 
-def test_uncertainties_tell_the_truth(series, cube):
+def test_uncertainties_hold_the_errors(series, cube):
     for name in ("z", "u", "v", "w"):
         error = np.abs(np.stack([cube[name][k] - series.truth[k][name] for k in range(3)]))
         share = (error < cube[name + "_std"])[:, series.inside].mean()
@@ -63,7 +63,7 @@ def test_sight_lines_that_miss_each_other_make_z_less_certain(series, geometry, 
     assert 0.02 * PIXEL < np.sqrt(np.median(more[series.inside])) < 0.15 * PIXEL
 
 
-def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_says_so(series):
+def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_reports_it(series):
     piv = replace(Settings().piv, search_x=(40.0, 48.0), search_y=(40.0, 48.0))
     out = measure(series.block(steps=3), GridGeometry(series.rig, series.grid, Settings(piv=piv)), RATE)
     assert not ((out["quality"] & Quality.MEASURED) > 0).any()
@@ -88,7 +88,7 @@ def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_se
     assert rms((alone["u"] - cube["u"])[:, series.inside]) < 0.01 * PIXEL * RATE
 
 
-def test_water_rises_as_its_velocity_says(series, cube):
+def test_water_rises_as_its_velocity_states(series, cube):
     z_y, z_x = np.gradient(cube["z"], series.grid.step, axis=(1, 2))
     carried = cube["u"] * z_x + cube["v"] * z_y
     residual = cube["z_t"] - cube["w"] + carried
@@ -120,7 +120,7 @@ def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, geometry, m
     assert out["frame_status"][0] == FrameStatus.DONE
     # z of four frames instead of six tilts the surface a little otherwise
     np.testing.assert_allclose(out["z_t"][1:], cube["z_t"][1:], atol=1e-4)
-    # a parabola is off by z_ttt dt^3 / 16, which its uncertainty must know
+    # a parabola is off by z_ttt dt^3 / 16, which its uncertainty must hold
     error = np.abs(out["z"][0] - series.truth[0]["z"])[series.inside & seen]
     assert 0.2 * PIXEL > rms(error) > rms((cube["z"][0] - series.truth[0]["z"])[series.inside])
     # most of it: waves longer than this field cannot be separated from its mean

@@ -60,7 +60,7 @@ def test_six_frames_take_a_polynomial_of_fifth_degree_to_mid_time():
 
 @pytest.mark.parametrize(("frames", "lost"), [(6, ()), (4, (0,)), (2, (1, 4))])
 @pytest.mark.parametrize("speed", [0.0, 0.7, -2.0])
-def test_a_wave_keeps_what_theory_says_of_how_it_turns_beside_the_mean_flow(frames, lost, speed):
+def test_a_wave_keeps_what_theory_states_of_how_it_turns_beside_the_mean_flow(frames, lost, speed):
     for phase in (0.3, 1.0, 2.0):
         kept = z_of(lambda t, p=phase: np.cos(p * t), lost, speed)  # it passes the node with its crest
         turns = phase * (1 - speed)
@@ -266,7 +266,7 @@ def test_paths_lose_more_of_short_waves_where_long_ones_carry_the_water_fast(rat
         assert (chord > stated).mean() > 0.99
 
 
-def test_a_displacement_keeps_what_theory_says():
+def test_a_displacement_keeps_what_theory_states():
     p = np.array([0.5, 1.0])
     np.testing.assert_allclose(path_gain(p, 2), 2 * np.sin(p / 2) / p)
     np.testing.assert_allclose(1 - path_gain(p[:1], 4), 3 / 640 * p[:1] ** 4, rtol=0.1)
@@ -278,9 +278,9 @@ def test_water_at_rest_leaves_nothing_out():
     assert set(dict(found.z).values()) == {0.0}
     assert {part for parts in dict(found.d).values() for part in parts} == {0.0}
     assert TemporalTruncation.from_dict(found.to_dict()) == found
-    assert hash(found) == hash(TemporalTruncation.from_dict(found.to_dict())), "plans are looked up by it"
+    assert hash(found) == hash(TemporalTruncation.from_dict(found.to_dict())), "plans are found by it"
     for rise in (1e-12, 1e-8, 1e-3):  # without any wave, or almost
         level = temporal_truncation([(still, still + rise)], 0.01)
         assert np.isfinite([*dict(level.z).values(), *np.ravel(list(dict(level.d).values()))]).all()
-    line = np.zeros((1, 50))  # too few nodes to tell waves
+    line = np.zeros((1, 50))  # too few nodes to show waves
     assert temporal_truncation([(line, line)], 0.01) == NOTHING

@@ -68,7 +68,7 @@ def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model)
         np.testing.assert_allclose(out[name][0][sound], same[name][0][sound], atol=close)
 
 
-def test_cameras_that_tell_the_truth_are_not_accused(series, geometry, model):
+def test_cameras_without_faults_are_not_accused(series, geometry, model):
     out = measure(series.block(1), geometry, RATE, model)
     assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()
     assert ((out["quality"][0] & Quality.MEASURED) > 0)[series.inside].mean() > 0.99
@@ -77,7 +77,7 @@ def test_cameras_that_tell_the_truth_are_not_accused(series, geometry, model):
 def test_water_that_stands_where_none_was_searched_is_not_called_measured(
     series, geometry, model, monkeypatch
 ):
-    """Not even where it is only the frame before the step, which has a say in z at mid-time."""
+    """Not even where it is only the frame before the step, which enters z at mid-time."""
 
     def look_up(frames, geometry, model, masks=None):
         found = measure_instant(frames, geometry, model, masks)

@@ -67,7 +67,7 @@ def test_what_was_not_measured_is_not_asked():
 
 
 @pytest.mark.parametrize("places", [2, 4, 6])
-def test_noise_passes_a_path_as_its_weights_say(places):
+def test_noise_passes_a_path_as_its_weights_state(places):
     # a fifth of the variance comes from frames, which two displacements share with opposite signs, twice that
     rng = np.random.default_rng(places)
     own = rng.normal(size=(5, 400_000)) * np.sqrt(0.6)

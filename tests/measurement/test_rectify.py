@@ -84,7 +84,7 @@ def test_blur_widens_by_its_variance_along_each_axis():
     assert widen(image, 0.1, 0.2) is image
 
 
-def test_a_sharp_bead_looks_the_same_wherever_in_a_square_of_binned_pixels_it_lies():
+def test_a_sharp_bead_has_the_same_image_wherever_in_a_square_of_binned_pixels_it_is():
     energy = []
     for shift in np.arange(0, 2, 0.25):
         bead = spots([20.0 + shift], [20.0 + shift], (41, 41), sigma=0.65).astype(np.float32)

@@ -87,7 +87,7 @@ def test_beside_a_lost_frame_paths_have_four(fast, cube):
 
 
 def test_a_knock_is_not_spread_along_paths(fast):
-    """One camera's picture jumps between the last two frames of a step's six: four do not know of it."""
+    """One camera's picture jumps between the last two frames of a step's six: it does not enter four."""
     _, frames, geometry, model = fast
     moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.4]])
     knocked = {name: list(images) for name, images in frames.items()}

@@ -3,7 +3,7 @@ import pytest
 from benchmarks.specimen import MICRON, differences
 
 
-def test_a_real_specimen_under_load_moves_as_another_program_says(shared):
+def test_a_real_specimen_under_load_moves_as_another_program_measures(shared):
     folder = shared / "data" / "d_specimen"
     if not folder.is_dir():
         pytest.skip("needs the images of the specimen")

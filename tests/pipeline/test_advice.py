@@ -34,7 +34,7 @@ def test_a_late_camera_that_all_pairs_contain_is_named_with_the_pair_that_does_w
     assert "rig" not in words
 
 
-def test_nothing_is_said_of_pairs_that_do_without_the_late_camera_or_are_not_named(prepared):
+def test_nothing_is_reported_of_pairs_without_the_late_camera_or_that_are_not_named(prepared):
     prepared.geometry.pairs = (*prepared.geometry.pairs, ("cam1", "cam2"))
     assert advice.advise(prepared, 0.5, [late()]).endswith("correct cam3 first, as stated below")
     prepared.experiment.surface = None

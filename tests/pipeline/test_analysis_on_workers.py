@@ -81,7 +81,7 @@ def test_workers_find_what_one_process_finds_to_the_bit(workflow, store, expecte
     assert not list(tmp_path.glob(".*partial")), "sums on their way go with the analysis"
 
 
-def test_the_command_analyses_where_its_workflow_says(reference, tmp_path):
+def test_the_command_analyses_where_its_workflow_states(reference, tmp_path):
     out, file = tmp_path / "waves.zarr", tmp_path / "workflow.yaml"
     file.write_text("cluster: none")
     words = ["analyze", str(reference), "--segment", "8", "-o", str(out), "--workflow", str(file)]
@@ -99,7 +99,7 @@ def test_a_field_that_lacks_more_than_the_elevation_is_found_on_workers_too(tmp_
     assert unlike(tmp_path / "one.zarr", tmp_path / "two.zarr") == []
 
 
-def test_what_cannot_be_analysed_is_said_as_by_one_process(store, tmp_path):
+def test_what_cannot_be_analysed_is_reported_as_by_one_process(store, tmp_path):
     workflow = wf.Workflow(cluster="local", workers=2)
     with pytest.raises(CubeError, match="less than one segment"):
         wf.analyze_on_workers(store, tmp_path / "waves.zarr", workflow, segment=4000)

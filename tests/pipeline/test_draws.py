@@ -51,10 +51,10 @@ def test_bad_frames_end_in_a_sentence_or_a_remark(draw, part):
         folder, chance = draw(seed)
         words, whole = spoil_frames(folder, chance)
         try:
-            status, said = outcome(folder / "experiment.yaml")
+            status, printed = outcome(folder / "experiment.yaml")
         except Exception as error:
             raise AssertionError(f"draw {seed}, {words}: {error!r}") from error
-        assert status != 0 or whole >= 0.5, f"draw {seed}, {words}: passes as sound\n{said}"
+        assert status != 0 or whole >= 0.5, f"draw {seed}, {words}: passes as sound\n{printed}"
 
 
 @pytest.mark.parametrize("part", range(PARTS))

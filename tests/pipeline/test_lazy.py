@@ -113,7 +113,7 @@ def pixel_seen(rig, grid, side=1e-4):
     return side / np.sqrt(min(covered))
 
 
-def test_a_store_says_how_large_a_pixel_is(reference, rig, grid):
+def test_a_store_holds_the_size_of_a_pixel(reference, rig, grid):
     assert wf.open_cube(reference).attrs["pixel_size"] == pytest.approx(pixel_seen(rig, grid), rel=1e-4)
 
 

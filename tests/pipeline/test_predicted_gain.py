@@ -88,6 +88,6 @@ def test_beads_out_of_focus_would_carry_shorter_waves_in_focus():
     assert sound == now
 
 
-def test_a_cube_that_does_not_say_how_it_was_made_is_refused():
+def test_a_cube_without_a_recipe_is_refused():
     with pytest.raises(CubeError, match="does not state how it was made"):
         predicted_gain(xr.Dataset())

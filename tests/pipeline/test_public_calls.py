@@ -19,7 +19,7 @@ from wavefield.variables import CUBE_FIELDS, FrameStatus
 # -- check ------------------------------------------------------------------------------------------------
 
 
-def test_check_tells_what_a_run_will_take(tank, reference):
+def test_check_reports_what_a_run_will_take(tank, reference):
     found = check(tank, workflow=HERE)
     assert found.ready
     assert found.steps == 16
@@ -70,7 +70,7 @@ def test_check_names_what_is_missing_and_does_not_stop_there(own_tank):
     assert not (folder / "cube.zarr").exists()
 
 
-def test_check_tells_uniform_images_from_truncated_ones(own_tank):
+def test_check_distinguishes_uniform_images_from_truncated_ones(own_tank):
     folder = own_tank.parent
     for path in (folder / "cam3").glob("*.tif"):
         write_image(path.with_suffix(".png"), read_image(path))
@@ -89,7 +89,7 @@ def test_check_tells_uniform_images_from_truncated_ones(own_tank):
     )
 
 
-def test_check_counts_frames_as_run_does_and_says_which_files_they_are(own_tank):
+def test_check_counts_frames_as_run_does_and_names_their_files(own_tank):
     own_tank.write_text(own_tank.read_text().replace('.tif"}', '.tif", offset: 100}'))
     (own_tank.parent / "cam1" / "img_00003.tif").unlink()
     for n in (14, 15, 16):
@@ -124,7 +124,7 @@ def test_a_mistyped_setting_is_named_with_its_file_and_line(own_tank, tmp_path, 
     )
 
 
-def test_check_says_when_nothing_can_be_measured(own_tank):
+def test_check_reports_when_nothing_can_be_measured(own_tank):
     for image in (own_tank.parent / "cam3").glob("*.tif"):
         write_image(image, np.full((207, 292), 7, np.uint8))
     for image in (own_tank.parent / "cam2").glob("*.tif"):
@@ -256,18 +256,18 @@ def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, 
     """With every run; what fails with one does not keep the others, and one page compares them."""
     lab, here = str(catalog), ["--workflow", str(catalog.with_name("here.yaml"))]
     catalog.with_name("here.yaml").write_text("cluster: none\n")
-    said = capsys.readouterr
+    printed = capsys.readouterr
     assert main(["-q", "check", lab, "other-tank", *here]) == 0
-    assert "other-tank (1 of 1)" in (out := said().out)
+    assert "other-tank (1 of 1)" in (out := printed().out)
     assert "other-tank: sound" in out
     assert main(["-q", "verify", lab]) == 1
-    assert "small-tank is not measured yet; `wavefield run CATALOG small-tank` does it" in said().err
+    assert "small-tank is not measured yet; `wavefield run CATALOG small-tank` does it" in printed().err
     assert main(["run", lab, *here]) == 0
-    assert "Measuring other-tank (2 of 2)" in said().err
+    assert "Measuring other-tank (2 of 2)" in printed().err
     assert main(["-q", "verify", lab]) == 0
-    assert "5 of 5 steps are done, and all of them are as written" in said().out
+    assert "5 of 5 steps are done, and all of them are as written" in printed().out
     assert main(["-q", "analyze", lab, "--segment", "8"]) == 1  # 7 and 5 steps
-    assert said().err.count("segment") >= 2
+    assert printed().err.count("segment") >= 2
     assert main(["-q", "report", lab]) == 0
     page = catalog.with_suffix(".html").read_text()
     assert "2 of 2 runs measured" in page
@@ -282,7 +282,7 @@ def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, 
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "expected"),
     [
         ("cluster: locale", "line 1: cluster should be 'none', 'local', 'slurm', "),
         ("cluster: local\nworker: 3", "line 2: worker is not a known key; did you mean 'workers'?"),
@@ -294,12 +294,12 @@ def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, 
         ("steps_per_block: 0", "line 1: steps_per_block should be greater than or equal to 1"),
     ],
 )
-def test_mistakes_in_a_workflow_are_named(tmp_path, text, says):
+def test_mistakes_in_a_workflow_are_named(tmp_path, text, expected):
     path = tmp_path / "workflow.yaml"
     path.write_text(text + "\n")
     with pytest.raises(ExperimentError) as caught:
         Workflow.load(path)
-    assert says in str(caught.value)
+    assert expected in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["11h 50m", "3 hours", "600", "04:00:00", "1d 2h"])

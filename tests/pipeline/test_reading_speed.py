@@ -39,7 +39,7 @@ def test_a_step_reads_a_frame_of_each_camera_and_a_block_five_more(series, tmp_p
     assert measure_reading_speed(series, chunk_steps=30, step_seconds=0.5, workers=4) is None
 
 
-def test_the_disk_is_the_limit_where_the_workers_want_more_than_a_reader_gets():
+def test_the_disk_is_the_limit_where_workers_need_more_than_a_reader_gets():
     enough = ReadingSpeed(6e6, 50e6, 4, 400e6)
     assert not enough.limited
     assert str(enough) == (
@@ -57,7 +57,7 @@ def test_the_disk_is_the_limit_where_the_workers_want_more_than_a_reader_gets():
     assert str(unknown) == "reading: each worker reads 50 MB/s"
 
 
-def test_check_says_what_a_worker_wants_to_read(tmp_path):
+def test_check_reports_what_a_worker_reads(tmp_path):
     found = wf.check(write_tank(tmp_path, 6), workflow=wf.Workflow(cluster="local", workers=3))
     assert "reading: each worker reads" in str(found)
     assert "3 workers" in str(found.cost.reading)

@@ -161,7 +161,7 @@ def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
 
 
 def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_path, monkeypatch):
-    """The writer dies in the middle of a chunk: the ledger does not know the chunk."""
+    """The writer dies in the middle of a chunk: the ledger does not hold the chunk."""
     out = tmp_path / "cube.zarr"
 
     def dying(*arguments):
@@ -322,7 +322,7 @@ def test_a_frame_that_was_copied_again_is_measured(own_tank, reference, measured
     assert different(state.store, reference) == []
 
 
-def test_steps_without_enough_cameras_fail_and_say_so(own_tank):
+def test_steps_without_enough_cameras_fail_and_are_reported(own_tank):
     for camera in ("cam1", "cam2"):
         (own_tank.parent / camera / "img_00002.tif").unlink()
     state = run(own_tank, workflow=HERE)
@@ -338,14 +338,14 @@ def test_steps_without_enough_cameras_fail_and_say_so(own_tank):
 def test_what_cannot_work_is_refused_first(own_tank, tmp_path):
     out = tmp_path / "cube.zarr"
     text = own_tank.read_text()
-    for old, new, error, says in [
+    for old, new, error, expected in [
         ("rig: rig.yaml", "rig: lost.yaml", RigError, "lost.yaml"),
         ("x: [-0.04, 0.04]", "x: [50.04, 50.14]", ExperimentError, "no camera sees the grid"),
         ("water:", "settings: {sharpness: 3}\nwater:", ExperimentError, "sharpness"),
         ("cam2/img", "cam7/img", ExperimentError, "no folder .*cam7"),
     ]:
         own_tank.write_text(text.replace(old, new))
-        with pytest.raises(error, match=says):
+        with pytest.raises(error, match=expected):
             run(own_tank, out=out, workflow=HERE)
         assert not out.exists()
     own_tank.write_text(text)

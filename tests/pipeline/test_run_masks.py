@@ -20,7 +20,7 @@ def masked(own_tank):
     return own_tank
 
 
-def test_masked_nodes_stay_empty_in_the_cube_and_the_recipe_says_what_was_masked(masked, tmp_path):
+def test_masked_nodes_stay_empty_in_the_cube_and_the_recipe_holds_what_was_masked(masked, tmp_path):
     out = tmp_path / "cube.zarr"
     status = run(masked, out=out, workflow=HERE)
     assert status.complete

@@ -46,24 +46,24 @@ def test_the_record_at_rest_levels_the_rig(lab, capsys):
     rise = rig["cam3"].centre[2] - before["cam3"].centre[2]
     assert rise == pytest.approx(-SUNK, abs=3e-4)
     assert rig.provenance["levelled"]["height_m"] == pytest.approx(SUNK, abs=3e-4)
-    said = remark_on_rest(Experiment.load(lab), rig)
-    assert (said.kind, said.weight) == ("levelled", "note")
-    assert "z = 0 is the water at rest" in str(said)
+    remark = remark_on_rest(Experiment.load(lab), rig)
+    assert (remark.kind, remark.weight) == ("levelled", "note")
+    assert "z = 0 is the water at rest" in str(remark)
 
 
-def test_how_far_beads_show_above_the_water_is_said_where_they_may(lab, tmp_path):
+def test_the_visible_height_of_beads_is_reported_where_they_may_show(lab, tmp_path):
     rig, experiment = Rig.load(lab.with_name("rig.yaml")), Experiment.load(lab)
 
-    def said(height, one=experiment):
+    def sentence(height, one=experiment):
         found = {"height_m": height, "rms_m": 1e-4, "points": 100}
         return str(remark_on_rest(one, replace(rig, provenance=rig.provenance | {"levelled": found})))
 
-    assert "`settings: {bead_height: 0.00042}`" in said(4.15e-4)
+    assert "`settings: {bead_height: 0.00042}`" in sentence(4.15e-4)
     for height in (-3e-3, 3e-5, 1e-2):  # where the target lay, not beads
-        assert "bead_height" not in said(height)
+        assert "bead_height" not in sentence(height)
     stated = tmp_path / "experiment.yaml"
     stated.write_text(lab.read_text() + "settings: {bead_height: 0.0004}\n")
-    assert "bead_height" not in said(4.15e-4, Experiment.load(stated))
+    assert "bead_height" not in sentence(4.15e-4, Experiment.load(stated))
 
 
 def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
@@ -81,19 +81,19 @@ def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rest", "says"),
+    ("rest", "expected"),
     [
         ("rest/*.tif", "does not contain {camera}"),
         ("{cam1: a/*.tif, cam2: b/*.tif}", "rest names no images of cam3"),
         ("{cam1: a/*.tif, cam2: b/*.tif, cam3: c/*.tif, cam9: d/*.tif}", "rest names 'cam9'"),
     ],
 )
-def test_mistakes_in_it_are_named(lab, tmp_path, rest, says):
+def test_mistakes_in_it_are_named(lab, tmp_path, rest, expected):
     path = tmp_path / "experiment.yaml"
     path.write_text(lab.read_text().replace(REST, f"rest: {rest}\n"))
     with pytest.raises(ExperimentError) as caught:
         Experiment.load(path).at_rest()
-    assert says in str(caught.value)
+    assert expected in str(caught.value)
 
 
 def test_a_rest_record_that_is_not_there_is_named(lab):

@@ -67,7 +67,7 @@ def late(name, frame):
 
 
 @pytest.mark.parametrize(
-    ("read", "subject", "kind", "says"),
+    ("read", "subject", "kind", "expected"),
     [
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
         (swapped, "cam1 and cam2", "swapped", "when their images are exchanged"),
@@ -78,26 +78,26 @@ def late(name, frame):
         (Shots(11, cam2={"defocus": 4.0}), "cam2", "out of focus", "blurred by"),
     ],
 )
-def test_a_camera_that_lies_is_named_with_its_lie(read, subject, kind, says):
+def test_a_faulty_camera_is_named_with_its_fault(read, subject, kind, expected):
     remarks = found(read).remarks
     assert [(r.subject, r.kind) for r in remarks] == [(subject, kind)]
-    assert says in str(remarks[0])
+    assert expected in str(remarks[0])
 
 
 @pytest.mark.parametrize(
-    ("fraction", "spread", "says", "and_scatter"),
+    ("fraction", "spread", "expected", "and_scatter"),
     [(0.24, 0.7, "24 % of the patches", True), (0.0, 0.0, "0 %", False)],
 )
-def test_patches_that_are_found_and_scatter_are_not_called_missing(fraction, spread, says, and_scatter):
+def test_patches_that_are_found_and_scatter_are_not_called_missing(fraction, spread, expected, and_scatter):
     count = 40 if fraction else 0
     eps_y = spread * np.random.default_rng(0).standard_normal(count)
     pair = PairConsistency(fraction, eps_y, np.zeros(3), np.arange(count))
     remark = _nobody(SimpleNamespace(found={("cam1", "cam2"): [pair, pair]}))
-    assert says in remark.sentence
+    assert expected in remark.sentence
     assert ("miss each other irregularly" in remark.sentence) == and_scatter
 
 
-def test_a_knocked_camera_is_named_and_the_miss_is_told_in_px():
+def test_a_knocked_camera_is_named_and_the_miss_is_reported_in_px():
     rig = SOUND.tank.rig
     turned = replace(rig["cam1"], cy=rig["cam1"].cy + 2)
     (remark,) = found(SOUND, replace(rig, cameras={**rig.cameras, "cam1": turned})).remarks
@@ -128,7 +128,7 @@ def test_a_line_of_sight_off_by_what_does_not_matter_is_no_motion():
     assert found(SOUND, replace(rig, cameras={**rig.cameras, "cam1": nudged})).remarks == ()
 
 
-def test_what_was_not_looked_at_is_not_judged():
+def test_what_was_not_examined_is_not_judged():
     nothing = found(lambda name, frame: None)
     assert nothing.remarks == ()
     assert nothing.frames == ()

@@ -57,12 +57,12 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
     assert 0 < std < rms / 2
 
 
-def test_cameras_that_tremble_along_their_line_are_said():
-    def said(px):
+def test_cameras_that_vibrate_along_their_line_are_reported():
+    def remarks(px):
         return list(camera_jitter(SimpleNamespace(camera_jitter=(px, 0.0))))
 
-    assert said(0.006) == []
-    (one,) = said(0.15)
+    assert remarks(0.006) == []
+    (one,) = remarks(0.15)
     assert (one.kind, one.weight) == ("jitter", "remark")
     assert "0.150 px" in one.sentence
     assert list(camera_jitter(None)) == []

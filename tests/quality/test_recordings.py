@@ -1,4 +1,4 @@
-"""Runs from cameras' own files, which say when their images were taken."""
+"""Runs from cameras' own files, which hold the times of their images."""
 
 import struct
 
@@ -44,6 +44,6 @@ def test_nothing_is_measured_across_images_that_all_cameras_dropped(own_tank, re
     assert ("cam3", "dropped images") in {(r.subject, r.kind) for r in state.verdict.remarks}
     cube, good = open_cube(state.store).load(), open_cube(reference).load()
     np.testing.assert_array_equal(cube.time, good.time)
-    # the sample steps beside the gap are others: of 16 cm of water each says its own of the spectrum
+    # the sample steps beside the gap are others: of 16 cm of water each gives another spectrum
     for steps in (slice(0, 3), slice(11, 16)):
         assert far_apart(cube, good, steps, most=0.7) == []

@@ -45,18 +45,18 @@ def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab
     change(lab, "cam2", mirror)
     here, cube = ["--workflow", str(lab.with_name("here.yaml"))], str(lab.with_name("cube.zarr"))
 
-    def said(*words, status):
+    def printed(*words, status):
         assert main(["-q", *words]) == status
         return capsys.readouterr().out
 
-    assert said("check", str(lab), *here, status=3).startswith("verdict: not to be trusted: cam2 mirrored")
-    found = json.loads(said("check", str(lab), "--json", *here, status=3))["verdict"]
+    assert printed("check", str(lab), *here, status=3).startswith("verdict: not to be trusted: cam2 mirrored")
+    found = json.loads(printed("check", str(lab), "--json", *here, status=3))["verdict"]
     assert found["verdict"] == "not to be trusted"
     assert (found["remarks"][0]["subject"], found["remarks"][0]["kind"]) == ("cam2", "mirrored")
     assert set(found["cameras"]["cam2"]) == {"blur", "brightness", "coverage"}
-    assert "cam2 mirrored" in said("run", str(lab), *here, status=3)
-    assert said("status", cube, status=3).startswith("verdict: not to be trusted: cam2 mirrored")
-    said("report", cube, status=0)
+    assert "cam2 mirrored" in printed("run", str(lab), *here, status=3)
+    assert printed("status", cube, status=3).startswith("verdict: not to be trusted: cam2 mirrored")
+    printed("report", cube, status=0)
     page = lab.with_name("report.html").read_text()
     assert "Verdict: not to be trusted: cam2 mirrored" in page
     assert "correct its images" in page

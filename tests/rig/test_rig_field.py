@@ -53,7 +53,7 @@ def test_cameras_without_a_common_field_are_refused():
 def test_a_field_ends_short_of_the_horizon():
     level = Camera(1000, 1000, 500, 500, ((1, 0, 0), (0, 0, -1), (0, 1, 0)), (0, 2, 0), (1000, 1000))
     x, y = np.meshgrid(*(common_field([level]).x, common_field([level]).y))
-    nearest = 2.0 * np.sqrt(5.0)  # the image's lowest row looks down by 1 in 2 from 2 m
+    nearest = 2.0 * np.sqrt(5.0)  # the image's lowest row points down by 1 in 2 from 2 m
     assert level.sees(x, y, 0.0).all()
     assert np.sqrt(x**2 + y**2 + 4.0).max() < 3.2 * nearest
 

@@ -445,7 +445,7 @@ def test_a_calibration_of_davis_is_read_and_held_against_its_own_marks(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "expected"),
     [
         ('Type="PinholeOpenCV"', 'Type="Polynomial3rdOrder"', "of the kind Polynomial3rdOrder"),
         (
@@ -456,10 +456,10 @@ def test_a_calibration_of_davis_is_read_and_held_against_its_own_marks(tmp_path)
         ("<SensorPixelSizeMm", "<Sensor", "<SensorPixelSizeMm Value=...> is missing"),
     ],
 )
-def test_a_calibration_of_davis_that_is_not_read_is_refused_with_the_remedy(tmp_path, old, new, says):
+def test_a_calibration_of_davis_that_is_not_read_is_refused_with_the_remedy(tmp_path, old, new, expected):
     path = write_davis(tmp_path, two("k3", "tau_x", "tau_y", "skew"))
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(RigError, match=says):
+    with pytest.raises(RigError, match=expected):
         load_rig(path)
 
 

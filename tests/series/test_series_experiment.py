@@ -179,9 +179,9 @@ def test_a_file_of_another_kind_gets_one_sentence_and_a_block_is_not_compared_wi
     path.write_text("cluster: local\nworkers: 3\nmemory: 2 GB\ndashboard: x\nsecurity: tls\ntime_limit: 3h\n")
     with pytest.raises(ExperimentError) as caught:
         Experiment.load(path)
-    said = str(caught.value)
-    assert said.count("known keys here") == 1
-    assert said.endswith("and 2 more: is it a file of this kind at all?")
+    printed = str(caught.value)
+    assert printed.count("known keys here") == 1
+    assert printed.endswith("and 2 more: is it a file of this kind at all?")
     path.write_text(
         'name: lab\nframe_rate: 20\ncameras: {a: "a/*.tif"}\ngrid: {x: [1, -1], y: [-1, 1], step: 0.1}\n'
     )

@@ -82,7 +82,7 @@ def test_cameras_share_one_range_of_frames(tmp_path):
     assert [list(s.missing) for s in stated.values()] == [[7, 8], [2, 3, 5]]
 
 
-def test_cameras_without_a_common_frame_are_told_so(tmp_path):
+def test_cameras_without_a_common_frame_are_an_error(tmp_path):
     write_frames(tmp_path / "a", range(2, 7))
     write_frames(tmp_path / "b", range(102, 107))
     with pytest.raises(ExperimentError, match=r"share no two frames \(frames of cam1 2 to 6, cam2 102"):

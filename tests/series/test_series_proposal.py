@@ -37,7 +37,7 @@ def folder(tmp_path):
 
 def test_what_is_proposed_is_an_experiment_file(folder, capsys):
     assert main(["init", str(folder)]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     with pytest.raises(ExperimentError, match="frame_rate is empty; fill it in"):
         Experiment.load(folder / "experiment.yaml")
     text = (folder / "experiment.yaml").read_text()
@@ -51,7 +51,7 @@ def test_what_is_proposed_is_an_experiment_file(folder, capsys):
     assert made.probes.file == "probes.csv"
     assert made.rest == "rest/{camera}/img_{frame}.tif"
     for words in ("5 images, 0 to 5, 1 missing", "begins 5 later than another", "TO FILL IN: Hz", "p1 [mm]"):
-        assert words in said
+        assert words in printed
     assert main(["init", str(folder)]) == 1  # never over a file
     assert "is there already" in capsys.readouterr().err
 

@@ -367,7 +367,7 @@ def test_recordings_in_a_row_keep_the_time_between_them(tmp_path):
     close_files()
 
 
-def test_times_of_no_whole_intervals_are_told_and_shift_no_frame(tmp_path):
+def test_times_of_no_whole_intervals_are_reported_and_shift_no_frame(tmp_path):
     even = 9.0 + np.arange(80) / 2000
     late = np.where(np.arange(80) == 20, even + 0.6 / 2000, even)  # a stamp that came late
     bursts = np.where(np.arange(80) < 40, even, even + 3600.0)
@@ -379,7 +379,7 @@ def test_times_of_no_whole_intervals_are_told_and_shift_no_frame(tmp_path):
 
 
 @pytest.mark.parametrize("attached", [True, False], ids=["coordinate", "beside"])
-def test_hdf5_says_when_images_were_taken(tmp_path, attached):
+def test_times_of_images_are_read_from_hdf5(tmp_path, attached):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["run/images"] = images(8)
         file["run/t" if attached else "run/time"] = np.array([1000, 1050, 1100, 1250, 1300])

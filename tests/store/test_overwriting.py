@@ -144,8 +144,8 @@ def test_nothing_is_removed_or_changed_that_was_not_written_as_the_same(crowded,
         content = contents()[name]
         path.symlink_to(content) if isinstance(content, str) else path.write_bytes(content)
     assert {Path(name).parts[0] for name in lost} <= own & {target}, (words, lost[:9])
-    said = complaints.getvalue()
-    assert "did not foresee" not in said, (words, said)
+    printed = complaints.getvalue()
+    assert "did not foresee" not in printed, (words, printed)
     assert code in (0, 1, 2, 3)
 
 

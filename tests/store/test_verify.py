@@ -1,4 +1,4 @@
-"""A cube that lost something says so, and the next run puts it back bit for bit."""
+"""What a cube lost is reported, and the next run puts it back bit for bit."""
 
 import shutil
 import warnings
@@ -79,7 +79,7 @@ def test_damage_is_found_named_and_measured_again(tank, reference, cube, capsys,
         (change, ""),
     ],
 )
-def test_sizes_alone_tell_what_is_gone_and_not_what_changed_in_place(cube, capsys, harm, word):
+def test_sizes_alone_show_what_is_gone_and_not_what_changed_in_place(cube, capsys, harm, word):
     harm(chunk_path(cube, "z", 1))
     assert main(["-q", "verify", str(cube), "--quick"]) == (1 if word else 0)
     assert (word or "no data were read") in capsys.readouterr().out

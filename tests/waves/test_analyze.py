@@ -43,7 +43,7 @@ def store(sea, probes, tmp_path_factory):
 def test_the_store_holds_the_variables_of_the_table(store):
     # with a gain only: see test_fusion
     left_out = {"Ez_komega"} | {f"valid_k_{name}" for name in ("z", "z_t", "u", "v", "w")}
-    if "No surface tension was fitted" in store.attrs["notes"]:  # a small field does not tell it to 5 %
+    if "No surface tension was fitted" in store.attrs["notes"]:  # a small field does not give it to 5 %
         left_out |= {"gamma", "gamma_std", "omega_fit"}
     for group in GROUPS:
         if group == "shear" and "No current by depth" in store.attrs["notes"]:  # nor this
@@ -59,7 +59,7 @@ def test_the_store_holds_the_variables_of_the_table(store):
             assert find(str(name), group) or name in ("probe", "error"), f"{group}: {name}"
 
 
-def test_every_variable_says_its_unit_and_meaning(store):
+def test_every_variable_states_its_unit_and_meaning(store):
     for group in store.children.values():
         for name, variable in group.to_dataset().data_vars.items():
             assert variable.attrs.get("units"), f"{group.name}: {name}"
@@ -100,7 +100,7 @@ def test_the_probes_agree_with_the_cube(store):
     assert float(spectra.probe_x[1]) == 0.9
 
 
-def test_the_statistics_know_pixels_and_errors(store, sea):
+def test_the_statistics_hold_pixels_and_errors(store, sea):
     statistics = store["statistics"].to_dataset()
     np.testing.assert_allclose(statistics.std_px, statistics["std"] / 0.0018)
     assert float(statistics.eps_piv_rms) == pytest.approx(0.3, rel=0.01)
@@ -146,21 +146,21 @@ def test_a_cube_in_a_store_is_read_piece_by_piece(sea, tmp_path):
 
 
 @pytest.mark.parametrize("steps", [8, 12, 40, 41, 90])
-def test_a_short_record_is_analysed_and_says_how_little_it_knows(steps):
+def test_a_short_record_is_analysed_and_states_how_little_it_shows(steps):
     short = linear_cube(random_waves(n=60), steps, 30, 40, dx=0.02)
     out = wv.analyze(short)
     assert "degrees of freedom" in out.attrs["notes"]
     assert out.attrs["degrees_of_freedom"] >= 2
     E = out["spectra"].E_w
     assert float(E.sum()) > 0
-    if steps <= 41:  # at most 2 s: what it is too short to say is not said
+    if steps <= 41:  # at most 2 s: what it is too short for is not stated
         assert "No spectral peak, no steepness" in out.attrs["notes"]
         assert not {"peak_frequency", "peak_k", "steepness"} & set(out["statistics"].data_vars)
         assert not {"gamma", "gamma_std", "omega_fit"} & set(out["dispersion"].data_vars)
     assert "significant_height" in out["statistics"]
 
 
-def test_gaps_edges_and_unknown_depth_are_said(sea):
+def test_gaps_edges_and_unknown_depth_are_reported(sea):
     spoiled = sea.copy(deep=True)
     spoiled["z"][100:102] = np.nan
     spoiled["w"][:, :3] = np.nan
@@ -214,7 +214,7 @@ def test_noise_has_no_current_and_what_rests_on_one_is_left_out():
         wv.directional_spectrum(coarse, current=(0.0, 0.0), segment=16)
 
 
-def test_what_cannot_be_analysed_is_said_in_one_sentence(sea, probes, tmp_path):
+def test_what_cannot_be_analysed_is_reported_in_one_sentence(sea, probes, tmp_path):
     with pytest.raises(CubeError, match="no 'z_t'"):
         wv.analyze(sea.drop_vars("z_t"))
     with pytest.raises(CubeError, match="less than one segment of 512"):

@@ -93,7 +93,7 @@ def test_exponents_of_known_spectra_lie_in_their_intervals():
     assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.4
 
 
-def test_a_spectrum_that_is_no_power_law_says_so():
+def test_a_spectrum_that_is_no_power_law_is_reported():
     f = np.linspace(0.2, 9.0, 60)
     both = {"E": ("omega", f**-4.0), "dof": ("omega", np.full(60, 4000.0))}
     law = xr.Dataset(both, {"omega": 2 * np.pi * f})

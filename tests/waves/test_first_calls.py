@@ -79,7 +79,7 @@ KINDS = ("field", "cube", "cropped", "no w", "spectrum", "density", "komega", "a
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_an_estimator_computes_or_says_in_one_sentence_what_it_needs(inputs, name, kind):
+def test_an_estimator_computes_or_states_in_one_sentence_what_it_needs(inputs, name, kind):
     try:
         found = ESTIMATORS[name](inputs[kind], **MORE.get(name, {}))
     except WavefieldError as error:

@@ -76,11 +76,11 @@ def test_each_road_reaches_as_far_as_its_noise_lets_it(fused, truth):
     assert reached["fusion"][0] > 6.5
 
 
-def test_the_range_that_is_said_is_the_range_that_is_reached(fused, truth):
+def test_the_range_that_is_stated_is_the_range_that_is_reached(fused, truth):
     for method in ("stereo", "w", "cross", "fusion"):
-        said = float(fused.range_frequency.sel(source=method))
+        stated = float(fused.range_frequency.sel(source=method))
         reached = reach(fused[f"Ez_{method}"], truth)[0]
-        assert said == pytest.approx(reached, rel=0.25), method
+        assert stated == pytest.approx(reached, rel=0.25), method
 
 
 BOX_Z, BOX_W = 0.05, 0.035
@@ -199,7 +199,7 @@ def test_what_is_taken_from_the_directions_of_a_sea_comes_back(towards):
         np.testing.assert_allclose(ratio[valid], 1, atol=0.08)
 
 
-def test_noise_is_told_from_what_windows_take(through_windows):
+def test_noise_is_distinguished_from_what_windows_take(through_windows):
     cube, _ = through_windows
     undone = wv.fused_spectra(cube, segment=256, record=wv.whole_record(cube), gain=box_gain())
     assert float(undone.sigma_z) == pytest.approx(1e-4, rel=0.05)
@@ -277,7 +277,7 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
     for method, asked in (("w", 0.1), ("cross", 0.06), ("fusion", 0.1)):
         ratio = out[f"Ez_{method}"] / out.Ez_stereo
         np.testing.assert_allclose(ratio.where(strong, drop=True), 1, atol=asked)  # 1.3 and .85 before
-    # where w holds but what leaks from the peak it is not said to be valid
+    # where w holds but what leaks from the peak it is not marked as valid
     out = wv.fused_spectra(quiet, segment=256, current=current)
     deep = (out.Ez_stereo < 1e-5 * out.Ez_stereo.max()) & (out.frequency < 0.7) & (out.frequency > 0.2)
     assert bool(deep.any())
@@ -302,7 +302,7 @@ def test_the_combined_time_series_is_better_than_either(part, fused, best):
     assert error["wiener"] < error["best"]
 
 
-def test_the_combined_time_series_of_still_water_takes_of_either_what_its_weight_says(part, fused):
+def test_the_combined_time_series_of_still_water_takes_of_either_what_its_weight_states(part, fused):
     still = fused.assign_attrs(current=(0.0, 0.0))
     few = part.isel(y=slice(0, 8), x=slice(0, 8))
     record = wv.whole_record(few)

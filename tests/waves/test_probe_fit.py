@@ -104,16 +104,16 @@ def test_a_laboratorys_columns_are_mapped(tmp_path, text, columns, values):
 
 
 @pytest.mark.parametrize(
-    ("columns", "says"),
+    ("columns", "expected"),
     [
         (Columns("Zeit", {"p1": "WG 9"}), "no header has the columns Zeit, WG 9; there is Zeit"),
         (Columns(1, {"p1": 9}), "no line has numbers in the columns 1, 9"),
     ],
 )
-def test_columns_that_are_not_there_are_named(tmp_path, columns, says):
+def test_columns_that_are_not_there_are_named(tmp_path, columns, expected):
     path = tmp_path / "probes.txt"
     path.write_text(LABVIEW)
-    with pytest.raises(ExperimentError, match=says):
+    with pytest.raises(ExperimentError, match=expected):
         read_probes(path, columns)
 
 

@@ -51,7 +51,7 @@ def test_empty_edges_are_cut_off_and_single_holes_filled(sea):
     )
 
 
-def test_short_gaps_are_bridged_and_said_long_ones_split_the_record(sea):
+def test_short_gaps_are_bridged_and_reported_long_ones_split_the_record(sea):
     gappy = sea.copy(deep=True)
     gappy["z"][50:52] = np.nan
     gappy["w"][150:160] = np.nan

@@ -112,7 +112,7 @@ def test_what_stands_still_is_no_wave():
         assert now == pytest.approx(was, rel=1e-4, abs=1e-4 * (name != "std")), name
 
 
-def test_a_wild_value_is_said():
+def test_a_wild_value_is_reported():
     cube = linear_cube(random_waves(n=40), 128, 24, 28, dx=0.03)
     assert "beyond six" not in wv.analyze(cube, segment=32).attrs["notes"]
     cube["w"][60, 12, 14] = 30.0
@@ -157,7 +157,7 @@ def test_velocities_along_paths_give_the_same_elevation_as_displacements(frames,
         wv.finite_residual(path)
 
 
-def test_older_cubes_say_by_an_attribute_what_their_velocities_come_from():
+def test_older_cubes_state_by_an_attribute_what_their_velocities_come_from():
     waves = random_waves(n=20, highest=5.0, power=3)
     new = linear_cube(waves, 120, 16, 20, dx=0.02, frames=4)
     bare, old = (new.drop_vars("path_frames").copy(deep=True) for _ in range(2))

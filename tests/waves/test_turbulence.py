@@ -168,7 +168,7 @@ def test_energy_that_grows_in_time_and_is_carried_by_a_current():
     assert float(found.flux_x / found.energy) == pytest.approx(speed + 0.1, rel=0.02)
 
 
-def test_a_sea_in_balance_is_in_balance_and_the_field_says_what_it_forbids():
+def test_a_sea_in_balance_is_in_balance_and_the_field_reports_what_prevents_it():
     t, y, x = axes(480, 40, 60, 0.05, 0.025)
     waves = random_waves(seed=1, n=150, lowest=1.6, highest=3.5, power=3)
     w = np.gradient(waves.on_grid(t, y, x, "z")["z"], 0.05, axis=0)

@@ -145,7 +145,7 @@ def cube(fields, t, y, x, dtype="f4", **attrs):
 
 
 class PeriodicSea:
-    """Random sea on a periodic square, looked at through a smaller window: quick for long records."""
+    """Random sea on a periodic square, seen through a smaller window: quick for long records."""
 
     def __init__(
         self, seed=5, n=192, dx=0.02, depth=0.7, current=(0.0, 0.0), sigma=0.015, box=0.04, highest=7.4

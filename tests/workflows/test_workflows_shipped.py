@@ -1,4 +1,4 @@
-"""The workflow files and catalogs that are shipped: they load, and they do what they say."""
+"""The workflow files and catalogs that are shipped: they load, and they do what they state."""
 
 import re
 import shutil
@@ -86,7 +86,7 @@ def test_the_address_workflow_makes_the_same_cube_with_a_scheduler_that_asks_for
 
 
 @pytest.mark.parametrize("name", ["kubernetes", "gateway"])
-def test_workflows_that_are_not_tried_here_say_so_and_name_their_package(name, tmp_path):
+def test_workflows_that_are_not_tried_here_state_it_and_name_their_package(name, tmp_path):
     path = ROOT / "workflows" / f"{name}.yaml"
     assert "loaded, but not run, by the tests" in path.read_text()
     workflow = Workflow.load(path)
@@ -135,10 +135,10 @@ def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared
     cube = open_cube(state.store).load()
     assert (cube.frame_status == FrameStatus.DONE).all()
     assert float(np.isfinite(cube.z).mean()) > 0.95
-    # the specimen is flat to a third of a millimetre, and lies where its calibration says
+    # the specimen is flat to a third of a millimetre, and lies where its calibration puts it
     assert abs(float(cube.z.median())) < 1e-3
     assert float(abs(cube.eps_piv).median()) < 0.1
-    # its report finds the images where the parameter said
+    # its report finds the images where the parameter printed
     assert set(wf.open_run(state.store).frames) == {"left", "right"}
 
 

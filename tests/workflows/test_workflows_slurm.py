@@ -119,7 +119,7 @@ def test_a_job_that_is_warned_puts_itself_back_and_one_that_is_cancelled_goes_on
 
 @contextmanager
 def drained(node):
-    """Let no new job on a node, where whoever tests may say so."""
+    """Let no new job on a node, where the user of the tests may do so."""
     change = ["scontrol", "update", f"nodename={node}"]
     allowed = subprocess.run([*change, "state=drain", "reason=test"], capture_output=True).returncode == 0
     try:
@@ -266,9 +266,7 @@ def test_the_waves_that_slurm_jobs_find_are_those_of_one_process(reference, work
     ],
     ids=["wrong partition", "too long", "wrong Python", "no module"],
 )
-def test_jobs_that_never_work_are_named_with_what_tells_why(
-    changes, sentence, workflow, tmp_path, monkeypatch
-):
+def test_jobs_that_never_work_are_named_with_the_reason(changes, sentence, workflow, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     data = yaml.safe_load(workflow.read_text())
     data["slurm"] |= changes

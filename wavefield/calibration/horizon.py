@@ -11,7 +11,7 @@ from wavefield.rig.lens import Array
 
 EARTH_RADIUS = 6.371e6 / 0.87  # m; light is bent by the air as if the Earth were larger (Bomford 1980)
 SMOOTHING = 2.0  # px: of the mean image, for its gradient
-COLUMNS = 160  # at which the horizon is looked for, at most
+COLUMNS = 160  # at which the horizon is searched, at most
 EDGES = 4  # of each column that may be the horizon, the strongest ones
 MAX_MISFIT = 1.0  # px, of a point of the horizon from its line
 MIN_SHARE = 0.7  # of the columns that show the line

@@ -75,7 +75,7 @@ def right_handed(
     notes: tuple[str, ...] = ()
     if len(turns) > 1:
         notes = (
-            f"the target looks the same in {len(turns)} positions: x is taken to the right in the image",
+            f"the target has the same image in {len(turns)} positions: x is taken to the right in the image",
         )
     return max(turns, key=to_the_right), notes
 

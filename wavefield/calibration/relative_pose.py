@@ -81,7 +81,7 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
-    """Turns and directions to begin with. A nearly flat surface looks the same from two places:
+    """Turns and directions to begin with. A nearly flat surface has the same image from two places:
     the essential matrix (Nister 2004) may give the wrong one of them, the homography gives both.
     """
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))

@@ -14,7 +14,7 @@ from wavefield.rig.lens import Array
 from wavefield.rig.pairs import pairs_of
 from wavefield.rig.resolution import pixel_at
 
-WANTED_WINDOWS = 100  # windows overlap where fewer would fit next to each other
+MIN_WINDOWS = 100  # windows overlap where fewer would fit next to each other
 STD_PER_THICKNESS = 4.0  # standard deviations of a Gaussian sheet between the places where its light is 1/e2
 
 Read = Callable[[str, int], NDArray[np.generic] | None]  # an image by camera and frame
@@ -30,7 +30,7 @@ class SheetWindows:
         x, y = (np.arange(lo, hi, self.pixel) for lo, hi in (field.x, field.y))
         side = min(side, x.size, y.size) // 2 * 2
         step, rows, columns = side, range(0), range(0)
-        while len(rows) * len(columns) < WANTED_WINDOWS and step > 4:
+        while len(rows) * len(columns) < MIN_WINDOWS and step > 4:
             step //= 2
             rows, columns = (range(0, n - side + 1, step) for n in (y.size, x.size))
         self.count = len(rows) * len(columns)

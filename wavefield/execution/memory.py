@@ -1,4 +1,4 @@
-"""How much memory a process has taken, and whether the system ended one for want of it."""
+"""How much memory a process has taken, and whether the system ended one for lack of it."""
 
 import re
 import sys
@@ -50,7 +50,7 @@ def memory_error(error: Exception) -> StoreError | None:
 
 
 def lost_for_memory(taken: int, workers: int) -> StoreError:
-    """A sentence for workers that the system ended for want of memory."""
+    """A sentence for workers that the system ended for lack of memory."""
     return StoreError(
         f"memory ran out: the system ended {workers} workers one after the other over the same work, which "
         f"{spell_need(taken)}; {_REMEDY}"

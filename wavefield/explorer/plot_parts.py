@@ -1,4 +1,4 @@
-"""What all panels share: figures of one look, data sources, colour bars, long series thinned for a screen."""
+"""What panels share: figures of one style, data sources, colour bars, long series thinned for screens."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Images of a TIFF file by the meaning of their tags, alike for every compression.
 
 Pixels are those of the sensor: an orientation tag turns nothing, since a rig belongs to images as they were
-stored. Bright is bright: where the tags say that the smallest value is white, values are inverted.
+stored. Bright is bright: where the tags state that the smallest value is white, values are inverted.
 """
 
 import struct

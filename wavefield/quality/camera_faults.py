@@ -1,7 +1,7 @@
 """Cameras that are inconsistent with the others, and why: mirrored, swapped, late, blurred, covered, knocked.
 
 Every camera is compared with every other at some instants of the record. One that agrees with none while the
-others agree among themselves is looked at again as if its images were mirrored, another camera's, of another
+others agree among themselves is examined again as if its images were mirrored, another camera's, of another
 moment: what makes it agree is what is wrong with it.
 """
 

@@ -1,6 +1,6 @@
 """DICe, Sandia's image correlation: the parameter list of a camera system, and the older text of two cameras.
 
-Lengths in millimetres. Where a file says so, the second camera is placed from the first.
+Lengths in millimetres. Where a file states it, the second camera is placed from the first.
 """
 
 import re

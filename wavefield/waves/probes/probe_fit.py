@@ -58,7 +58,7 @@ class ProbeFit:
                 yield (
                     "unit",
                     f"it is {self.gain:.3g} times the elevation, as if it were in {unit}",
-                    f"say so: `unit: {unit}` in `probes:`",
+                    f"state it: `unit: {unit}` in `probes:`",
                 )
                 return
         if not 0.8 < self.gain < 1.25:
