@@ -106,14 +106,16 @@ def _clear_row(usable: np.ndarray, out: np.ndarray) -> None:
 def _normalize(
     image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
-    ny = len(mean)
-    for y in range(len(image)):
+    ny, (h, w) = len(mean), image.shape
+    border = (len(out) - h) // 2
+    for y in range(h):
         place = min(max((F(y) + F(0.5)) / F(side) - F(0.5), F(0)), F(ny - 1))
         j = int(place)
         k = min(j + 1, ny - 1)
-        _normalize_row(image[y], mean[j], mean[k], scale[j], scale[k], place - F(j), out[y])
+        to = out[border + y][border : border + w]  # contiguous, which rows of a cut array are not
+        _normalize_row(image[y], mean[j], mean[k], scale[j], scale[k], place - F(j), to)
         if usable.size > 0:
-            _clear_row(usable[y], out[y])
+            _clear_row(usable[y], to)
 
 
 class NormalizationCells:
@@ -141,7 +143,7 @@ class NormalizationCells:
         return out
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
-        """Write the normalised image (h, w); pixels that are not usable become 0."""
+        """Write the normalised image, inside any border of `out`; pixels that are not usable become 0."""
         mean, square = self.local(0), self.local(1)
         if share is not None:
             mean /= share

@@ -148,7 +148,7 @@ def prepare(
         image = image.astype(np.float32)
     h, w = image.shape
     padded = _padded(h, w)
-    mask = _normalize(image, mask, settings, padded[PAD:-PAD, PAD:-PAD])
+    mask = _normalize(image, mask, settings, padded)
     levels: list[Level] = []
     for number in range(level_count(image.shape, settings.levels)):
         if number:
@@ -169,8 +169,10 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
     return levels
 
 
-def _normalize(image: np.ndarray, mask: Mask | None, settings: MatchSettings, out: np.ndarray) -> Mask | None:
-    """Write the normalised image; return the mask without the pixels that are not usable in this image."""
+def _normalize(
+    image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
+) -> Mask | None:
+    """Write the normalised image inside its border; return the mask without what is not usable in it."""
     width = settings.normalization or FILL_SIGMA
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -180,11 +182,11 @@ def _normalize(image: np.ndarray, mask: Mask | None, settings: MatchSettings, ou
         mask = _excluding(saturated, mask, settings)
         cells = NormalizationCells(image, width, mask.good)
     if settings.normalization > 0:
-        cells.normalized(None if mask is None else mask.share, out)
+        cells.normalized(None if mask is None else mask.share, padded)
     elif mask is not None:
-        cells.filled(mask.share, out)
+        cells.filled(mask.share, padded[PAD:-PAD, PAD:-PAD])
     else:
-        np.copyto(out, image, casting="unsafe")
+        np.copyto(padded[PAD:-PAD, PAD:-PAD], image, casting="unsafe")
     return mask
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import float32, uint8, uint16, void
+from numba import float32, int64, uint8, uint16, void
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
@@ -20,24 +20,29 @@ from wavefield.rig import Camera
 
 Float = NDArray[Any]
 
+_ROWS_AT_ONCE = 128  # of a rectified image: what they are read from stays in the cache
+
 
 @compiled(
     [
-        void(uint8[:, ::1], float32, float32[:, ::1], uint16[:, ::1]),
-        void(uint16[:, ::1], float32, float32[:, ::1], uint16[:, ::1]),
-        void(float32[:, ::1], float32, float32[:, ::1], float32[:, ::1]),
+        void(uint8[:, ::1], int64, float32, float32[:, ::1], uint16[:, ::1]),
+        void(uint16[:, ::1], int64, float32, float32[:, ::1], uint16[:, ::1]),
+        void(float32[:, ::1], int64, float32, float32[:, ::1], float32[:, ::1]),
     ],
     fastmath=True,
     error_model="numpy",
 )
-def _double(image: NDArray[Any], scale: np.float32, rows: NDArray[Any], out: NDArray[Any]) -> None:
-    """Quintic B-spline without prefilter at whole and half pixels; out[2 r, 2 c] lies on pixel (r, c)."""
+def _double(
+    image: NDArray[Any], first: int, scale: np.float32, rows: NDArray[Any], out: NDArray[Any]
+) -> None:
+    """Quintic B-spline without prefilter at whole and half pixels; out[0, 2 c] lies on pixel (first, c)."""
     h, w = image.shape
     # the spline at distances 0, 1, 2 and at 1/2, 3/2, 5/2
     a0, a1, a2 = np.float32(66 / 120), np.float32(26 / 120), np.float32(1 / 120)
     b0, b1, b2 = np.float32(1682 / 3840), np.float32(237 / 3840), np.float32(1 / 3840)
     half = np.float32(0.5)
-    for y in range(h):
+    for n in range(len(out) // 2):
+        y = first + n
         r0, r1, r2 = image[max(y - 2, 0)], image[max(y - 1, 0)], image[y]
         r3, r4, r5 = image[min(y + 1, h - 1)], image[min(y + 2, h - 1)], image[min(y + 3, h - 1)]
         e, g = rows[0], rows[1]
@@ -54,7 +59,7 @@ def _double(image: NDArray[Any], scale: np.float32, rows: NDArray[Any], out: NDA
                 + b2 * (np.float32(r0[x]) + np.float32(r5[x]))
             )
         for j in range(2):
-            q, o = rows[j], out[2 * y + j]
+            q, o = rows[j], out[2 * n + j]
             q[0] = q[1] = q[2]
             q[w + 2] = q[w + 3] = q[w + 4] = q[w + 1]
             if out.itemsize == 2:
@@ -150,19 +155,22 @@ def binned(camera: Camera, count: int) -> Camera:
 
 
 def double(
-    image: NDArray[Any], space: Callable[[tuple[int, int], np.typing.DTypeLike], NDArray[Any]] = np.empty
+    image: NDArray[Any],
+    rows: tuple[int, int] | None = None,
+    space: Callable[[tuple[int, int], np.typing.DTypeLike], NDArray[Any]] = np.empty,
 ) -> NDArray[Any]:
-    """Sample an image on a grid twice as fine, whose element (2 r, 2 c) lies on pixel (r, c).
+    """Sample rows (first, last) of an image on a grid twice as fine; element (0, 2 c) is on (first, c).
     Quintic B-spline, no prefilter: 66, 26, 1 over 120 at whole, 1682, 237, 1 over 3840 at half pixels.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)
     h, w = image.shape
+    first, last = rows or (0, h)
     # 256 * 255 = 65280 fits 16 bits
     scale = np.float32(256.0 if image.dtype == np.uint8 else 1.0)
-    out = space((2 * h, 2 * w), np.float32 if image.dtype == np.float32 else np.uint16)
-    _double(image, scale, np.empty((2, w + 8), np.float32), out)
+    out = space((2 * (last - first), 2 * w), np.float32 if image.dtype == np.float32 else np.uint16)
+    _double(image, first, scale, np.empty((2, w + 8), np.float32), out)
     return out
 
 
@@ -191,15 +199,19 @@ def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, 
     margin = 3.0
     with np.errstate(invalid="ignore"):
         seen = (X >= margin) & (X <= w - 1 - margin) & (Y >= margin) & (Y <= h - 1 - margin)
-    X, Y = np.where(seen, X, -4.0), np.where(seen, Y, -4.0)
+    X, Y = np.where(seen, X, -4.0), np.clip(np.nan_to_num(Y), margin, h - 1 - margin)
     return (2.0 * X).astype(np.float32), (2.0 * Y).astype(np.float32), seen
 
 
 def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
-    """Image in apparent coordinates, (ny, nx), read at X, Y (ny, nx) on the grid of `double`."""
-    return cv2.remap(
-        double(image, _space), X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
-    )
+    """Image in apparent coordinates, (ny, nx), read at X, Y (ny, nx) on the grid of `double`, X < 0: none."""
+    out = np.empty(X.shape, np.uint16 if image.dtype in (np.uint8, np.uint16) else np.float32)
+    for row in range(0, len(X), _ROWS_AT_ONCE):
+        x, y, to = (one[row : row + _ROWS_AT_ONCE] for one in (X, Y, out))
+        first, last = int(y.min()) // 2, min(int(y.max()) // 2 + 2, len(image))
+        fine = double(image, (first, last), _space)
+        cv2.remap(fine, x, y - np.float32(2 * first), cv2.INTER_LINEAR, to, borderMode=cv2.BORDER_CONSTANT)
+    return out
 
 
 def widen(image: NDArray[Any], x: float, y: float) -> NDArray[Any]:
