@@ -10,7 +10,6 @@ from wavefield.matching.block_lattice import F, filtered, replace_outliers, smoo
 from wavefield.matching.matching_kernels import BLOCK, shift_sums
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level
-from wavefield.parabola import parabola_vertex
 
 njit = compiled(error_model="numpy")
 
@@ -74,22 +73,36 @@ def _largest(score: np.ndarray, border: int, best: np.ndarray) -> None:
                     top[i] = middle[i] if larger else top[i]
 
 
-def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the largest score of each block, (ny, nx), with parabolas through its neighbours.
+@njit
+def _vertex(before: F, middle: F, after: F) -> F:
+    """As `parabola_vertex`, at most half a sample away."""
+    bend = before - F(2) * middle + after
+    return min(max(F(0.5) * (before - after) / bend, F(-0.5)), F(0.5)) if bend < F(0) else F(0)
+
+
+@njit
+def _refine(
+    score: np.ndarray, best: np.ndarray, border: int, first: tuple[int, int], out: np.ndarray
+) -> None:
+    """Fill out (2, ny, nx) with the shifts of the largest scores, refined by parabolas through neighbours."""
+    rows, ny, n, width = score.shape
+    for j in range(ny):
+        for i in range(width - 2 * border):
+            y, x, at = best[j, i] // n, best[j, i] % n, border + i
+            middle = score[y, j, x, at]
+            out[0, j, i], out[1, j, i] = F(first[0] + x), F(first[1] + y)
+            if 0 < x < n - 1:
+                out[0, j, i] += _vertex(score[y, j, x - 1, at], middle, score[y, j, x + 1, at])
+            if 0 < y < rows - 1:
+                out[1, j, i] += _vertex(score[y - 1, j, x, at], middle, score[y + 1, j, x, at])
+
+
+def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> np.ndarray:
+    """Shift of the largest score of each block, (2, ny, nx), with parabolas through its neighbours.
     score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y.
     """
-    rows, ny, n, width = score.shape
-    best = np.empty((ny, width - 2 * border), np.int32)
+    best = np.empty((score.shape[1], score.shape[3] - 2 * border), np.int32)
     _largest(score, border, best)
-    y, x = np.divmod(best, n)
-    j, i = np.indices(best.shape)
-
-    def at(dy: int, dx: int) -> np.ndarray:
-        row, column = np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, n - 1)
-        return np.asarray(score[row, j, column, border + i])
-
-    dx = np.clip(parabola_vertex(at(0, -1), at(0, 0), at(0, 1)), -0.5, 0.5)
-    dy = np.clip(parabola_vertex(at(-1, 0), at(0, 0), at(1, 0)), -0.5, 0.5)
-    inside_x, inside_y = (x > 0) & (x < n - 1), (y > 0) & (y < rows - 1)
-    u, v = (x + first_x).astype(np.float32), (y + first_y).astype(np.float32)
-    return u + np.where(inside_x, dx, F(0)), v + np.where(inside_y, dy, F(0))
+    out = np.empty((2, *best.shape), np.float32)
+    _refine(score, best, border, (first_x, first_y), out)
+    return out
