@@ -54,6 +54,7 @@ from wavefield.waves.surface.energy_budget import energy_budget
 from wavefield.waves.surface.energy_flux import energy_flux
 from wavefield.waves.surface.increments import structure_functions
 from wavefield.waves.surface.phase_average import phase_average
+from wavefield.waves.surface.smooth import smooth
 from wavefield.waves.surface.statistics import statistics
 from wavefield.waves.surface.subsurface import subsurface
 from wavefield.waves.surface.vortices import waves_and_vortices
@@ -116,6 +117,7 @@ __all__ = [
     "run",
     "run_catalog",
     "simulate",
+    "smooth",
     "spectral_slope",
     "spectrum",
     "statistics",

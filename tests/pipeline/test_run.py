@@ -11,9 +11,11 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+import xarray as xr
 import zarr
 from cube_cases import FRAMES, HERE, different, far_apart
 
+from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, RigError, RunStopped, StoreError
 from wavefield.execution.lock import Lock
 from wavefield.pipeline import Workflow, chunk_worker, open_cube, run, status
@@ -116,6 +118,19 @@ def test_default_place_progress_and_log(own_tank):
     log = (own_tank.parent / "cube.log").read_text()
     assert f"{STEPS} of {STEPS} steps" in log
     assert state.recipe_hash in log
+
+
+def test_a_run_smooths_its_cube_if_the_experiment_asks_for_it(own_tank):
+    own_tank.write_text(own_tank.read_text() + "smooth: true\n")
+    run(own_tank, workflow=chunks_of(8))
+    cube = own_tank.with_name("cube.zarr")
+    assert main(["-q", "smooth", str(cube), "-o", str(cube.with_name("again.zarr"))]) == 0
+    stored, again = (xr.open_zarr(cube.with_name(name)).load() for name in ("smooth.zarr", "again.zarr"))
+    assert "smoothed" in stored.attrs
+    assert stored.z_std.notnull().any()
+    assert stored.drop_attrs().identical(again.drop_attrs())
+    with open_cube(cube) as measured_cube:
+        assert (stored.u_std <= measured_cube.u_std).where(measured_cube.u_std.notnull()).mean() == 1
 
 
 # -- stopping and going on -----------------------------------------------------------------------------------

@@ -106,6 +106,7 @@ for _command in (
     wave_commands.report,
     look.look,
     archive.export,
+    wave_commands.smooth,
     wave_commands.paper,
     archive.catalog,
     simulate_command.simulate,

@@ -1,4 +1,4 @@
-"""`wavefield analyze`, `wavefield report` and `wavefield paper`: from a cube to waves and to pages."""
+"""`wavefield analyze`, `report`, `smooth` and `paper`: from a cube to waves, pages and smoothed fields."""
 
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -180,3 +180,19 @@ def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | Non
         write(store, output, rest=rest, waves=waves, progress=progress)
     click.echo(f"Wrote {output}; open it in a browser.")
     print_next("look", store)
+
+
+@click.command(epilog="\b\nExample:\n  wavefield smooth cube.zarr      # writes smooth.zarr next to it")
+@STORE
+@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Zarr store to write.")
+def smooth(store: Path, output: Path | None) -> None:
+    """Smooth z, u, v, w over time by free waves.
+
+    Writes a Zarr store of the same variables with their standard uncertainties; `xarray.open_zarr` reads it.
+    Spectra are made of the cube itself.
+    """
+    from wavefield.pipeline.smoothing import write_smoothed
+
+    with Progress(f"Smoothing {short_path(store)}", "steps") as progress:
+        output = write_smoothed(store, output, progress)
+    click.echo(f"Wrote {short_path(output)}.")

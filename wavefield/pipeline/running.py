@@ -185,6 +185,10 @@ def process(
     if found.complete:
         drop_early(path, open_group(path))
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
+        if prepared.experiment.smooth and (todo or not beside(path, "smooth", ".zarr").exists()):
+            from wavefield.pipeline.smoothing import write_smoothed
+
+            log.info("wrote %s", write_smoothed(path))
     return status(path)
 
 

@@ -81,6 +81,9 @@ class Experiment(RecordSection):
         description="what covers the water, by camera (px) or on the `water` (m)",
     )
     probes: ProbesSection | None = Field(default=None, examples=["probes.csv"])
+    smooth: bool = Field(
+        default=False, description="whether a run writes `smooth.zarr` beside its cube (`wavefield smooth`)"
+    )
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
 
     _path: Path = PrivateAttr(default=Path("experiment.yaml"))
