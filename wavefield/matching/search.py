@@ -39,7 +39,9 @@ def search(
         shift_sums(first, second, margin, x_range[0], dy, row, scores)
         side_by_side = scores.reshape(ny, -1)
         filtered(side_by_side, weights, side_by_side)
-    u, v = _peaks(score, border, x_range[0], y_range[0])
+    best, (u, v) = np.empty((ny, nx), np.int32), np.empty((2, ny, nx), np.float32)
+    _largest(score, border, best)
+    _refine(score, best, border, (x_range[0], y_range[0]), u, v)
     for _ in range(2):
         replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
@@ -82,27 +84,16 @@ def _vertex(before: F, middle: F, after: F) -> F:
 
 @njit
 def _refine(
-    score: np.ndarray, best: np.ndarray, border: int, first: tuple[int, int], out: np.ndarray
+    score: np.ndarray, best: np.ndarray, border: int, first: tuple[int, int], u: np.ndarray, v: np.ndarray
 ) -> None:
-    """Fill out (2, ny, nx) with the shifts of the largest scores, refined by parabolas through neighbours."""
+    """Fill u, v (ny, nx) with the shifts of the largest scores, refined by parabolas through neighbours."""
     rows, ny, n, width = score.shape
     for j in range(ny):
         for i in range(width - 2 * border):
             y, x, at = best[j, i] // n, best[j, i] % n, border + i
             middle = score[y, j, x, at]
-            out[0, j, i], out[1, j, i] = F(first[0] + x), F(first[1] + y)
+            u[j, i], v[j, i] = F(first[0] + x), F(first[1] + y)
             if 0 < x < n - 1:
-                out[0, j, i] += _vertex(score[y, j, x - 1, at], middle, score[y, j, x + 1, at])
+                u[j, i] += _vertex(score[y, j, x - 1, at], middle, score[y, j, x + 1, at])
             if 0 < y < rows - 1:
-                out[1, j, i] += _vertex(score[y - 1, j, x, at], middle, score[y + 1, j, x, at])
-
-
-def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> np.ndarray:
-    """Shift of the largest score of each block, (2, ny, nx), with parabolas through its neighbours.
-    score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y.
-    """
-    best = np.empty((score.shape[1], score.shape[3] - 2 * border), np.int32)
-    _largest(score, border, best)
-    out = np.empty((2, *best.shape), np.float32)
-    _refine(score, best, border, (first_x, first_y), out)
-    return out
+                v[j, i] += _vertex(score[y - 1, j, x, at], middle, score[y + 1, j, x, at])
