@@ -26,6 +26,7 @@ _SEEN_IN_COMMON = 0.15  # of the variance of short waves, 0.11 to 0.30: blocks d
 _RIDGE = 0.1  # of the typical Hessian
 _MAX_STD = 3.0  # single blocks are limited to so many standard deviations
 _MIN_BLOCKS = 50
+_MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light that are no motion
 _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
@@ -33,7 +34,7 @@ def unresolved_rise(
     found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry
 ) -> tuple[float, float]:
     """Variance of the rise per frame by waves that blocks do not resolve, m^2, and their wavelength, metres.
-    By chance it may be negative; steps are averaged.
+    By chance it may be negative; steps are averaged. 0 of cameras that look from the same side.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
     """
     motions, jacobians, scales = {}, {}, []
@@ -46,6 +47,8 @@ def unresolved_rise(
         scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
     common, total = [], []
     for a, b in combinations(motions, 2):
+        if _sine(jacobians[a], jacobians[b]) < _MIN_SINE:
+            continue
         both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
         if both.sum() < _MIN_BLOCKS:
             continue
@@ -59,6 +62,12 @@ def unresolved_rise(
     beads = _COMMON_OF_BEADS * float(np.mean(total))
     variance = (float(np.mean(common)) - beads) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
     return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales))
+
+
+def _sine(J: Float, K: Float) -> float:
+    """Sine of the angle between the sight lines of two cameras in the middle, from Jacobians (2, 3, n)."""
+    a, b = (np.cross(middle[0], middle[1]) for middle in (np.median(J, axis=-1), np.median(K, axis=-1)))
+    return float(np.linalg.norm(np.cross(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))
 
 
 def _blocks_at(lattice: BlockLattice, x: Float, y: Float) -> tuple[Blocks, Blocks, NDArray[np.bool_]]:
