@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,8 +15,14 @@ from wavefield.measurement.convergence import MAX_EVALUATIONS, Convergence
 from wavefield.measurement.model import FieldModel, Model
 from wavefield.measurement.pair_surface import why_rejected
 from wavefield.measurement.regrid import push_pull
+from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
+
+# Variance of matched displacements over that of the sample steps: above it the spectra learned from these
+# suppress waves, by more than the uncertainties hold.
+MAX_MOTION_RATIO = 16.0
+STILL_WATER_VARIANCE = 8e-4  # of matched displacements, px^2: less in the sample steps is taken for this
 
 
 @dataclass(frozen=True)
@@ -99,14 +105,25 @@ def flows(
     settings: matching.MatchSettings,
     model: Model,
 ) -> dict[str, CameraFlow]:
-    """Displacements of every camera that has a usable frame at both instants."""
-    return {
-        n: flow_near(
-            matching.match(first[n], second[n], settings), first[n], second[n], model.displacement[n]
-        )
-        for n in first
-        if n in second
-    }
+    """Displacements of every camera that has a usable frame at both instants.
+    Blocks are rejected as out of range where waves are far higher than in the steps that spectra are from.
+    """
+    out, learned = {}, dict(model.record.motion)
+    for name in first:
+        if name in second:
+            near = matching.match(first[name], second[name], settings)
+            flow = flow_near(near, first[name], second[name], model.displacement[name])
+            usual = max(learned.get(name, np.inf), STILL_WATER_VARIANCE)
+            if motion_variance(near) > MAX_MOTION_RATIO * usual:
+                flow = replace(flow, rejected=flow.rejected | np.uint16(Quality.REJECTED_RANGE))
+            out[name] = flow
+    return out
+
+
+def motion_variance(found: matching.Displacement) -> float:
+    """Variance over the field of the displacement that was matched, both components together, px^2."""
+    valid = found.valid
+    return float(np.var(found.u[valid]) + np.var(found.v[valid])) if valid.any() else 0.0
 
 
 def flow_near(

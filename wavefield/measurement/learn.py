@@ -20,7 +20,7 @@ from wavefield.measurement import elevation
 from wavefield.measurement.background import bead_width
 from wavefield.measurement.differences import Differences, differences, typical_differences
 from wavefield.measurement.field_samples import DisplacementSample, ElevationSample, FieldSamples
-from wavefield.measurement.flow import camera_flow, map_displacement
+from wavefield.measurement.flow import camera_flow, map_displacement, motion_variance
 from wavefield.measurement.frame import usable
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
@@ -108,6 +108,11 @@ class _SampleStep:
     pairs: elevation.MatchedPairs | None  # at the first frame
     displacements: Mapping[str, matching.Displacement]
 
+    @property
+    def motion(self) -> dict[str, float]:
+        """Variance over the field of every camera's displacement, px^2."""
+        return {name: motion_variance(found) for name, found in self.displacements.items()}
+
     @classmethod
     def match(
         cls,
@@ -176,7 +181,9 @@ def _learned(
             camera_jitter=found.camera_jitter,
             unresolved=found.unresolved,
         )
-    return replace(record, path_frames=truncation.best_frames(found.moved[2], found.noise_variance))
+    motion = {name: max(step.motion.get(name, 0.0) for step in samples) for name in priors}
+    frames = truncation.best_frames(found.moved[2], found.noise_variance)
+    return replace(record, path_frames=frames, motion=tuple(motion.items()))
 
 
 def _bead_widths(

@@ -36,6 +36,8 @@ class LearnedRecord:
     unresolved : (float, float)
         Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and their
         wavelength, metres (`unresolved_rise`).
+    motion : tuple of (str, float)
+        Largest variance over the field of each camera's matched displacement in the sample steps, px^2.
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -47,6 +49,7 @@ class LearnedRecord:
     camera_jitter: tuple[float, float] = (0.0, 0.0)
     path_frames: int = 4
     unresolved: tuple[float, float] = (0.0, 0.0)
+    motion: tuple[tuple[str, float], ...] = ()
 
     def width(self, camera: str) -> float:
         """Width of a camera's beads, raw px."""
@@ -73,6 +76,7 @@ class LearnedRecord:
             "camera_jitter": list(self.camera_jitter),
             "path_frames": self.path_frames,
             "unresolved": list(self.unresolved),
+            "motion": dict(self.motion),
         }
 
     @classmethod
@@ -101,4 +105,5 @@ class LearnedRecord:
             (along, across),
             int(data["path_frames"]),
             (rise, wavelength),
+            tuple((str(name), float(variance)) for name, variance in data.get("motion", {}).items()),
         )

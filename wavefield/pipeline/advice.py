@@ -27,7 +27,8 @@ _WHY = {
     "cameras' own?",
     Quality.REJECTED_RANGE: "they are beyond the range that is searched: is the range of elevations "
     "wide enough (`settings: {z_range: ...}`), and that of the displacements "
-    "(`piv: {search_x: ..., search_y: ...}`)?",
+    "(`piv: {search_x: ..., search_y: ...}`)? Or are waves four times as high as in the steps that were "
+    "sampled (measure this part of the record in a run of its own, by `frames:`)?",
 }
 
 

@@ -141,7 +141,7 @@ def reconstruct(
     >>> round(float(cube.time[0]), 3)
     0.025
     """
-    from wavefield.measurement import GridGeometry, Settings
+    from wavefield.measurement import GridGeometry, Settings, sample_steps
     from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
 
     settings = Settings() if settings is None else settings
@@ -170,7 +170,7 @@ def reconstruct(
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
     known = dask.delayed(_Learner(geometry, record), pure=False, traverse=False)(
-        samples(sources, steps), dask_key_name=f"learn-{token}"
+        samples(sources, sample_steps(steps)), dask_key_name=f"learn-{token}"
     )
     lazy = LazySteps(sources, departures, frame_rate, known, grid.shape, token)
     variables = {name: (TABLE[name].dims, lazy.array(name, edges)) for name in (*CUBE_FIELDS, "frame_status")}

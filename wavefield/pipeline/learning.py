@@ -1,34 +1,74 @@
 """Learning beads, spectra and noise from sample frames of a whole record, before its first chunk."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wavefield.execution.worker_settings import one_thread
 from wavefield.pipeline.chunk import Source
+from wavefield.quality.patch_matching import MIN_CORRELATION, PatchMatcher, compare
+from wavefield.sampling import evenly_spaced
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
 
 _TRIES = 3  # sets of samples, where frames are missing or bad
+_SEARCHED_STEPS = 64  # of a record, for waves that come and go
+_MIN_ENERGY_RATIO = 1 / 32  # median of the sample steps over the largest: spectra suppress stronger waves
+_MIN_MOTION_PX = 0.1  # rms: less is noise
 
 
 def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from sample frames of a record."""
+    """Learn from sample frames of a record; `steps` are those that were used."""
+    from wavefield.measurement import sample_steps
+
     for number in range(_TRIES):
-        if found := learn_from(samples(sources, steps, number), geometry, threads):
-            return found
+        usual = sample_steps(steps, number)
+        chosen = usual if number else steps_with_waves(sources, steps, geometry, threads)
+        if found := learn_from(samples(sources, chosen), geometry, threads):
+            return found | {"steps": chosen}
     return {}
 
 
-def samples(sources: Mapping[str, Source], steps: int, number: int = 0) -> list[Mapping[str, Source]]:
-    """Sample steps of a record, two frames each."""
+def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
+    """The two frames of some steps of a record."""
+    return [{n: s.window(k, k + 2) for n, s in sources.items()} for k in steps]
+
+
+def steps_with_waves(
+    sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
+) -> list[int]:
+    """Sample steps evenly over a record or, where these hardly show its waves, over the part with waves."""
     from wavefield.measurement import sample_steps
 
-    return [{n: s.window(k, k + 2) for n, s in sources.items()} for k in sample_steps(steps, number)]
+    usual = sample_steps(steps)
+    if steps <= len(usual):
+        return usual
+    name = geometry.velocity_cameras[0]
+    places = sorted({*usual, *evenly_spaced(steps, _SEARCHED_STEPS)})
+    layout = PatchMatcher(lambda name, k: sources[name].read(k).image, geometry.rig, geometry.grid)
+
+    def moved(k: int) -> np.ndarray:
+        first, second = (layout.sampled(name, frame) for frame in (k, k + 1))
+        found = None if first is None or second is None else compare(first[::4], second[::4])
+        if found is None:
+            return np.zeros((0, 2))
+        good = (found.peak_correlation > MIN_CORRELATION) & np.isfinite(found.moved[:, 0])
+        return np.asarray(found.moved[good])
+
+    with ThreadPoolExecutor(threads) as pool:
+        motion = list(pool.map(moved, places))
+    current = np.mean(np.concatenate(motion), axis=0) if any(map(len, motion)) else 0.0
+    energy = {k: float(np.mean((m - current) ** 2)) if len(m) else 0.0 for k, m in zip(places, motion)}
+    largest = max(*energy.values(), _MIN_MOTION_PX**2)
+    if np.median([energy[k] for k in usual]) >= _MIN_ENERGY_RATIO * largest:
+        return usual
+    strong = [k for k in places if energy[k] > 0.25 * largest] or usual
+    return [strong[k] for k in evenly_spaced(len(strong), len(usual))]
 
 
 def learn_from(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, pooled
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, pooled, sample_steps
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
@@ -84,7 +84,8 @@ def _with_every_motion(geometry: GridGeometry) -> GridGeometry:
 
 def _learned(prepared: PreparedRun, geometry: GridGeometry) -> Model | None:
     """What one sampled step gives of the record; a run learns without cameras that give no velocity."""
-    for pair in samples(prepared.series, prepared.steps):
+    steps = prepared.recipe.record.get("steps", sample_steps(prepared.steps))
+    for pair in samples(prepared.series, steps):
         if record := learn_from([pair], geometry, threads_here(prepared.workflow)):
             return Model(geometry, LearnedRecord.from_dict(record))
     return None

@@ -90,14 +90,17 @@ class PatchMatcher:
         """
         key = (name, frame, change, through)
         if key not in self._patches:
-            image = self.read(name, frame)
-            if image is not None and change:
-                image = np.asarray(image)[FLIPS[change]]
-            nearest = min(self.levels, key=lambda known: abs(known - frame), default=None)
-            level = 0.0 if nearest is None else self.levels[nearest]
-            places = self._map(through or name, level)
-            self._patches[key] = _sampled(image, *places, SIDE + 2 * REACH)
+            self._patches[key] = self.sampled(name, frame, change, through)
         return self._patches[key]
+
+    def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
+        """The same, not kept."""
+        image = self.read(name, frame)
+        if image is not None and change:
+            image = np.asarray(image)[FLIPS[change]]
+        nearest = min(self.levels, key=lambda known: abs(known - frame), default=None)
+        level = 0.0 if nearest is None else self.levels[nearest]
+        return _sampled(image, *self._map(through or name, level), SIDE + 2 * REACH)
 
     def around(self, name: str, frame: int, near: NDArray[np.int64], reach: int) -> Image | None:
         """Surroundings (n, SIDE + 2 reach, SIDE + 2 reach) of places `near` (n, 2), px, from the patches."""

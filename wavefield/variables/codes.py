@@ -15,7 +15,7 @@ class Quality(IntFlag):
     TWO_FRAME_MEAN = 64  # z at mid-time, or a path, from fewer than four frames
     FEWER_CAMERAS = 128  # a camera's frame is missing, or it contradicts the others: they did the work
     MASKED = 256  # covered: not water, or hidden from the cameras by what is not
-    REJECTED_RANGE = 512  # beyond the elevations or the displacements that were searched
+    REJECTED_RANGE = 512  # beyond what was searched, or waves far above those that were sampled
     WITHOUT_1 = 1024  # of fewer cameras: without the first of the cube's `cameras`
     WITHOUT_2 = 2048
     WITHOUT_3 = 4096
