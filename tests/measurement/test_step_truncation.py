@@ -97,6 +97,24 @@ def test_motion_is_stated_as_uncertain_as_groups_and_the_depth_make_it(places):
     assert np.median(now) > 0.3, "not more cautious than that"
 
 
+def test_noise_is_not_taken_for_waves_that_turn_fast():
+    """Elevations of six, four and two frames differ by noise, too: beside none at all, infinitely much."""
+    rng = np.random.default_rng(4)
+    for std in (1e-6, 1e-5, 1e-4):
+        still, d = np.zeros(SHAPE), rng.normal(0, std, (3, *SHAPE))
+        frames = rng.normal(0, std, (6, *SHAPE))
+        orders = tuple(np.tensordot(ELEVATION_WEIGHTS[n], frames, 1) for n in (6, 4, 2))
+        motion = SimpleNamespace(d=d, chord=d, frames=np.full(SHAPE, 4, np.uint8))
+        for moved in (0.0, 1e-3 * std, std):
+            pairs = [(still, still + moved)]
+            record = SimpleNamespace(
+                temporal_truncation=temporal_truncation(pairs, 0.01), moved=(std, std, std)
+            )
+            stated = motion_truncation(motion, orders, EVERYWHERE, EVERYWHERE, record, std)
+            assert rms(stated) < 0.5 * std
+            assert rms(elevation_truncation(orders, 6, still, EVERYWHERE, record, std)) < 0.5 * std
+
+
 def test_water_at_rest_leaves_nothing_out():
     still = np.zeros(SHAPE)
     record = SimpleNamespace(

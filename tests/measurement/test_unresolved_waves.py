@@ -20,8 +20,10 @@ SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
 }
 
 
-def found(seed, waves, noise, cameras):
-    """Rise found where beads move by short waves with this std of the rise, m, and by noise, px."""
+def found(seed, waves, noise, cameras, removed=0.0):
+    """Rise found where beads move by short waves with this std of the rise, m, and by noise, px.
+    The prior removes waves whose rise has the std removed, m.
+    """
     rng = np.random.default_rng(seed)
     water = rng.normal(0, waves, (3, SIDE, SIDE)) * np.sqrt([0.5, 0.5, 1.0])[:, None, None]
     valid = rng.random((SIDE, SIDE)) > 0.1
@@ -29,7 +31,7 @@ def found(seed, waves, noise, cameras):
     hessian[1] = 0.1 * np.sqrt(hessian[0] * hessian[2])
     xx, xy, yy = hessian
     y, x = LATTICE.step * np.mgrid[:SIDE, :SIDE] + LATTICE.x0
-    estimates, sights = {}, {}
+    estimates, sights, missing = {}, {}, {}
     for name in cameras:
         J = np.array(SIGHTS[name])
         u, v = np.einsum("ik,kyx->iyx", J, water) + rng.normal(0, noise, (2, SIDE, SIDE))
@@ -37,9 +39,11 @@ def found(seed, waves, noise, cameras):
             hessian=hessian, score=np.stack([xx * u + xy * v, xy * u + yy * v]), valid=valid
         )
         estimates[name] = SimpleNamespace(found=one)
+        part = np.square(J) @ [0.5, 0.5, 1.0] * removed**2
+        missing[name] = np.broadcast_to(part[:, None, None], (2, SIDE, SIDE))
         at = np.concatenate([np.stack([x, y]), np.broadcast_to(J.reshape(6, 1, 1), (6, SIDE, SIDE))])
         sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
-    return unresolved_rise(estimates, np.zeros((SIDE, SIDE)), SimpleNamespace(sights=sights))
+    return unresolved_rise(estimates, missing, np.zeros((SIDE, SIDE)), SimpleNamespace(sights=sights))
 
 
 @pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])
@@ -53,6 +57,16 @@ def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_no
         assert 0.8 < np.sqrt(variance) / size < 2.7  # of two cameras' blocks not all beads are the same
         assert twice == pytest.approx(4.0 * variance)
         assert wavelength == pytest.approx(2.5 * 5.0 / 540.0, rel=0.1)
+
+
+def test_waves_that_the_prior_removes_are_not_stated_twice():
+    for seed in range(3):
+        noise = float(np.random.default_rng(seed).uniform(0.01, 0.1))
+        size = noise / 500.0
+        shares = [found(seed, size, noise, tuple(SIGHTS), part * size)[0] for part in (0.0, 0.3, 1.0, 3.0)]
+        assert shares == sorted(shares, reverse=True)
+        assert shares[1] > 0.6 * shares[0], "waves beside them are"
+        assert shares[3] < 0.25 * shares[0]
 
 
 def test_without_blocks_in_common_no_waves_are_found():

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.cosines import cosines
+from wavefield.matching.matching_gain import footprint
+from wavefield.matching.prior import Prior
 
 F = np.float32
 Float = NDArray[Any]
@@ -42,6 +44,18 @@ class Edge:
         high = np.einsum("cyx,y->cx", last, self.slope) @ self.smooth_x
         return left, right, low, high
 
+    def responses(self, kx: Float, ky: Float) -> tuple[Float, Float]:
+        """Squared response of the slopes at columns' edges and at rows' to waves kx (nx,), ky (ny, 1)."""
+        t = np.arange(self.width)
+        fit_x, fit_y = (np.square(np.abs(np.exp(1j * k.reshape(-1, 1) * t) @ self.slope)) for k in (kx, ky))
+        along_x, along_y = (np.exp(-np.square(ALONG_EDGE_SIGMA * k)) for k in (kx, ky))
+        return fit_x * along_y, fit_y[:, None] * along_x
+
+    def spread(self, across_x: Float, across_y: Float) -> Float:
+        """Variance (c, ny, nx) of the smooth field by those of slopes at columns' and at rows' edges (c,)."""
+        on_y, on_x = (np.square(profile) + np.square(profile[::-1]) for profile in self.profiles)
+        return across_x[:, None, None] * on_x + across_y[:, None, None] * on_y[:, None]
+
     def field(self, slopes: Slopes, profiles: Profiles | None = None) -> Float:
         """The smooth field (c, ny, nx) with these slopes, or its part with the given profiles."""
         along_y, along_x = profiles or self.profiles
@@ -62,6 +76,17 @@ class Edge:
             waves[:count] = 0.0
             out.append((waves @ modes).astype(np.float32))
         return out[0], out[1]
+
+
+def kept_slopes(prior: Prior, edge: Edge, kx: Float, ky: Float) -> tuple[Float, Float]:
+    """Fraction of slopes at columns' and at rows' edges that is of waves, (2, c); variance of noise in it."""
+    spectrum = prior.spectrum(kx, ky)
+    noise = 1.0 / (footprint(kx, ky) ** 2 * prior.information)
+    responses = edge.responses(kx, ky)
+    of_waves = np.array([np.mean(spectrum * one, axis=(1, 2)) for one in responses])
+    of_noise = np.array([np.full(len(spectrum), np.mean(noise * one)) for one in responses])
+    kept = of_waves / (of_waves + of_noise)
+    return kept, kept * kept * of_noise
 
 
 def _along_x(left: Float, right: Float, profile: Float) -> Float:

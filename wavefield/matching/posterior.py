@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import Cosines, multiply
-from wavefield.matching.edges import EDGE_REACH, Edge, Slopes
+from wavefield.matching.edges import EDGE_REACH, Edge, Slopes, kept_slopes
 from wavefield.matching.matching_gain import footprint
 from wavefield.matching.noise import CLUSTER, hole_mask
 from wavefield.matching.preconditioner import Factor, Preconditioner
@@ -86,6 +86,7 @@ class Modes:
         self._by_parity = [self._cosines.split_parities(f) for f in (self.foot[None], self.inverse)]
         self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
         self.edge = Edge(shape)
+        self._kept = kept_slopes(prior, self.edge, kx, ky)[0].astype(np.float32)[..., None]
         none = np.zeros(1)
         self._truncated = self.edge.truncated_profiles(
             (my, mx), (footprint(none, ky[:, 0]), footprint(kx, none))
@@ -134,7 +135,11 @@ class Modes:
         slopes : Slopes
             The slopes, for `edge`.
         """
-        slopes = self.edge.slopes(np.asarray(field, np.float32))
+        kept = self._kept[[0, 0, 1, 1]]  # the rest is noise
+        left, right, low, high = (
+            part * one for part, one in zip(self.edge.slopes(np.asarray(field, np.float32)), kept)
+        )
+        slopes = left, right, low, high
         return self.waves(self.edge.field(slopes)), self.edge.field(slopes, self._truncated), slopes
 
     def factor(self, information: Float) -> Factor:

@@ -31,6 +31,7 @@ OPEN_SIGNAL_TO_NOISE = 1.0  # least of every wave while a spectrum is learned
 FIRST_SIGNAL_TO_NOISE = 6.0  # the same in the first round, whose noise is several times too small
 MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
 MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is uncertain
+LOST_SIGNAL_TO_NOISE = 1.0  # the same where nothing but the uncertainty depends on it
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
@@ -131,9 +132,9 @@ class Prior:
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Power of waves that is expected over `spectrum`, which is a limit where none were detected.
-        The share of that is from 0 to 1, all as likely before the fields showed something of it.
+        Of the share of that every amplitude is as likely before the fields showed something of it.
         """
-        share, (estimate, std) = np.linspace(0.0, 1.0, 101), self.share
+        share, (estimate, std) = np.linspace(0.0, 1.0, 101) ** 2, self.share
         away = (share - np.clip(estimate, -3.0 * std, 1.0 + 3.0 * std)) / max(std, 1e-3)
         weight = np.exp(-0.5 * np.square(away))
         table = np.maximum(self.shown or [[1.0] * len(self.k)], float(share @ weight / weight.sum()))
@@ -331,7 +332,9 @@ def better_prior(
     chance = LIMIT_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(binning.count, 1))
     of_limit, found = rings / noise_power, measured / noise_power
     seen = ~np.array(significant) & (binning.middle < SHORTEST_IN_LIMITS)
-    shown = np.where(significant, 1.0, found * (seen & (found > chance)) / of_limit)
+    # single rings exceed chance by chance, and the level of the noise differs from ring to ring
+    lost = [binning.exceeds(one, LOST_SIGNAL_TO_NOISE) for one in found]
+    shown = np.where(significant, 1.0, found * (seen & lost & (found > chance)) / of_limit)
     weight = binning.count * (seen & (found < of_limit + chance))
     share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
     at_least = tuple(tuple(float(f"{v:.4g}") for v in one) for one in shown)
@@ -461,21 +464,23 @@ class _Rings:
         contiguous = np.arange(RINGS) < self.count_until_false(
             (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
         )
-        count = self.count * samples
         # waves beyond the first ring without any have to exceed the noise by more, with both neighbours
-        sum_of_three = np.convolve(ratio * count, np.ones(3), mode="same")
-        count_of_three = np.convolve(count, np.ones(3), mode="same")
-        mean = sum_of_three / np.maximum(count_of_three, 1)
-        chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
-        beyond_gap = (
-            (mean > np.maximum(chance, MIN_RING_SIGNAL_TO_NOISE))
-            & (ratio > DETECTED_SIGNAL_TO_NOISE)
-            & (self.count > 0)
-        )
+        beyond_gap = self.exceeds(ratio, MIN_RING_SIGNAL_TO_NOISE, samples) & (self.count > 0)
+        beyond_gap &= ratio > DETECTED_SIGNAL_TO_NOISE
         beyond_gap &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
         if beyond_gap.any():  # the first three rings may belong to the gap
             contiguous &= ratio > DETECTED_SIGNAL_TO_NOISE
         return np.asarray(contiguous | beyond_gap)
+
+    def exceeds(self, ratio: Float, least: float, samples: int = 1) -> NDArray[np.bool_]:
+        """Rings (rings,) whose signal over noise is more than the least and more than chance, with both
+        neighbours.
+        """
+        count = self.count * samples
+        of_three = np.maximum(np.convolve(count, np.ones(3), mode="same"), 1)
+        chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / of_three)
+        mean = np.convolve(ratio * count, np.ones(3), mode="same") / of_three
+        return np.asarray(mean > np.maximum(chance, least))
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Level of noise (rings,) from single rings, without long waves, which are errors of calibration."""

@@ -310,4 +310,5 @@ def _differences(
     shown = differences(flows, np.float32(0.5) * (surfaces[0] + surfaces[1]), geometry, model)
     if shown is None or geometry.settings.sheet_thickness is not None:
         return shown
-    return replace(shown, unresolved=unresolved_rise(found, surfaces[0], geometry))
+    missing = {name: one.missing for name, one in flows.items()}
+    return replace(shown, unresolved=unresolved_rise(found, missing, surfaces[0], geometry))

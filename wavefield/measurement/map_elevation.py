@@ -152,9 +152,13 @@ def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, f
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
     smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
-    shorter = (waves - smooth)[0, : 3 * _SMOOTH_MODES // 2, : 3 * _SMOOTH_MODES // 2]
-    noise = float(np.sum(np.square(shorter))) / 1.25  # as many modes more
-    square = float(np.sum(np.square(smooth))) - noise
+    # along the sight lines the field keeps of them what it keeps of waves
+    precision = np.square(modes.foot) * np.float32(modes.prior.information)
+    kept = waves * precision / (precision + modes.inverse)
+    near, all_of_them = (
+        float(np.sum(np.square(kept[0, :n, :n]))) for n in (_SMOOTH_MODES, 3 * _SMOOTH_MODES // 2)
+    )
+    square = near - (all_of_them - near) / 1.25  # as many modes more
     return np.asarray(modes.field(smooth)[0]), float(np.sqrt(max(square, 0.0) / np.prod(modes.lattice)))
 
 

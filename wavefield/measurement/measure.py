@@ -218,13 +218,14 @@ def _fields(
     assert second is not None
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
     orders, record = estimate.mid_time.orders, model.record
-    left_out = motion_truncation(motion, orders, inside, measured, record)
+    std = estimate.mid_time.std
+    left_out = motion_truncation(motion, orders, inside, measured, record, std)
     d, d_std = motion.d.copy(), np.hypot(motion.d_std, left_out)
     tilt, tilt_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     d[:2] -= tilt
     d_std[:2] = np.hypot(d_std[:2], tilt_std)
     frames = frames_used(estimate.surfaces)
-    z_std = np.hypot(estimate.mid_time.std, elevation_truncation(orders, frames, rise, measured, record))
+    z_std = np.hypot(std, elevation_truncation(orders, frames, rise, measured, record, std))
     if model.record.unresolved[0]:
         z_short, rise_short = unresolved_std(*model.record.unresolved, frame_rate)
         parts = np.sqrt(SHORT_WAVE_VARIANCES, dtype=np.float32) * np.float32(rise_short)

@@ -20,34 +20,49 @@ Mask = NDArray[np.bool_]
 
 _MAX_RATIO = 0.75  # of successive departures: their series is not summed further
 _MARGIN = 1.25  # on the sum of that series: it falls more slowly further on
+_NOISE_OF_DEPARTURES = 1 / 8, 0.062  # of four frames from two, of six from four, over that of a frame
 
 
 def _rms(field: Float, measured: Mask) -> float:
     return float(np.sqrt(np.mean(np.square(field[measured]), dtype=np.float64)))
 
 
-def convergence(orders: tuple[Float, ...], measured: Mask, record: LearnedRecord) -> tuple[float, float]:
+def convergence(
+    orders: tuple[Float, ...], measured: Mask, record: LearnedRecord, std: Float | float = 0.0
+) -> tuple[float, float]:
     """By how much more than in the record elevations depart from those of two frames, and what is left then.
-    What is left is the ratio of successive departures (six, four, two frames), a geometric series.
+    What is left is the ratio of successive departures (six, four, two frames), a geometric series. Elevations
+    of the standard uncertainty std (ny, nx) depart by noise as well, beside which smaller waves do not show.
     """
     known = dict(record.temporal_truncation.z)
     ratio = known[4] / max(known[2], 1e-12)
     if len(orders) < 2 or not measured.any():
         return 1.0, min(ratio, _MAX_RATIO)
-    last = _rms(orders[-2] - orders[-1], measured)
+    frame = _rms(np.broadcast_to(std, measured.shape), measured)
+    near, far = (max(share * frame, 1e-12) for share in _NOISE_OF_DEPARTURES)
+
+    def of_waves(departure: Float, noise: float) -> float:
+        return float(np.sqrt(max(_rms(departure, measured) ** 2 - noise**2, 0.0)))
+
+    last = of_waves(orders[-2] - orders[-1], near)
     if len(orders) == 3:
-        ratio = max(ratio, _rms(orders[0] - orders[1], measured) / max(last, 1e-12))
-    return max(last / max(known[2], 1e-12), 1.0), min(ratio, _MAX_RATIO)
+        ratio = max(ratio, of_waves(orders[0] - orders[1], far) / max(last, near))
+    return max(last / max(known[2], near), 1.0), min(ratio, _MAX_RATIO)
 
 
 def elevation_truncation(
-    orders: tuple[Float, ...], frames: int, rise: Float, measured: Mask, record: LearnedRecord
+    orders: tuple[Float, ...],
+    frames: int,
+    rise: Float,
+    measured: Mask,
+    record: LearnedRecord,
+    std: Float | float = 0.0,
 ) -> Float:
     """Standard uncertainty of z by the finite time step, (ny, nx), metres; at least that of the record.
     D r / (1 - r), with the departure D of z from that of fewer frames and the ratio r of successive ones.
     """
     least = np.float32(record.temporal_truncation.of_z(frames))
-    size, ratio = convergence(orders, measured, record)
+    size, ratio = convergence(orders, measured, record, std)
     if not measured.any() or frames == 2:
         return np.full(rise.shape, least)
     if frames == 3:
@@ -58,13 +73,18 @@ def elevation_truncation(
 
 
 def motion_truncation(
-    motion: Motion, orders: tuple[Float, ...], seen: Mask, measured: Mask, record: LearnedRecord
+    motion: Motion,
+    orders: tuple[Float, ...],
+    seen: Mask,
+    measured: Mask,
+    record: LearnedRecord,
+    std: Float | float = 0.0,
 ) -> Float:
     """Standard uncertainty of displacements by the finite time step, (3, ny, nx), metres.
     Paths of four places depart from chords by what chords leave out; beyond the record's, more is left out.
     """
     known = record.temporal_truncation
-    size, ratio = convergence(orders, measured, record)
+    size, ratio = convergence(orders, measured, record, std)
     faster = max(1.0, ratio / max(min(known.of_z(4) / max(known.of_z(2), 1e-12), _MAX_RATIO), 1e-12))
     # where paths are chords, or as smooth as those of six places, elevations show the size, and this how flat
     # orbits are

@@ -31,21 +31,25 @@ _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
 def unresolved_rise(
-    found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry
+    found: Mapping[str, FlowEstimate], missing: Mapping[str, Float], z: Float, geometry: GridGeometry
 ) -> tuple[float, float]:
     """Variance of the rise per frame by waves that blocks do not resolve, m^2, and their wavelength, metres.
     By chance it may be negative; steps are averaged. 0 of cameras that look from the same side.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
+    So do waves that the prior removes, whose variance per block, px^2, is missing (1 or 2, ny, nx): what is
+    in common is shared among both by their sizes.
     """
-    motions, jacobians, scales = {}, {}, []
+    motions, jacobians, removed, scales = {}, {}, {}, []
     for name, one in found.items():
         sight = geometry.sights[name]
         x, y, *jacobian = sight.at(z).reshape(8, -1)
         columns, rows, inside = _blocks_at(sight.lattice, x, y)
         motions[name] = np.where(inside, _block_motion(one.found)[:, rows, columns], np.nan)
-        jacobians[name] = np.reshape(jacobian, (2, 3, -1)).astype(np.float64)
+        jacobians[name] = J = np.reshape(jacobian, (2, 3, -1)).astype(np.float64)
+        size = 2.0 * np.mean(missing[name], axis=0)[rows, columns] / np.einsum("iin->n", _covariance(J, J))
+        removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
         scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
-    common, total = [], []
+    common = []
     for a, b in combinations(motions, 2):
         if _sine(jacobians[a], jacobians[b]) < _MIN_SINE:
             continue
@@ -54,13 +58,14 @@ def unresolved_rise(
             continue
         (p, J), (q, K) = ((_limited(motions[n][:, both]), jacobians[n][..., both]) for n in (a, b))
         expected = _covariance(J, K)
-        common.append(float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected))))
-        own = [np.mean(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
-        total.append(2.0 * p.shape[1] * float(np.sqrt(own[0] * own[1])))
+        own = [np.sum(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
+        both = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
+        both -= _COMMON_OF_BEADS * float(np.sqrt(own[0] * own[1]))
+        known = float(np.sqrt(removed[a] * removed[b]))
+        common.append(both * both / (both + known) if both > 0 else both)
     if not common:
         return 0.0, 0.0
-    beads = _COMMON_OF_BEADS * float(np.mean(total))
-    variance = (float(np.mean(common)) - beads) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
+    variance = float(np.mean(common)) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
     return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales))
 
 
