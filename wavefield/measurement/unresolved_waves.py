@@ -23,6 +23,7 @@ Blocks = NDArray[np.intp]
 WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not resolve
 _COMMON_OF_BEADS = 0.1  # of a block's variance: unsteady, clustered beads without any short waves
 _SEEN_IN_COMMON = 0.15  # of the variance of short waves, 0.11 to 0.30: blocks do not hold the same beads
+_SEEN_OF_REMOVED = 0.5  # of the variance of waves that the prior removes: of three to four blocks
 _RIDGE = 0.1  # of the typical Hessian
 _MAX_STD = 3.0  # single blocks are limited to so many standard deviations
 _MIN_BLOCKS = 50
@@ -61,7 +62,7 @@ def unresolved_rise(
         own = [np.sum(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
         both = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
         both -= _COMMON_OF_BEADS * float(np.sqrt(own[0] * own[1]))
-        known = float(np.sqrt(removed[a] * removed[b]))
+        known = _SEEN_OF_REMOVED * min(removed[a], removed[b])
         common.append(both * both / (both + known) if both > 0 else both)
     if not common:
         return 0.0, 0.0
