@@ -112,10 +112,10 @@ def test_a_slope_at_the_edge_is_kept():
         left.append(np.abs(modes.field(waves) + whole - truth))
     near = [float(one[:, :, :2].max()) for one in left]
     assert near[1] < 0.3 * near[2]
-    assert near[0] < 0.7 * near[1]
+    assert near[0] < 0.3 * near[1]
     # what so few modes leave of a slope at the edge would ring far inside
     inside = [float(one[:, 10:-10, 10:-10].max()) for one in left]
-    assert inside[0] < 0.5 * inside[1]
+    assert inside[0] < 0.3 * inside[1]
     slope = np.gradient(edge_slopes(truth)[0], axis=1)
     assert slope[25, 2] == pytest.approx(0.2, rel=0.4)
 
@@ -137,12 +137,6 @@ def test_errors_at_the_edge_are_stated_and_noise_makes_no_slopes_there(waves):
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / std
     edge = np.concatenate(
         [ratio[:, :3].ravel(), ratio[:, -3:].ravel(), ratio[:3].ravel(), ratio[-3:].ravel()]
-    )
-    print(
-        waves,
-        edge.mean(),
-        ratio[12:-12, 12:-12].mean(),
-        np.sqrt(np.mean(np.square(errors), axis=0))[:, :3].mean(),
     )
     assert 0.6 < edge.mean() < 1.3
 

@@ -79,14 +79,17 @@ class Edge:
 
 
 def kept_slopes(prior: Prior, edge: Edge, kx: Float, ky: Float) -> tuple[Float, Float]:
-    """Fraction of slopes at columns' and at rows' edges that is of waves, (2, c); variance of noise in it."""
+    """Fraction of slopes at columns' and at rows' edges that is kept, (2, c), and variance of noise in it.
+    All is kept where waves exceed noise: the rest of a long wave's slope would ring far into the field.
+    """
     spectrum = prior.spectrum(kx, ky)
     noise = 1.0 / (footprint(kx, ky) ** 2 * prior.information)
     responses = edge.responses(kx, ky)
     of_waves = np.array([np.mean(spectrum * one, axis=(1, 2)) for one in responses])
     of_noise = np.array([np.full(len(spectrum), np.mean(noise * one)) for one in responses])
-    kept = of_waves / (of_waves + of_noise)
-    return kept, kept * kept * of_noise
+    kept = np.minimum(of_waves / of_noise, 1.0)
+    lost = of_noise / (of_waves + of_noise)  # what the cosines do not correct, where they are as free
+    return kept, np.square(kept * lost) * of_noise
 
 
 def _along_x(left: Float, right: Float, profile: Float) -> Float:
