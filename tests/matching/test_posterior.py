@@ -129,9 +129,9 @@ def test_errors_at_the_edge_are_stated_and_noise_makes_no_slopes_there(waves):
     factor, std = modes.factor(a), np.sqrt(sum(PosteriorVariance(prior, shape)(a)))[0]
     errors = []
     for truth in sea(shape, lambda k: waves * steep_law(k) + 1e-4, rng, 40).astype(np.float32):
-        said = (truth + noise * rng.standard_normal(shape).astype(np.float32))[None]
-        mean, beyond, slopes = modes.mean(said)
-        solved = modes.solve(a[None], a * (said - beyond), modes.waves(said), 1e-3, mean, factor)
+        shown = (truth + noise * rng.standard_normal(shape).astype(np.float32))[None]
+        mean, beyond, slopes = modes.mean(shown)
+        solved = modes.solve(a[None], a * (shown - beyond), modes.waves(shown), 1e-3, mean, factor)
         field = modes.field(solved) + modes.edge.field(slopes, modes._truncated)
         errors.append((field - truth)[0])
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / std
