@@ -54,7 +54,7 @@ class Edge:
     def spread(self, across_x: Float, across_y: Float) -> Float:
         """Variance (c, ny, nx) of the smooth field by those of slopes at columns' and at rows' edges (c,)."""
         on_y, on_x = (np.square(profile) + np.square(profile[::-1]) for profile in self.profiles)
-        return across_x[:, None, None] * on_x + across_y[:, None, None] * on_y[:, None]
+        return np.asarray(across_x[:, None, None] * on_x + across_y[:, None, None] * on_y[:, None])
 
     def field(self, slopes: Slopes, profiles: Profiles | None = None) -> Float:
         """The smooth field (c, ny, nx) with these slopes, or its part with the given profiles."""

@@ -60,10 +60,10 @@ def unresolved_rise(
         (p, J), (q, K) = ((_limited(motions[n][:, both]), jacobians[n][..., both]) for n in (a, b))
         expected = _covariance(J, K)
         own = [np.sum(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
-        both = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
-        both -= _COMMON_OF_BEADS * float(np.sqrt(own[0] * own[1]))
+        shared = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
+        shared -= _COMMON_OF_BEADS * float(np.sqrt(own[0] * own[1]))
         known = _SEEN_OF_REMOVED * min(removed[a], removed[b])
-        common.append(both * both / (both + known) if both > 0 else both)
+        common.append(shared * shared / (shared + known) if shared > 0 else shared)
     if not common:
         return 0.0, 0.0
     variance = float(np.mean(common)) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
