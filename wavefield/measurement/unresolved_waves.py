@@ -27,7 +27,7 @@ _SEEN_OF_REMOVED = 0.5  # of the variance of waves that the prior removes: of th
 _RIDGE = 0.1  # of the typical Hessian
 _MAX_STD = 3.0  # single blocks are limited to so many standard deviations
 _MIN_BLOCKS = 50
-_MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light that are no motion
+_MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light
 _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
@@ -35,7 +35,8 @@ def unresolved_rise(
     found: Mapping[str, FlowEstimate], missing: Mapping[str, Float], z: Float, geometry: GridGeometry
 ) -> tuple[float, float]:
     """Variance of the rise per frame by waves that blocks do not resolve, m^2, and their wavelength, metres.
-    By chance it may be negative; steps are averaged. 0 of cameras that look from the same side.
+    By chance it may be negative; steps are averaged. Cameras that look from the same side share changes of
+    light as well, which are an error of velocities and no wave: their wavelength is 0.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
     So do waves that the prior removes, whose variance per block, px^2, is missing (1 or 2, ny, nx): what is
     in common is shared among both by their sizes.
@@ -50,10 +51,9 @@ def unresolved_rise(
         size = 2.0 * np.mean(missing[name], axis=0)[rows, columns] / np.einsum("iin->n", _covariance(J, J))
         removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
         scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
-    common = []
-    for a, b in combinations(motions, 2):
-        if _sine(jacobians[a], jacobians[b]) < _MIN_SINE:
-            continue
+    common, pairs = [], list(combinations(motions, 2))
+    apart = [(a, b) for a, b in pairs if _sine(jacobians[a], jacobians[b]) > _MIN_SINE]
+    for a, b in apart or pairs:
         both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
         if both.sum() < _MIN_BLOCKS:
             continue
@@ -67,7 +67,7 @@ def unresolved_rise(
     if not common:
         return 0.0, 0.0
     variance = float(np.mean(common)) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
-    return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales))
+    return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
 
 
 def _sine(J: Float, K: Float) -> float:
@@ -113,6 +113,8 @@ def unresolved_std(rise: float, wavelength: float, frame_rate: float) -> tuple[f
     """Std of z and of the rise per step at mid-time by unresolved waves, metres, from their rise per frame.
     With the std a and the phase p per frame of waves: 2 a^2 (1 - cos p), or 2 a^2 for even phases; (a p)^2.
     """
+    if wavelength == 0:
+        return 0.0, rise
     phase = float(dispersion(2.0 * np.pi / wavelength)) / frame_rate
     z = rise / np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi))))
     return float(z), float(z * phase)

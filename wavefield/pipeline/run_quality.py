@@ -146,7 +146,7 @@ def _steps(status: Status) -> Iterator[Remark]:
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
     """Waves that are shorter than what images resolve, beside the w that was measured at some steps."""
     record = prepared.record
-    if record is None or not record.unresolved[0]:
+    if record is None or not all(record.unresolved):
         return
     rate, (_, wavelength) = prepared.experiment.frame_rate, record.unresolved
     rise = unresolved_std(*record.unresolved, rate)[1]
