@@ -17,8 +17,7 @@ QUALITY = {
     Quality.REJECTED_CORRELATION: "the images do not look alike there",
     Quality.REJECTED_EPS: "sight lines miss one another",
     Quality.REJECTED_NEIGHBOURS: "far from its neighbours",
-    Quality.REJECTED_RANGE: "beyond the elevations or displacements that were searched, or waves far above"
-    " those that were sampled",
+    Quality.REJECTED_RANGE: "beyond the range that was searched, or waves far above the sampled ones",
     Quality.TWO_FRAME_MEAN: "z at mid-time, or a camera's path there, from fewer than four frames",
     Quality.FEWER_CAMERAS: "a camera's frame is missing, or contradicts the others there: they did the work",
     Quality.MASKED: "covered: not water, or hidden from the cameras by what is not",

@@ -6,7 +6,7 @@ from measurement_cases import RATE
 
 from wavefield.measurement import Model, learn, measure
 from wavefield.tank import Scene, Tank
-from wavefield.variables import Quality
+from wavefield.variables import FrameStatus, Quality
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -25,3 +25,5 @@ def test_of_waves_far_above_the_sampled_ones_no_node_is_certain_and_wrong(series
         assert (wrong & measured).sum() < 0.02 * series.inside.sum(), (height, name)
     if height < 4e-4:
         assert (out["quality"][0][series.inside] & Quality.REJECTED_RANGE).all()
+        assert out["frame_status"][0] == FrameStatus.FAILED
+        assert np.isnan(out["z"]).all()

@@ -29,6 +29,7 @@ Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 SEARCHED_STEPS = 2  # of those learned from: the ranges to search are found in them
+MIN_MEASURED = 0.05  # of the nodes in view: a step with fewer counts as not measured
 
 
 @one_thread()
@@ -169,6 +170,8 @@ def _fill_step(
     nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
     out["quality"] |= np.where(inside, quality, nothing)
     measured = inside & ((quality & Quality.FILLED) == 0)
+    if measured.sum() < MIN_MEASURED * inside.sum():
+        return
     fields = _fields(estimate, inside, measured, geometry, model, frame_rate)
     for name in ("z", "u", "v", "w"):  # no water is there: the value is as uncertain as it is large
         fields[f"{name}_std"] = np.where(out_of_range, np.abs(fields[name]), fields[f"{name}_std"])
