@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FIELDS = 4  # z, u, v and the rise at a fixed node: w less u . grad z
-LONGEST = 12.0  # waves over the longer side: longer ones are no different in the rectangle
-SHORTEST = 0.45  # of the sampling wavenumber's half, where noise of neighbouring nodes is correlated
+MAX_RELATIVE_WAVELENGTH = 12.0  # waves over the longer side: longer ones are no different in the rectangle
+MAX_RELATIVE_WAVENUMBER = 0.45  # of half the sampling one: noise of neighbouring nodes is correlated
 FIRST_AMPLITUDE = 1e-3  # m and m/s, before anything is learned
-MIN_MEASURED = 0.3  # of a ring's unknowns: rings with less keep what they could hold undetected
-MIN_NOISE = 0.05  # of the stated variance: fields are not followed more closely
-MIN_EIGENVALUE = 1e-3  # of the largest: plane waves that differ in the rectangle
+MIN_RING_INFORMATION = 0.3  # of a ring's unknowns: rings with less keep what they could hold undetected
+MIN_NOISE_RATIO = 0.05  # of the stated variance: fields are not followed more closely
+MIN_RELATIVE_EIGENVALUE = 1e-3  # of the largest: plane waves that differ in the rectangle
 SINGLE_ROUNDS, ROUNDS = 7, 3  # of learning
 CURRENT_ERROR, SMALL_CURRENT = 0.2, 1e-4  # m/s: of the mean velocity of the samples; of derivatives
 MAX_ITERATIONS, TOLERANCE = 40, 1.0  # of conjugate gradients; of the energy, in squared standard deviations
@@ -41,8 +41,8 @@ class Waves:
         side, last = step * max(shape), float(np.abs(times).max())
         vectors: list[Array] = []
         rings: list[NDArray[np.intp]] = []
-        k = 2 * np.pi / (LONGEST * side)
-        while k < SHORTEST * np.pi / step:
+        k = 2 * np.pi / (MAX_RELATIVE_WAVELENGTH * side)
+        while k < MAX_RELATIVE_WAVENUMBER * np.pi / step:
             spacing = 2 * np.pi / (side + 2 * float(group_velocity(k, depth, gamma)) * last + 2 * np.pi / k)
             middle = k + spacing / 2
             count = 2 * int(np.ceil(np.pi * middle / spacing))
@@ -214,7 +214,7 @@ def learn(waves: Waves, mask: Mask, windows: Sequence[Array], variance: Array) -
     # noise that looks like waves: its values on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
     eigenvalues, vectors = scipy.linalg.eigh(basis.T @ basis)
-    held = eigenvalues > MIN_EIGENVALUE * eigenvalues[-1]
+    held = eigenvalues > MIN_RELATIVE_EIGENVALUE * eigenvalues[-1]
     basis = basis @ (vectors[:, held] / np.sqrt(eigenvalues[held]))
     nodes, values, times = basis.shape[0], basis.shape[1], waves.times.size
     noise, followed = variance * nodes / values, np.zeros(FIELDS)  # neighbouring nodes share their noise
@@ -246,7 +246,7 @@ def learn(waves: Waves, mask: Mask, windows: Sequence[Array], variance: Array) -
             misfit, taken = (total + lost) / (nodes * variance), lost / (total + lost)
             # steps share frames: by so much more of their noise is left in a mean over the window
             alike = np.mean([np.sum(one.sum(axis=1) ** 2, axis=1) for one in like_waves], axis=0) / power
-            noise = np.maximum(density * np.maximum(alike, 1.0), MIN_NOISE * variance)
+            noise = np.maximum(density * np.maximum(alike, 1.0), MIN_NOISE_RATIO * variance)
     return Learned(prior, variance, noise, misfit, taken, current)
 
 
@@ -261,7 +261,8 @@ def _variances(posterior: Posterior, found: Sequence[Array], group: NDArray[np.i
     measured, count = total(1.0 - kept), 2.0 * np.bincount(group)
     uncertain = (power + total(kept * posterior.scale**2)) / count
     return np.maximum(
-        np.where(measured > MIN_MEASURED * count, power / np.maximum(measured, 1e-9), uncertain), 1e-20
+        np.where(measured > MIN_RING_INFORMATION * count, power / np.maximum(measured, 1e-9), uncertain),
+        1e-20,
     )
 
 

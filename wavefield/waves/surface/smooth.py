@@ -23,16 +23,17 @@ Array = NDArray[Any]
 NAMES = ("z", "u", "v", "w")
 INPUTS = (*NAMES, *(f"{name}_std" for name in NAMES), "quality")
 HALF_WINDOW = 0.1  # s
-LEAST_STEPS, MOST_STEPS = 2, 10  # on either side
-SLOWEST = 8.0  # steps per second: waves of 10 cm turn by half a period in a step
-CANDIDATES, SAMPLES = 8, 4  # windows of a record that are read; that are learned from
-FULL = 0.95  # of the nodes of the fullest of them
-MIN_NODES = 0.25  # of a rectangle's: measured in all steps of those windows
-TILE, OVERLAP = 60, 16  # nodes: a rectangle that is fitted as one, and what it shares with the next
-REACH = 3.0  # nodes: standard deviation of the weights with which misfits are averaged
-COMMON = 0.04  # of the noise: the variance of errors that all steps of a window share, such as of the gain
-SMALLEST = 8  # nodes a side
-COARSE = 5  # nodes between those at which the variance of the fit is computed
+MIN_HALF_WINDOW_STEPS, MAX_HALF_WINDOW_STEPS = 2, 10  # on either side
+MIN_STEP_RATE = 8.0  # steps per second: waves of 10 cm turn by half a period in a step
+SAMPLED_WINDOWS, LEARNED_WINDOWS = 8, 4  # windows of a record that are read; that are learned from
+MIN_RELATIVE_COVERAGE = 0.95  # of the nodes of the fullest of them
+MIN_MEASURED_SHARE = 0.25  # of a rectangle's: measured in all steps of those windows
+TILE_NODES = 60  # a side, at most, of a rectangle that is fitted as one
+OVERLAP_NODES = 16  # that it shares with the next
+MISFIT_RADIUS = 3.0  # nodes: standard deviation of the weights with which misfits are averaged
+COMMON_ERROR_SHARE = 0.04  # of the noise's variance: errors that all steps of a window share
+MIN_GRID_NODES = 8  # nodes a side
+VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is computed
 
 
 class _Smoother:
@@ -41,10 +42,10 @@ class _Smoother:
     def __init__(
         self, shape: tuple[int, int], step: float, dt: float, water: tuple[float, float], steps: int
     ) -> None:
-        most = min(MOST_STEPS, (steps - 1) // 2)
-        self.steps = int(np.clip(round(HALF_WINDOW / dt), LEAST_STEPS, most))
-        counts = [max(-(-(n - OVERLAP) // (TILE - OVERLAP)), 1) for n in shape]
-        ny, nx = (-(-(n + (count - 1) * OVERLAP) // count) for n, count in zip(shape, counts))
+        most = min(MAX_HALF_WINDOW_STEPS, (steps - 1) // 2)
+        self.steps = int(np.clip(round(HALF_WINDOW / dt), MIN_HALF_WINDOW_STEPS, most))
+        counts = [max(-(-(n - OVERLAP_NODES) // (TILE_NODES - OVERLAP_NODES)), 1) for n in shape]
+        ny, nx = (-(-(n + (count - 1) * OVERLAP_NODES) // count) for n, count in zip(shape, counts))
         self.tile = ny, nx
         starts = [
             np.round(np.linspace(0, n - size, count)).astype(int)
@@ -53,7 +54,7 @@ class _Smoother:
         self.tiles = [
             (slice(a, a + self.tile[0]), slice(b, b + self.tile[1])) for a in starts[0] for b in starts[1]
         ]
-        ramps = [np.minimum(np.arange(n) + 1.0, n - np.arange(n)).clip(max=OVERLAP) for n in self.tile]
+        ramps = [np.minimum(np.arange(n) + 1.0, n - np.arange(n)).clip(max=OVERLAP_NODES) for n in self.tile]
         self.taper = ramps[0][:, None] * ramps[1]
         self.step, times = step, dt * np.arange(-self.steps, self.steps + 1, dtype=np.float64)
         self.waves = Waves(self.tile, step, times, np.zeros(2), *water)
@@ -77,16 +78,16 @@ class _Smoother:
         """Learn from the fullest of sample windows (9, times, ny, nx), at nodes that all of them measured."""
         parts = [self.parts(window) for window in windows]
         shares = np.array([there.mean() for _, _, there in parts])
-        order = np.argsort(-shares, kind="stable")[:SAMPLES]
-        parts = [parts[i] for i in order if shares[i] >= FULL * shares.max()]
+        order = np.argsort(-shares, kind="stable")[:LEARNED_WINDOWS]
+        parts = [parts[i] for i in order if shares[i] >= MIN_RELATIVE_COVERAGE * shares.max()]
         measured = np.mean([there.mean(axis=0) for _, _, there in parts], axis=0)
         self.mask = measured > 0.5
         at = max(self.tiles, key=lambda tile: np.sum(measured[tile] == 1.0))
         mask, part = measured[at] == 1.0, (slice(None), slice(None), *at)
-        if mask.sum() < MIN_NODES * mask.size:
+        if mask.sum() < MIN_MEASURED_SHARE * mask.size:
             raise CubeError(
                 f"only {100 * mask.mean():.0f} % of the nodes are measured in all steps of a window:"
-                f" smooth needs {100 * MIN_NODES:.0f} %"
+                f" smooth needs {100 * MIN_MEASURED_SHARE:.0f} %"
             )
         variance = np.median(
             np.concatenate([one[part][:, :, mask] for _, one, _ in parts], axis=1), axis=(1, 2)
@@ -103,7 +104,7 @@ class _Smoother:
             normal = waves.normal(waves.products(mask), self.learned.noise)
             posterior = Posterior(normal, self.learned.prior[waves.group])
             ny, nx = self.tile
-            y, x = (np.unique(np.append(np.arange(0, n, COARSE), n - 1)) for n in (ny, nx))
+            y, x = (np.unique(np.append(np.arange(0, n, VARIANCE_SPACING), n - 1)) for n in (ny, nx))
             nodes = (y[:, None] * nx + x).ravel()
             covariance = posterior.covariance(waves.rows(nodes, self.steps)).reshape(y.size, x.size, 6, 6)
             at = np.stack(np.meshgrid(np.arange(ny), np.arange(nx), indexing="ij"), axis=-1)
@@ -141,10 +142,10 @@ class _Smoother:
         fit = waves.fields(unknowns)
         expected = (np.minimum(learned.misfit, 1.0) * (1.0 - learned.taken))[:, None, None, None]
         ratio = there * (fields - fit) ** 2 / (variance * expected)
-        near = np.maximum(gaussian_filter(there.sum(axis=0) * 1.0, REACH), 1e-9)
-        mean = gaussian_filter(ratio.sum(axis=1), (0.0, REACH, REACH)) / near
+        near = np.maximum(gaussian_filter(there.sum(axis=0) * 1.0, MISFIT_RADIUS), 1e-9)
+        mean = gaussian_filter(ratio.sum(axis=1), (0.0, MISFIT_RADIUS, MISFIT_RADIUS)) / near
         fewer = (
-            gaussian_filter(waves.times.size * mask * 1.0, REACH) / near
+            gaussian_filter(waves.times.size * mask * 1.0, MISFIT_RADIUS) / near
         )  # steps and nodes than the factor has
         excess = np.maximum(mean - 1.0, 0.0)
         kept = excess / (1.0 + excess)  # of what the waves leave
@@ -159,7 +160,9 @@ class _Smoother:
         )
         best = np.stack([z, u, v, rise + u * z_x + v * z_y])
         noise = np.minimum(learned.misfit, 1.0)[:, None, None]
-        left = fewer * posterior_variance / learned.variance[:, None, None] + noise * (excess + COMMON)
+        left = fewer * posterior_variance / learned.variance[:, None, None] + noise * (
+            excess + COMMON_ERROR_SHARE
+        )
         total = variance[:, middle] * ((1.0 - kept) ** 2 * left + kept**2)
         return np.concatenate([best + kept * (np.nan_to_num(own) - best), total])
 
@@ -234,21 +237,21 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     fields = validate(cube, *INPUTS[:8]).transpose(*CUBE_DIMS)
     dt, dy, dx = check_axes(fields)
     steps, shape = fields.sizes["time"], (fields.sizes["y"], fields.sizes["x"])
-    if steps < 2 * LEAST_STEPS + 1 or not dt <= 1.0 / SLOWEST:
+    if steps < 2 * MIN_HALF_WINDOW_STEPS + 1 or not dt <= 1.0 / MIN_STEP_RATE:
         raise CubeError(
             f"the record has {steps} steps of {dt:g} s:"
-            f" smooth needs {2 * LEAST_STEPS + 1} steps, {SLOWEST:g} of them a second"
+            f" smooth needs {2 * MIN_HALF_WINDOW_STEPS + 1} steps, {MIN_STEP_RATE:g} of them a second"
         )
-    if min(shape) < SMALLEST or not np.isclose(dx, dy, rtol=0.01):
+    if min(shape) < MIN_GRID_NODES or not np.isclose(dx, dy, rtol=0.01):
         raise CubeError(
-            f"the grid has {shape[1]} x {shape[0]} nodes: smooth needs {SMALLEST} of equal distances"
+            f"the grid has {shape[1]} x {shape[0]} nodes: smooth needs {MIN_GRID_NODES} of equal distances"
         )
     quality = cube["quality"].transpose(*CUBE_DIMS) if "quality" in cube else xr.ones_like(fields["z"])
     arrays = [*(fields[name] for name in INPUTS[:8]), quality]
     smoother = _Smoother(shape, dx, dt, water_of(cube.attrs, depth), steps)
     reach = smoother.steps
     middles = sorted(
-        {reach + (2 * i + 1) * (steps - 2 * reach) // (2 * CANDIDATES) for i in range(CANDIDATES)}
+        {reach + (2 * i + 1) * (steps - 2 * reach) // (2 * SAMPLED_WINDOWS) for i in range(SAMPLED_WINDOWS)}
     )
     parts = [slice(one - reach, one + reach + 1) for one in middles]
     with one_thread():
