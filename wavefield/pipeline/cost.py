@@ -54,7 +54,7 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
     prepared = prepared.with_prior(learn_from([pair], prepared.geometry))  # as a run learns; and compiles
     one, step = _measured(prepared, start, stop)
-    if (one.frame_status == FrameStatus.FAILED).all():
+    if (one.frame_status == FrameStatus.FAILED).all() and not one.fields["quality"].any():
         raise ExperimentError(
             f"the step of frame {prepared.first_frame + start} could not be measured; check its images, the "
             "rig and the grid"
