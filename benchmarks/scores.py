@@ -88,10 +88,10 @@ class Score:
 
     def cells(self, filled: bool = False) -> list[str]:
         """Cells of a row of the validation page: z; u, v, w; nodes measured; within one std."""
-        moved = ", ".join(f"{self.rms(name, filled):.3f}" for name in "uvw")
+        z, *moved = (f"{rms:.{4 if rms < 2e-3 else 3}f}" for rms in (self.rms(n, filled) for n in "zuvw"))
         within = ", ".join(f"{self.fractions(name, filled)[0]:.0f}" for name in NAMES)
         measured = "" if filled else f"{100 * self.measured / max(self.nodes, 1):.1f} %"
-        return [f"{self.rms('z', filled):.3f}", moved, measured, f"{within} %"]
+        return [z, ", ".join(moved), measured, f"{within} %"]
 
     def lines(self) -> list[str]:
         """The results in words, a line each."""
