@@ -26,7 +26,7 @@ CURRENT_ERROR, SMALL_CURRENT = 0.2, 1e-4  # m/s: of the mean velocity of the sam
 MAX_ITERATIONS, TOLERANCE = 40, 1.0  # of conjugate gradients; of the energy, in squared standard deviations
 
 
-class Waves:
+class PlaneWaves:
     """Plane waves, eddies and constants over a rectangle and a window of times.
 
     Wave vectors lie on rings, so densely that waves may enter during the window: no period is imposed. Each
@@ -151,7 +151,7 @@ class Posterior:
         self._lower = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:
-        """The unknowns of a right side (`Waves.transposed` of fields over their variances)."""
+        """The unknowns of a right side (`PlaneWaves.transposed` of fields over their variances)."""
         out = scipy.linalg.cho_solve((self._lower, True), self.scale * right, check_finite=False)
         return np.asarray(self.scale * out)
 
@@ -168,7 +168,7 @@ class Posterior:
         lower, _ = scipy.linalg.lapack.dpotri(self._lower, lower=True)
         return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
 
-    def solve_partial(self, waves: Waves, fields: Array, weight: Array) -> Array:
+    def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
         """Unknowns of fields that lack nodes which the normal matrix has, by conjugate gradients."""
         precision = self.scale**-2
 
@@ -204,7 +204,7 @@ class Learned:
     current: Array  # (2,), m/s
 
 
-def learn(waves: Waves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
+def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
     """Spectrum, noise and current from windows (fields, times, ny, nx), zero outside of the mask.
 
     Spectrum and current first from single steps, whose fields are coupled but do not turn, then from windows.
@@ -267,7 +267,7 @@ def _variances(posterior: Posterior, found: Sequence[Array], group: NDArray[np.i
 
 
 def _faster(
-    model: Waves,
+    model: PlaneWaves,
     posterior: Posterior,
     found: Sequence[Array],
     rest: Sequence[Array],

@@ -16,7 +16,7 @@ from wavefield.water import water_of
 from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.wave_record import check_axes
 from wavefield.waves.nonlinear.kinematics import slopes
-from wavefield.waves.surface.free_waves import Learned, Posterior, Waves, learn
+from wavefield.waves.surface.free_waves import Learned, PlaneWaves, Posterior, learn
 
 Array = NDArray[Any]
 
@@ -57,7 +57,7 @@ class _Smoother:
         ramps = [np.minimum(np.arange(n) + 1.0, n - np.arange(n)).clip(max=OVERLAP_NODES) for n in self.tile]
         self.taper = ramps[0][:, None] * ramps[1]
         self.step, times = step, dt * np.arange(-self.steps, self.steps + 1, dtype=np.float64)
-        self.waves = Waves(self.tile, step, times, np.zeros(2), *water)
+        self.waves = PlaneWaves(self.tile, step, times, np.zeros(2), *water)
         self.learned: Learned
         self.mask = np.zeros(shape, bool)
         self._fits: dict[int, tuple[Posterior, Array]] = {}
