@@ -69,7 +69,7 @@ def test_elevations_of_steps_with_more_fast_waves_than_the_samples_are_stated_mo
         record = waves.record()
         for t in np.linspace(10.0, 120.0, 8):
             orders = waves.orders(t, frames)
-            stated = elevation_truncation(orders, frames, np.ones(SHAPE), EVERYWHERE, record)
+            stated = elevation_truncation(orders, frames, np.ones(SHAPE), EVERYWHERE, record, 0.0)
             error = rms(orders[0] - waves.z(t))
             now.append(error / rms(stated))
             record_alone.append(error / record.temporal_truncation.of_z(frames))
@@ -88,7 +88,7 @@ def test_motion_is_stated_as_uncertain_as_groups_and_the_depth_make_it(places):
             d = chord if places == 2 else (26 * chord - before - after) / 24
             motion = SimpleNamespace(d=d, chord=chord, frames=np.full(SHAPE, places, np.uint8))
             orders = waves.orders(t, 6 if places == 4 else 4)
-            stated = motion_truncation(motion, orders, EVERYWHERE, EVERYWHERE, record)
+            stated = motion_truncation(motion, orders, EVERYWHERE, EVERYWHERE, record, 0.0)
             alone = record.temporal_truncation.of_displacement(places, d, EVERYWHERE)
             error = d - waves.motion(t)
             now.append(rms(error[:2]) / rms(stated[:2]))
@@ -120,8 +120,8 @@ def test_water_at_rest_leaves_nothing_out():
     record = SimpleNamespace(
         temporal_truncation=temporal_truncation([(still, still)], 0.01), moved=(1e-6,) * 3
     )
-    assert not elevation_truncation((still,) * 3, 6, still, EVERYWHERE, record).any()
+    assert not elevation_truncation((still,) * 3, 6, still, EVERYWHERE, record, 0.0).any()
     motion = SimpleNamespace(
         d=np.stack([still] * 3), chord=np.stack([still] * 3), frames=np.full(SHAPE, 4, np.uint8)
     )
-    assert not motion_truncation(motion, (still,) * 3, EVERYWHERE, EVERYWHERE, record).any()
+    assert not motion_truncation(motion, (still,) * 3, EVERYWHERE, EVERYWHERE, record, 0.0).any()

@@ -10,6 +10,7 @@ from wavefield.matching.block_lattice import F, filtered, replace_outliers, smoo
 from wavefield.matching.matching_kernels import BLOCK, shift_sums
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level
+from wavefield.parabola import parabola_vertex
 
 njit = compiled(error_model="numpy")
 
@@ -39,9 +40,7 @@ def search(
         shift_sums(first, second, margin, x_range[0], dy, row, scores)
         side_by_side = scores.reshape(ny, -1)
         filtered(side_by_side, weights, side_by_side)
-    best, (u, v) = np.empty((ny, nx), np.int32), np.empty((2, ny, nx), np.float32)
-    _largest(score, border, best)
-    _refine(score, best, border, (x_range[0], y_range[0]), u, v)
+    u, v = _peaks(score, border, x_range[0], y_range[0])
     for _ in range(2):
         replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
@@ -75,25 +74,22 @@ def _largest(score: np.ndarray, border: int, best: np.ndarray) -> None:
                     top[i] = middle[i] if larger else top[i]
 
 
-@njit
-def _vertex(before: F, middle: F, after: F) -> F:
-    """As `parabola_vertex`, at most half a sample away."""
-    bend = before - F(2) * middle + after
-    return min(max(F(0.5) * (before - after) / bend, F(-0.5)), F(0.5)) if bend < F(0) else F(0)
-
-
-@njit
-def _refine(
-    score: np.ndarray, best: np.ndarray, border: int, first: tuple[int, int], u: np.ndarray, v: np.ndarray
-) -> None:
-    """Fill u, v (ny, nx) with the shifts of the largest scores, refined by parabolas through neighbours."""
+def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of the largest score of each block, (ny, nx), with parabolas through its neighbours.
+    score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y.
+    """
     rows, ny, n, width = score.shape
-    for j in range(ny):
-        for i in range(width - 2 * border):
-            y, x, at = best[j, i] // n, best[j, i] % n, border + i
-            middle = score[y, j, x, at]
-            u[j, i], v[j, i] = F(first[0] + x), F(first[1] + y)
-            if 0 < x < n - 1:
-                u[j, i] += _vertex(score[y, j, x - 1, at], middle, score[y, j, x + 1, at])
-            if 0 < y < rows - 1:
-                v[j, i] += _vertex(score[y - 1, j, x, at], middle, score[y + 1, j, x, at])
+    best = np.empty((ny, width - 2 * border), np.int32)
+    _largest(score, border, best)
+    y, x = np.divmod(best, n)
+    j, i = np.indices(best.shape)
+
+    def at(dy: int, dx: int) -> np.ndarray:
+        row, column = np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, n - 1)
+        return np.asarray(score[row, j, column, border + i])
+
+    dx = np.clip(parabola_vertex(at(0, -1), at(0, 0), at(0, 1)), -0.5, 0.5)
+    dy = np.clip(parabola_vertex(at(-1, 0), at(0, 0), at(1, 0)), -0.5, 0.5)
+    inside_x, inside_y = (x > 0) & (x < n - 1), (y > 0) & (y < rows - 1)
+    u, v = (x + first_x).astype(np.float32), (y + first_y).astype(np.float32)
+    return u + np.where(inside_x, dx, F(0)), v + np.where(inside_y, dy, F(0))

@@ -16,7 +16,6 @@ from wavefield.measurement.rectify import bin_pixels
 KNEE_TO_CONTRAST = 0.5  # above the background; below, the logarithm is nearly linear
 LEVEL_QUANTILES = 0.01, 0.5, 0.99
 BETWEEN_CAMERAS, IN_TIME = 1.5, 0.6  # `sharpened` for the surface and for displacements
-F = np.float32
 GREY_LEVELS_PER_E = 5000.0  # log(65535) still fits 16 bits
 
 
@@ -51,30 +50,9 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
     """An image with its short waves raised, so that beads do not reach into each other.
     Where one does, brightness that differs between cameras pulls at the match, with the spectrum of beads.
     """
-    part = np.ascontiguousarray(image, np.uint16 if image.dtype == np.uint16 else np.float32)
-    lines, out = np.empty((3, part.shape[1]), np.float32), np.empty(part.shape, np.float32)
-    _sharpen(part, np.float32(-amount), np.float32(1.0 + 2.0 * amount), lines, out)
-    return out
-
-
-@compiled(error_model="numpy", fastmath={"contract"})
-def _sharpen(
-    image: NDArray[Any], side: np.float32, middle: np.float32, lines: NDArray[Any], out: NDArray[Any]
-) -> None:
-    """Weigh each pixel and its two neighbours along x, then along y; what lies outside is as the edge."""
-    h, w = image.shape
-    for n in range(h + 1):
-        if n < h:
-            row, to = image[n], lines[n % 3]
-            for x in range(1, w - 1):
-                to[x] = middle * F(row[x]) + side * (F(row[x - 1]) + F(row[x + 1]))
-            to[0] = middle * F(row[0]) + side * (F(row[0]) + F(row[1]))
-            to[w - 1] = middle * F(row[w - 1]) + side * (F(row[w - 2]) + F(row[w - 1]))
-        if n > 0:
-            over, here, under = lines[max(n - 2, 0) % 3], lines[(n - 1) % 3], lines[min(n, h - 1) % 3]
-            to = out[n - 1]
-            for x in range(w):
-                to[x] = side * (over[x] + under[x]) + middle * here[x]
+    kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
+    part = np.ascontiguousarray(image, np.float32)
+    return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
 
 
 def even_out(

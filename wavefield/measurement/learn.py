@@ -108,11 +108,6 @@ class _SampleStep:
     pairs: elevation.MatchedPairs | None  # at the first frame
     displacements: Mapping[str, matching.Displacement]
 
-    @property
-    def motion(self) -> dict[str, float]:
-        """Variance over the field of every camera's displacement, px^2."""
-        return {name: motion_variance(found) for name, found in self.displacements.items()}
-
     @classmethod
     def match(
         cls,
@@ -181,9 +176,12 @@ def _learned(
             camera_jitter=found.camera_jitter,
             unresolved=found.unresolved,
         )
-    motion = {name: max(step.motion.get(name, 0.0) for step in samples) for name in priors}
+    motion = [
+        (name, max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements))
+        for name in measured
+    ]
     frames = truncation.best_frames(found.moved[2], found.noise_variance)
-    return replace(record, path_frames=frames, motion=tuple(motion.items()))
+    return replace(record, path_frames=frames, motion=tuple(motion))
 
 
 def _bead_widths(

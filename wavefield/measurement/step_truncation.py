@@ -28,7 +28,7 @@ def _rms(field: Float, measured: Mask) -> float:
 
 
 def convergence(
-    orders: tuple[Float, ...], measured: Mask, record: LearnedRecord, std: Float | float = 0.0
+    orders: tuple[Float, ...], measured: Mask, record: LearnedRecord, std: Float | float
 ) -> tuple[float, float]:
     """By how much more than in the record elevations depart from those of two frames, and what is left then.
     What is left is the ratio of successive departures (six, four, two frames), a geometric series. Elevations
@@ -56,7 +56,7 @@ def elevation_truncation(
     rise: Float,
     measured: Mask,
     record: LearnedRecord,
-    std: Float | float = 0.0,
+    std: Float | float,
 ) -> Float:
     """Standard uncertainty of z by the finite time step, (ny, nx), metres; at least that of the record.
     D r / (1 - r), with the departure D of z from that of fewer frames and the ratio r of successive ones.
@@ -78,7 +78,7 @@ def motion_truncation(
     seen: Mask,
     measured: Mask,
     record: LearnedRecord,
-    std: Float | float = 0.0,
+    std: Float | float,
 ) -> Float:
     """Standard uncertainty of displacements by the finite time step, (3, ny, nx), metres.
     Paths of four places depart from chords by what chords leave out; beyond the record's, more is left out.

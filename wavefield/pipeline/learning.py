@@ -54,9 +54,10 @@ def steps_with_waves(
 
     def moved(k: int) -> np.ndarray:
         first, second = (layout.sampled(name, frame) for frame in (k, k + 1))
-        found = None if first is None or second is None else compare(first[::4], second[::4])
-        if found is None:
+        if first is None or second is None:
             return np.zeros((0, 2))
+        found = compare(first[::4], second[::4])  # some thirty patches suffice
+        assert found is not None
         good = (found.peak_correlation > MIN_CORRELATION) & np.isfinite(found.moved[:, 0])
         return np.asarray(found.moved[good])
 
