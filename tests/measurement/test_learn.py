@@ -7,9 +7,11 @@ import pytest
 from measurement_cases import around
 
 from wavefield.grid import Grid
+from wavefield.matching import Prior
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
-from wavefield.measurement.learn import _mean_flow
+from wavefield.measurement.flow import FlowEstimate
+from wavefield.measurement.learn import _mean_flow, _shown
 from wavefield.tank import Scene, Tank
 
 
@@ -50,6 +52,22 @@ def test_the_mean_flow_of_a_sample_step_is_that_of_the_cameras_together(seed):
     assert (dx, dy) == pytest.approx(flow[:2], abs=1e-4)
     nothing = SimpleNamespace(displacements=dict(list(found.items())[:1]))
     assert _mean_flow(nothing, geometry) == (0.0, 0.0), "one camera determines no flow"
+
+
+@pytest.mark.parametrize("bare", [1.0, 0.5])
+def test_information_at_the_nodes_is_learned_of_either_component(bare):
+    rig = Scene.load("demo").build_rig()
+    geometry = GridGeometry(rig, Grid((-0.1, 0.2), (-0.15, 0.05), 0.05), Settings())
+    prior = Prior.isotropic((0.04, 3.1), (1.0, 1e-3), 2.0)
+    for name in geometry.velocity_cameras:
+        camera = geometry.sights[name].camera
+        shape = geometry.sights[name].lattice.shape
+        found = FlowEstimate(*[None] * 3, np.indices(shape)[::-1].astype(np.float32), None)
+        sample = SimpleNamespace(field=found.each, bare=bare, estimate=lambda modes, found=found: found)
+        fields = SimpleNamespace(samples=[sample] * 2, pool=SimpleNamespace(map=map))
+        X, Y = camera.project(geometry.x, geometry.y, 0.0)
+        expected = [(p.mean() - 2.0) / BLOCK / prior.information / bare for p in (X, Y)]
+        assert _shown(fields, prior, geometry, name) == pytest.approx(expected, rel=0.03)
 
 
 def test_short_waves_of_two_cameras_are_not_taken_for_noise():

@@ -63,6 +63,29 @@ def test_what_is_carried_grows_shorter_with_less_noise_and_more_beads():
         assert quieter[name] < denser[name] < now[name]
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_gain_of_velocities_is_that_of_the_information_at_the_nodes(seed):
+    rng = np.random.default_rng(seed)
+    k = tuple(np.linspace(0.04, 3.1, 40))
+    scene, names = Scene.load("demo"), ("cam1", "cam2", "cam3")
+    factors = rng.uniform(0.2, 5.0, 3)
+
+    def gain(factors, shown):
+        priors = tuple(
+            (name, Prior.isotropic(k, [1e-6 * (0.5 / q) ** 5 for q in k], 1e6 * factor))
+            for name, factor in zip(names, factors)
+        )
+        record = LearnedRecord((), priors[0][1], priors, (1.0, 1.0, 1.0), shown=shown)
+        return predicted_gain(cube_of(scene, record))[["gain_u", "gain_v", "gain_w"]]
+
+    both = tuple((name, (float(one), float(one))) for name, one in zip(names, factors))
+    xr.testing.assert_allclose(gain(np.ones(3), both), gain(factors, ()))
+    more = gain(np.ones(3), tuple((name, (x, 10.0 * x)) for name, (x, _) in both))
+    excess = (more - gain(factors, ())).max()
+    assert float(excess.gain_v) > 0.05  # rows of these cameras show what moves along y
+    assert max(float(excess.gain_u), float(excess.gain_w)) < 0.2 * float(excess.gain_v)
+
+
 def test_a_cube_holds_its_gain(reference):
     cube = wf.open_cube(reference)
     stored, predicted = wv.read_gain(cube), predicted_gain(cube)

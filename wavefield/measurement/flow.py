@@ -53,12 +53,15 @@ class FlowEstimate:
     waves: Float  # (2, my, mx): cosine coefficients of the displacement and of its prior mean, px
     mean: Float
     slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
-    information: Float = field(
-        repr=False
-    )  # (ny, nx): mean of the two diagonal parts of every block's A, px^-2
+    each: Float = field(repr=False)  # (2, ny, nx): diagonal of every block's A, px^-2
     # Scores and reasons to reject blocks at the last evaluation
     found: matching.Displacement | matching.Evaluation = field(repr=False)
     along: tuple[float, float] = (1.0, 1.0)  # factors on the variance of either component
+
+    @property
+    def information(self) -> Float:
+        """(ny, nx): mean of both parts of the diagonal, px^-2."""
+        return np.asarray(np.float32(0.5) * (self.each[0] + self.each[1]))
 
 
 def filled(found: matching.Displacement) -> Float:
@@ -73,7 +76,7 @@ def map_displacement(
     found: matching.Displacement | matching.Evaluation = match
     u = filled(match)
     waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
-    seen, information = None, u[0]
+    seen, a = None, u
     convergence = Convergence()
     for number in range(MAX_EVALUATIONS):
         if number:
@@ -88,15 +91,15 @@ def map_displacement(
         x, y = u - beyond
         right[0] += a[0] * x + a[1] * y
         right[1] += a[1] * x + a[2] * y
-        information = np.float32(0.5) * (a[0] + a[2])
         if not number:
+            information = np.float32(0.5) * (a[0] + a[2])
             factor, tolerances = modes.factor(information), modes.tolerances(information)
         solved = modes.solve(a, right, waves, tolerances[min(number, 1)], mean, factor, seen)
         waves, seen = convergence.next(modes, waves, solved, seen)
         if convergence.converged:
             break
     along = matching.component_variance_factors(found.score, found.hessian, found.valid.astype(np.float32))
-    return FlowEstimate(waves, mean, slopes, information, found, along)
+    return FlowEstimate(waves, mean, slopes, a[::2], found, along)
 
 
 def flows(

@@ -19,8 +19,8 @@ from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation
 from wavefield.measurement.background import bead_width
 from wavefield.measurement.differences import Differences, differences, typical_differences
-from wavefield.measurement.field_samples import DisplacementSample, ElevationSample, FieldSamples
-from wavefield.measurement.flow import camera_flow, map_displacement, motion_variance
+from wavefield.measurement.field_samples import DisplacementSample, ElevationSample, FieldSample, FieldSamples
+from wavefield.measurement.flow import FlowEstimate, camera_flow, map_displacement, motion_variance
 from wavefield.measurement.frame import usable
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
@@ -181,7 +181,30 @@ def _learned(
         for name in measured
     ]
     frames = truncation.best_frames(found.moved[2], found.noise_variance)
-    return replace(record, path_frames=frames, motion=tuple(motion))
+    shown = [
+        (name, _shown(fields, dict(record.displacement)[name], geometry, name))
+        for name, fields in measured.items()
+    ]
+    return replace(record, path_frames=frames, motion=tuple(motion), shown=tuple(shown))
+
+
+def _shown(fields: FieldSamples, prior: Prior, geometry: GridGeometry, name: str) -> tuple[float, float]:
+    """`LearnedRecord.shown` of a camera, in the fields of its own prior: open ones have another noise."""
+    sight, modes = geometry.sights[name], Modes(prior, fields.samples[0].field.shape[-2:])
+    X, Y = sight.position(np.zeros(geometry.grid.shape, np.float32))
+    visible = sight.sees(X, Y)
+    if not visible.any():
+        return 1.0, 1.0
+    column, row = (np.rint((p[visible] - 0.5 * (BLOCK - 1)) / BLOCK).astype(np.intp) for p in (X, Y))
+    row, column = (np.minimum(at, n - 1) for at, n in zip((row, column), sight.lattice.shape))
+
+    def of(sample: FieldSample) -> Float:
+        found = sample.estimate(modes)
+        assert isinstance(found, FlowEstimate)
+        return np.asarray(found.each[:, row, column].mean(axis=1, dtype=np.float64) / sample.bare)
+
+    x, y = np.mean(list(fields.pool.map(of, fields.samples)), axis=0) / prior.information
+    return float(x), float(y)
 
 
 def _bead_widths(

@@ -38,6 +38,9 @@ class LearnedRecord:
         wavelength, metres (`unresolved_rise`); 0 where cameras side by side share changes of light as well.
     motion : tuple of (str, float)
         Largest variance over the field of each camera's matched displacement in the sample steps, px^2.
+    shown : tuple of (str, (float, float))
+        Information at the nodes on each camera's displacement along columns and along rows, over that of its
+        prior; 1 where not named.
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -50,6 +53,7 @@ class LearnedRecord:
     path_frames: int = 4
     unresolved: tuple[float, float] = (0.0, 0.0)
     motion: tuple[tuple[str, float], ...] = ()
+    shown: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     def width(self, camera: str) -> float:
         """Width of a camera's beads, raw px."""
@@ -77,6 +81,7 @@ class LearnedRecord:
             "path_frames": self.path_frames,
             "unresolved": list(self.unresolved),
             "motion": dict(self.motion),
+            "shown": {name: list(each) for name, each in self.shown},
         }
 
     @classmethod
@@ -106,4 +111,5 @@ class LearnedRecord:
             int(data["path_frames"]),
             (rise, wavelength),
             tuple((str(name), float(variance)) for name, variance in data.get("motion", {}).items()),
+            tuple((str(name), (float(x), float(y))) for name, (x, y) in data.get("shown", {}).items()),
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from wavefield.measurement.regrid import interpolation_gain
 Float = NDArray[np.floating[Any]]
 
 FOCUSED_WIDTH_PX = 2.0  # of a bead's image
+PLACES = 3  # along x and along y, at which the gain of velocities is taken
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 WAVENUMBERS = 200  # up to the corner of those that the grid resolves
 
@@ -55,8 +57,9 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     Notes
     -----
     The MAP field has the gain S / (S + N), with the spectrum S and the noise N of the blocks that
-    were learned from sample frames; for velocities that of each camera's displacement in its own pixels at
-    the middle of the grid, then the least squares of all.
+    were learned from sample frames; for velocities that of each camera's displacement in its own pixels,
+    with the noise of either component of it at the nodes, then the least squares of all, as the mean over
+    the grid: at grazing sight pixels are several times as long, and texture shows less, far away as near.
     """
     velocity = gain_of_velocity(geometry, record, kx, ky)
     out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
@@ -110,17 +113,24 @@ def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, 
 
 def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
     """Measured (dx, dy, dz) by true (dx, dy, dz), S + (3, 3), at wavenumbers kx, ky S, rad/m."""
-    grid = geometry.grid
-    middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
-    priors = dict(record.displacement)
-    jacobians: list[Any] = [geometry.sights[name].camera.jacobian(*middle, 0.0) for name in priors]
+    x, y = (np.linspace(*side, 2 * PLACES + 1)[1::2] for side in (geometry.grid.x, geometry.grid.y))
+    gains = [_gain_of_velocity_at(place, geometry, record, kx, ky) for place in product(x, y)]
+    return np.asarray(np.mean(gains, axis=0))
+
+
+def _gain_of_velocity_at(
+    place: tuple[float, float], geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float
+) -> Float:
+    jacobians: list[Any] = [
+        geometry.sights[name].camera.jacobian(*place, 0.0) for name, _ in record.displacement
+    ]
     inverse = np.linalg.pinv(np.concatenate(jacobians))
     out = np.zeros((*np.broadcast_shapes(np.shape(kx), np.shape(ky)), 3, 3))
-    for i, (prior, jacobian) in enumerate(zip(priors.values(), jacobians)):
+    for i, ((name, prior), jacobian) in enumerate(zip(record.displacement, jacobians)):
         q = np.stack([kx, ky], axis=-1) @ (BLOCK * np.linalg.inv(jacobian[:, :2]))
-        gain = _gain_between_blocks(prior, q[..., 0], q[..., 1])
-        both = np.moveaxis(np.broadcast_to(gain, (2, *out.shape[:-2])), 0, -1)
-        out += inverse[:, 2 * i : 2 * i + 2] @ (both[..., None] * jacobian)
+        for n, factor in enumerate(dict(record.shown).get(name, (1.0, 1.0))):
+            gain = _gain_between_blocks(_information_weight(prior, factor), q[..., 0], q[..., 1])
+            out += gain[min(n, len(gain) - 1), ..., None, None] * np.outer(inverse[:, 2 * i + n], jacobian[n])
     return out
 
 
