@@ -1,5 +1,6 @@
 """Durations, ranges of numbers and small tables for people, the same everywhere."""
 
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -33,6 +34,20 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
             ranges.append([number, number])
     words = [str(a) if a == b else f"{a}-{b}" for a, b in ranges[:most]]
     return ", ".join(words) + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")
+
+
+def spell_uncertain(value: float, std: float, unit: str) -> str:
+    """Spell a value and its standard uncertainty, to two digits of the latter.
+
+    Examples
+    --------
+    >>> spell_uncertain(0.37926, 0.00015, "m"), spell_uncertain(12.3, float("nan"), "m")
+    ('0.37926 +- 0.00015 m', '12.30 m')
+    """
+    if not math.isfinite(std):
+        return f"{value:.2f} {unit}"
+    digits = max(1 - math.floor(math.log10(std)), 0) if std > 0 else 2
+    return f"{value:.{digits}f} +- {std:.{digits}f} {unit}"
 
 
 def short_path(path: Path) -> Path:

@@ -51,7 +51,7 @@ def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
     error = (fields["z"][0] - true)[inside] / pixel_size(sea.rig, sea.grid)
     assert fraction_measured(fields["quality"]) > 0.98
     assert np.sqrt(np.mean(error**2)) < 0.1
-    assert advise(sea, 1.0) == ""
+    assert advise(sea, fields["quality"]) == ""
 
 
 def test_settings_that_measure_more_of_poor_images_are_proposed(tmp_path):
@@ -64,7 +64,8 @@ def test_settings_that_measure_more_of_poor_images_are_proposed(tmp_path):
 
 
 def test_images_that_no_settings_can_measure_are_reported_with_the_cause(tmp_path):
-    assert "more light, more seeding" in advise(at_sea(tmp_path / "sea", 90.0), 0.0)
+    sea = at_sea(tmp_path / "sea", 90.0)
+    assert "more light, more seeding" in advise(sea, measured(sea)["quality"])
 
 
 def test_presets_are_named_where_another_is_asked_for():

@@ -7,6 +7,9 @@ import pytest
 
 from wavefield.pipeline import advice
 from wavefield.store.verdict import Remark
+from wavefield.variables import Quality
+
+NOTHING = np.zeros((5, 8), int)  # quality of nodes in view that are not measured
 
 
 def late(subject="cam3", weight="grave"):
@@ -27,7 +30,7 @@ def prepared(monkeypatch):
 
 
 def test_a_late_camera_that_all_pairs_contain_is_named_with_the_pair_that_does_without_it(prepared):
-    words = advice.advise(prepared, 0.0, [late()])
+    words = advice.advise(prepared, NOTHING, [late()])
     assert "only 0 % measured: correct cam3 first" in words
     assert "every pair of `surface: pairs` contains cam3" in words
     assert "[cam1, cam2] would be such a pair" in words
@@ -36,13 +39,13 @@ def test_a_late_camera_that_all_pairs_contain_is_named_with_the_pair_that_does_w
 
 def test_nothing_is_reported_of_pairs_without_the_late_camera_or_that_are_not_named(prepared):
     prepared.geometry.pairs = (*prepared.geometry.pairs, ("cam1", "cam2"))
-    assert advice.advise(prepared, 0.5, [late()]).endswith("correct cam3 first, as stated below")
+    assert advice.advise(prepared, NOTHING, [late()]).endswith("correct cam3 first, as stated below")
     prepared.experiment.surface = None
-    assert "pairs" not in advice.advise(prepared, 0.0, [late()])
+    assert "pairs" not in advice.advise(prepared, NOTHING, [late()])
 
 
 def test_enough_needs_no_advice(prepared):
-    assert advice.advise(prepared, 0.9, [late()]) == ""
+    assert advice.advise(prepared, NOTHING + Quality.MEASURED, [late()]) == ""
 
 
 def test_only_grave_remarks_on_cameras_count(prepared):

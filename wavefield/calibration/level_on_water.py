@@ -27,6 +27,7 @@ from wavefield.rig.lens import Array
 from wavefield.rig.water_level import level
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, masks
+from wavefield.text import spell_uncertain
 
 HORIZON_IMAGES = 12  # of each camera
 MAX_DISAGREEMENT = 4.0  # standard deviations of the mean surface from the vertical of the horizon,
@@ -53,12 +54,13 @@ class Levelled:
     @property
     def sentence(self) -> str:
         """All this for the user."""
-        height = _with_std(self.height, self.height_std, "m")
+        height = spell_uncertain(self.height, self.height_std, "m")
+        turned = spell_uncertain(self.tilt, self.tilt_std, "degrees")
         return (
             f"{self.points} points of {self.instants} instant{'s' * (self.instants > 1)}: sight lines miss "
             f"each other by {self.epipolar_error:.2f} px (median); {self.horizon}; the frame was turned by "
-            f"{_with_std(self.tilt, self.tilt_std, 'degrees')}; {next(iter(self.rig))} is {height} above the "
-            f"mean surface; the water is within {100 * self.rms:.2g} cm (rms) of it"
+            f"{turned}; {next(iter(self.rig))} is {height} above "
+            f"the mean surface; the water is within {100 * self.rms:.2g} cm (rms) of it"
             f"{self._unknown}{self._moving}"
         )
 
@@ -80,10 +82,6 @@ class Levelled:
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
         few = "one instant gives" if self.instants == 1 else "instants that show the same waves give"
         return f"; {few} no uncertainty of the {which}: take instants over many wave periods"
-
-
-def _with_std(value: float, std: float, unit: str) -> str:
-    return f"{value:.2f} +- {std:.2f} {unit}" if np.isfinite(std) else f"{value:.2f} {unit}"
 
 
 def level_on_water(

@@ -6,6 +6,7 @@ the images themselves, once per run, and written into the recipe.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,21 +46,23 @@ class FirstHeights:
     def sentence(self) -> str:
         """The range in words."""
         low, high = (100 * z for z in self.searched)
+        digits = max(1, 2 - math.floor(math.log10(high - low))) if high > low else 1
+        searched = f"searched {low:+.{digits}f} to {high:+.{digits}f} cm"
         if not self.tried:
             return (
-                f"elevation: the images are too small to find its range; searched {low:+.1f} to "
-                f"{high:+.1f} cm; where water goes further state z_range"
+                f"elevation: the images are too small to find its range; {searched}; where water goes "
+                "further state z_range"
             )
         if not self.found:
             return (
-                f"elevation: none of {self.tried} patches of images is found in another camera's; "
-                f"searched {low:+.1f} to {high:+.1f} cm"
+                f"elevation: none of {self.tried} patches of images is found in another camera's; {searched}"
             )
         coarse = self.resolution > 0.1 * (self.searched[1] - self.searched[0])
         within = f" to within {100 * self.resolution:.0f} cm" if coarse else ""
+        lowest, highest = (f"{100 * z:+.{digits}f}" for z in self.z)
         return (
-            f"elevation: {100 * self.z[0]:+.1f} to {100 * self.z[1]:+.1f} cm{within} ({self.found} of "
-            f"{self.tried} patches found in another camera's image), searched {low:+.1f} to {high:+.1f} cm"
+            f"elevation: {lowest} to {highest} cm{within} ({self.found} of {self.tried} patches found in "
+            f"another camera's image), {searched}"
         )
 
 

@@ -32,8 +32,12 @@ _WHY = {
 }
 
 
-def advise(prepared: PreparedRun, measured: float, wrong: Sequence[Remark] = ()) -> str:
-    """What would measure more: a camera of the remarks, or settings, tried on the step of the forecast."""
+def advise(prepared: PreparedRun, quality: np.ndarray, wrong: Sequence[Remark] = ()) -> str:
+    """What would measure more: a camera of the remarks, or settings, tried on the step of the forecast.
+
+    ``quality`` is that of the forecast: zeros where it could not be measured.
+    """
+    measured = fraction_measured(quality)
     if measured >= ENOUGH or not complete_steps(prepared.series).any():
         return ""
     found = f"advice: only {100 * measured:.0f} % measured"
@@ -47,7 +51,7 @@ def advise(prepared: PreparedRun, measured: float, wrong: Sequence[Remark] = ())
             f"{found}; with `settings: {{preset: {best}}}`, for {_OTHERS[best]}, the same step measures "
             f"{100 * tried[best]:.0f} %, short waves less well"
         )
-    return f"{found}, mostly because {_why(_quality(prepared, settings))}"
+    return f"{found}, mostly because {_why(quality)}"
 
 
 def grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:

@@ -276,7 +276,8 @@ def check(
         faults = None if problems else compare_cameras(prepared)
         wrong = grave_cameras(prepared, faults.remarks if faults else ())
         with one_thread():
-            sentences["advice"] = advise(prepared, shares.get("measured", 0.0), wrong)
+            quality = fields["quality"] if fields else np.zeros(prepared.grid.shape, np.uint16)
+            sentences["advice"] = advise(prepared, quality, wrong)
     remarks = [*remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample)]
     if cost and cost.free < MIN_FREE_SHARE * cost.disk:
         remarks.append(_remark_on_disk(cost))

@@ -250,6 +250,7 @@ def _remedy(distance: float) -> str:
         if _USUAL_DISTANCES[0] <= distance * factor <= _USUAL_DISTANCES[1]
     ]
     words = f"multiply its lengths {' or '.join(fits)}" if fits else "are its lengths in metres?"
+    words += " (`wavefield rig convert FILE --unit UNIT` does so for another program's)" if fits else ""
     return f"; {words}"
 
 

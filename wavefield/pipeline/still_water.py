@@ -14,6 +14,7 @@ from wavefield.rig.water_level import WaterPlane
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment
 from wavefield.store.verdict import Remark
+from wavefield.text import spell_uncertain
 
 if TYPE_CHECKING:
     from wavefield.calibration.still_water_correction import RigCheck
@@ -74,8 +75,8 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
     if isinstance(found, dict) and "camera_height_m" in found:
         tilt, height = found["tilt_std_deg"], found["camera_height_std_m"]
         certain = f"its tilt is uncertain by {tilt:.2g} degrees, " if np.isfinite(tilt) else ""
-        certain += f"{next(iter(rig))} is {found['camera_height_m']:.2f} "
-        certain += f"+- {height:.2f} m above it" if np.isfinite(height) else "m above it, uncertainty unknown"
+        certain += f"{next(iter(rig))} is {spell_uncertain(found['camera_height_m'], height, 'm')} above it"
+        certain += "" if np.isfinite(height) else ", uncertainty unknown"
         return Remark(
             "rig",
             "levelled",

@@ -55,7 +55,8 @@ class ImportOptions:
         size = (self.sizes or {}).get(name) or stored
         if size is None:
             raise RigError(
-                f"{program} does not store the image size: state it for {name!r} (`sizes`, width and height)"
+                f"{program} does not store the image size: state it for {name!r} (`sizes`, width and height; "
+                "on the command line `--size WIDTHxHEIGHT`)"
             )
         return int(size[0]), int(size[1])
 
