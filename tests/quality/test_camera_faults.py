@@ -178,6 +178,18 @@ def test_blur_is_compared_on_the_water(zoom, blurs, named):
     assert [remark.subject for remark in _blurred(table)] == named
 
 
+def test_slopes_of_long_waves_are_no_disagreement():
+    wave = {"kind": "single", "wavelength": 2.0, "amplitude": 0.08, "direction": 30.0, "phase": 90.0}
+    shots = Shots(11)
+    shots.tank = Tank(SOUND.tank.scene.with_(sea=wave))
+    assert found(shots, frames=(0,)).remarks == ()
+
+    def late(name, frame):
+        return shots(name, frame + 3 * (name == "cam2"))
+
+    assert [one.subject for one in found(late, frames=(0,)).remarks] == ["cam2"]
+
+
 @pytest.mark.parametrize("height", [0.16, -0.16])
 def test_waves_higher_than_the_search_reaches_are_no_disagreement(height):
     wave = {

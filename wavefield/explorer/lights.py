@@ -96,9 +96,9 @@ class PairSummary:
 
 
 def summarize_step(
-    fields: Mapping[str, NDArray[Any]], x: Array, y: Array, z_range: tuple[float, float]
+    fields: Mapping[str, NDArray[Any]], x: Array, y: Array, z_range: tuple[float, float], rate: float
 ) -> StepSummary:
-    """Numbers of a measured step; fields, x and y (ny, nx), metres."""
+    """Numbers of a measured step; fields, x and y (ny, nx), metres; frames per second."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -118,7 +118,7 @@ def summarize_step(
         slope_x=slope_x,
         slope_y=slope_y,
         height=height,
-        kinematic_misfit=float(kinematic_misfit(series, measured[None], spacing)[0]),
+        kinematic_misfit=float(kinematic_misfit(series, measured[None], spacing, rate)[0]),
     )
 
 

@@ -74,7 +74,7 @@ class LiveMeasurement:
             return {}, None
         self.trouble = self._masks.absent if self._masks else ""
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
-        return fields, summarize_step(fields, geometry.x, geometry.y, geometry.z_range)
+        return fields, summarize_step(fields, geometry.x, geometry.y, geometry.z_range, rate)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
         """Consistency of each pair of cameras on the second frame; nothing without a rig."""

@@ -7,7 +7,7 @@ moment: what makes it agree is what is wrong with it.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,11 @@ from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
 MIN_PATCHES = 6  # with fewer no camera is judged
+# Planes on which patches of cameras that disagree are laid in turn: heights over the reach of the search in
+# the widest pair, and slopes along either axis
+LEVELS = 0.0, -1.5, 1.5, -3.0, 3.0
+TILT = 0.15
+MOST_TILTED = 30  # patches
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ def find_camera_faults(
     table = ConsistencyTable(patch_matcher, names, complete, threads)
     remarks = [*_covered(table), *_blurred(table)]
     if not set(names) <= {name for pair in table.good() for name in pair}:
-        table = _at_other_levels(table, threads)
+        table = _on_other_planes(table, threads)
     inconsistent, explained = _inconsistent(table, count)
     own = {remark.subject: remark for remark in remarks}
     explained = [  # cameras that are too blurred or covered to match are not inconsistent
@@ -64,30 +69,17 @@ def find_camera_faults(
     return CameraFaults(tuple(remarks), table.camera_numbers(), table.pair_numbers(), complete)
 
 
-def _at_other_levels(table: ConsistencyTable, threads: int) -> ConsistencyTable:
-    """The comparison with each instant's patches on the plane where most agree, if more do there.
-    Long waves higher than the search reaches take a small field up and down as a whole.
+def _on_other_planes(table: ConsistencyTable, threads: int) -> ConsistencyTable:
+    """The comparison with each patch on the plane where it is most alike, if more cameras agree then.
+    Long waves higher than the search reaches take a small field up and down as a whole, and tilt it.
     """
     matcher = table.patch_matcher
     reach = REACH * matcher.pixel / max(float(np.median(matcher.parallax(pair))) for pair in table.pairs)
-
-    def at(levels: Mapping[int, float]) -> ConsistencyTable:
-        shifted = PatchMatcher(matcher.read, matcher.rig, matcher.grid, levels)
-        return ConsistencyTable(shifted, table.names, table.frames, threads)
-
-    def agreeing(other: ConsistencyTable) -> list[float]:
-        return [float(np.mean([one[n].fraction for one in other.found.values()])) for n in range(count)]
-
-    count = len(table.frames)
-    best, levels = np.array(agreeing(table)) + CAMERA_LIMITS.agreement, np.zeros(count)
-    for level in (-1.5 * reach, 1.5 * reach, -3.0 * reach, 3.0 * reach):
-        fractions = np.array(agreeing(at(dict.fromkeys(table.frames, level))))
-        levels = np.where(fractions > best, level, levels)
-        best = np.maximum(fractions, best)
-    if not levels.any():
-        return table
-    other = at(dict(zip(table.frames, levels.tolist(), strict=True)))
-    return other if len(other.good()) > len(table.good()) else table
+    tilts = (0.0, 0.0), *product((-TILT, TILT), repeat=2)
+    planes = [(level * reach, x, y) for level in LEVELS for x, y in tilts]
+    other = replace(matcher, planes=planes, most=MOST_TILTED)
+    found = ConsistencyTable(other, table.names, table.frames, threads)
+    return found if len(found.good()) > len(table.good()) else table
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import combinations
 
 import cv2
@@ -9,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.quality.patch_matching import (
+    STILL,
     Pair,
     PairConsistency,
     PatchMatcher,
     agreement,
     compare,
     grounds,
+    most_alike,
     rms_over_field,
 )
 from wavefield.quality.quality_limits import CAMERA_LIMITS
@@ -45,12 +48,15 @@ class ConsistencyTable:
         Those of the second may be changed, or of another moment.
         """
         patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
-        one = patch_matcher.patches(first, frame, "", a)
-        other = patch_matcher.patches(second, frame + later, change, b)
+        found = []
+        for plane in patch_matcher.planes:
+            laid = partial(patch_matcher.sampled, plane=plane) if plane != STILL else patch_matcher.patches
+            one, other = laid(first, frame, "", a), laid(second, frame + later, change, b)
+            found.append(patch_matcher.on_still_water(compare(one, other), pair, plane))
         ground = self.grounds[frame][first] if first == a else None
         if not change and second == b and ground is not None:
             ground = ground & self.grounds[frame][second]
-        return agreement(patch_matcher, pair, compare(one, other), ground)
+        return agreement(patch_matcher, pair, most_alike(found), ground)
 
     def level(self) -> float:
         """Fraction of patches from which on two cameras agree."""

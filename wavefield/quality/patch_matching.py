@@ -25,7 +25,11 @@ Pair = tuple[str, str]
 
 SIDE = 32  # px of a patch
 REACH = 40  # px: search radius of a patch
+WHOLE = SIDE + 2 * REACH
 MAX_PATCHES = 120
+Plane = tuple[float, float, float]  # height of a patch's middle, m, and slopes along x and y
+STILL: Plane = (0.0, 0.0, 0.0)
+KNOTS = 15  # along either side, at which tilted patches are projected
 MIN_CORRELATION = 0.5  # of patches that show the same water
 FLIPS: dict[str, tuple[slice, ...]] = {
     "mirrored": np.s_[:, ::-1],
@@ -50,12 +54,13 @@ class PatchMatcher:
     read: Read  # From camera and frame to the image, or None
     rig: Rig  # The cameras
     grid: Grid  # Area that is compared
-    levels: Mapping[int, float] = field(default_factory=dict)  # Height of the patches' plane at frames, m
+    planes: Sequence[Plane] = (STILL,)  # On which patches are laid: each counts where it is most alike
+    most: int = MAX_PATCHES
 
     def __post_init__(self) -> None:
         self.pixel = float(pixel_size(self.rig, self.grid))
         self.x, self.y = self._places()
-        self._maps: dict[tuple[str, float], tuple[Image, Image]] = {}
+        self._maps: dict[str, tuple[Image, Image]] = {}
         self._patches: dict[tuple[str, int, str, str], Image | None] = {}
 
     def _places(self) -> tuple[Array, Array]:
@@ -69,23 +74,28 @@ class PatchMatcher:
             for a, b in ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)):
                 visible &= camera.sees(X + a * pitch, Y + b * pitch, 0.0)
         chosen = np.flatnonzero(visible)
-        chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(MAX_PATCHES, len(chosen))).astype(int)]
+        chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(self.most, len(chosen))).astype(int)]
         return X[chosen], Y[chosen]
 
-    def _map(self, name: str, level: float = 0.0) -> tuple[Image, Image]:
-        if (name, level) not in self._maps:
-            offset = (np.arange(SIDE + 2 * REACH) - (SIDE + 2 * REACH - 1) / 2) * self.pixel
-            column, row = (
-                part.reshape(-1, offset.size).astype(np.float32)
-                for part in self.rig[name].project(
-                    self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None], level
-                )
-            )
-            self._maps[name, level] = column, row
-        return self._maps[name, level]
+    def _map(self, name: str, plane: Plane = STILL) -> tuple[Image, Image]:
+        if plane == STILL and name in self._maps:
+            return self._maps[name]
+        offset = np.arange(WHOLE) - (WHOLE - 1) / 2
+        knots = offset if plane == STILL else np.linspace(offset[0], offset[-1], KNOTS)
+        x, y = knots * self.pixel, knots[:, None] * self.pixel
+        level, along_x, along_y = plane
+        places = self.x[:, None, None] + x, self.y[:, None, None] + y, level + along_x * x + along_y * y
+        parts = np.stack(self.rig[name].project(*places))
+        if plane != STILL:
+            between = np.stack([np.interp(offset, knots, one) for one in np.eye(KNOTS)], axis=1)
+            parts = between @ parts @ between.T
+        column, row = parts.reshape(2, -1, WHOLE).astype(np.float32)
+        if plane == STILL:
+            self._maps[name] = column, row
+        return column, row
 
     def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """Patches of one image with their surroundings, (n, SIDE + 2 REACH, SIDE + 2 REACH) grey levels.
+        """Patches of one image with their surroundings, (n, WHOLE, WHOLE) grey levels.
         The image may be flipped (`change`) and taken `through` the lens of another camera.
         """
         key = (name, frame, change, through)
@@ -93,22 +103,22 @@ class PatchMatcher:
             self._patches[key] = self.sampled(name, frame, change, through)
         return self._patches[key]
 
-    def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """The same, not kept."""
+    def sampled(
+        self, name: str, frame: int, change: str = "", through: str = "", plane: Plane = STILL
+    ) -> Image | None:
+        """The same on any plane, not kept."""
         image = self.read(name, frame)
         if image is not None and change:
             image = np.asarray(image)[FLIPS[change]]
-        nearest = min(self.levels, key=lambda known: abs(known - frame), default=None)
-        level = 0.0 if nearest is None else self.levels[nearest]
-        return _sampled(image, *self._map(through or name, level), SIDE + 2 * REACH)
+        return _sampled(image, *self._map(through or name, plane), WHOLE)
 
     def around(self, name: str, frame: int, near: NDArray[np.int64], reach: int) -> Image | None:
         """Surroundings (n, SIDE + 2 reach, SIDE + 2 reach) of places `near` (n, 2), px, from the patches."""
         image = self.read(name, frame)
         if image is None or len(near) == 0:
             return None
-        side, whole = SIDE + 2 * reach, SIDE + 2 * REACH
-        column, row = (part.reshape(-1, whole, whole) for part in self._map(name))
+        side = SIDE + 2 * reach
+        column, row = (part.reshape(-1, WHOLE, WHOLE) for part in self._map(name))
         cuts = [np.s_[k, y : y + side, x : x + side] for k, (x, y) in enumerate(near + REACH - reach)]
         column, row = (np.concatenate([part[cut] for cut in cuts]) for part in (column, row))
         return _sampled(image, column, row, side)
@@ -127,6 +137,15 @@ class PatchMatcher:
     def parallax(self, pair: Pair) -> Array:
         """Displacement from one camera to the other per height, (n,)."""
         return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
+
+    def on_still_water(self, found: Comparison | None, pair: Pair, plane: Plane) -> Comparison | None:
+        """What was found on a plane as it would be displaced on that of still water."""
+        if found is None or plane == STILL:
+            return found
+        level, *slopes = plane
+        sight = np.transpose(self.rig[pair[1]].sight_line(self.x, self.y))
+        moved = found.moved - sight * (found.moved @ slopes)[:, None]
+        return Comparison(moved + self._rise(pair) * level / self.pixel, found.peak_correlation)
 
     def _rise(self, pair: Pair) -> Array:
         return parallax(self.rig, pair, self.x, self.y).T
@@ -176,6 +195,16 @@ def compare(
             dy = parabola_vertex(*score[row - 1 : row + 2, column].astype(float))
             moved[k] = column + dx - reach, row + dy - reach
     return Comparison(moved if near is None else moved + near, peak_correlation)
+
+
+def most_alike(found: Sequence[Comparison | None]) -> Comparison | None:
+    """Of several comparisons of the same patches that of the highest correlation, patch by patch."""
+    some = [one for one in found if one is not None]
+    if len(some) < 2:
+        return some[0] if some else None
+    moved, peaks = (np.stack([getattr(one, name) for one in some]) for name in ("moved", "peak_correlation"))
+    best, each = peaks.argmax(axis=0), np.arange(peaks.shape[1])
+    return Comparison(moved[best, each], peaks[best, each])
 
 
 @dataclass(frozen=True)

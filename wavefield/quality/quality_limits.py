@@ -34,7 +34,7 @@ class RecordLimits:
     discontinuity: float = 0.3  # departure of a step's continuity from 1; sound steps depart by 0.15 at most
     jitter: float = 1.0  # standard uncertainties by which jitter of the frame times makes values wrong
     jitter_noted: float = 0.5  # of these
-    kinematic_misfit: float = 1.6  # sound seas have 0.1 to 1.1
+    kinematic_misfit: float = 1.6  # sound seas have 0.1 to 1.2
     kinematic_misfit_grave: float = 3.0
 
 

@@ -27,23 +27,29 @@ MEDIAN_SQUARE = 0.455  # of a standard normal variable
 JITTER_STEPS = 64  # read for the jitter of frame times
 MAX_NOISE = 0.2  # of the variance of rises: with more, they do not predict each other
 MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left out
+CHANGING_NOISE = 0.25  # of the variance of z by noise: beads repeat the rest of it from frame to frame
 ELEVATION_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z
 NEIGHBOURS = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0  # a cubic through the steps k - 2, k - 1, k + 1, k + 2
 USABLE_CONTINUITY = (0.7, 1.3)  # of the record's median: beyond, waves are too fast to be predicted
 
 
-COMPARED = ["z", "z_t", "u", "v", "w", "u_std", "v_std", "w_std"]  # variables whose kinematics are compared
+# variables whose kinematics are compared
+COMPARED = ["z", "z_t", "u", "v", "w", "z_std", "u_std", "v_std", "w_std"]
 
 
-def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float) -> Array:
+def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
     """Robust rms of z_t - w + u z_x + v z_y over its standard uncertainty, per step (n,).
-    Fields and mask (n, ny, nx), `step` in metres; about 1 if uncertainties hold, NaN with few measured nodes.
+    Fields and mask (n, ny, nx), `step` in metres, frames per second; about 1 if uncertainties hold, NaN with
+    few measured nodes. z_t is the difference of two frames, each with noise of its own.
     """
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = slopes(z, step, step)
     residual = fields["z_t"] - fields["w"] + fields["u"] * z_x + fields["v"] * z_y
     variance = (
-        np.square(fields["w_std"]) + np.square(fields["u_std"] * z_x) + np.square(fields["v_std"] * z_y)
+        np.square(fields["w_std"])
+        + np.square(fields["u_std"] * z_x)
+        + np.square(fields["v_std"] * z_y)
+        + 2.0 * CHANGING_NOISE * np.square(fields["z_std"] * rate)
     )
     inner = np.zeros_like(measured)
     inner[:, MARGIN_NODES:-MARGIN_NODES, MARGIN_NODES:-MARGIN_NODES] = True
@@ -142,7 +148,8 @@ def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Re
     """Compare the stored fields of a cube with each other: kinematics at sampled steps, continuity at all."""
     first, measured = int(cube.frame[0]), sample.quality.values & int(Quality.MEASURED) != 0
     spacing = float(cube.x[1] - cube.x[0])
-    misfits = kinematic_misfit({name: sample[name].values for name in COMPARED}, measured, spacing)
+    fields, rate = {name: sample[name].values for name in COMPARED}, float(cube.attrs["frame_rate"])
+    misfits = kinematic_misfit(fields, measured, spacing, rate)
     if np.isfinite(misfits).any():
         misfit = float(np.nanmedian(misfits))
         if misfit > RECORD_LIMITS.kinematic_misfit:
@@ -171,7 +178,7 @@ def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Re
         )
     shown = jitter_of(cube, continuities)
     if shown and shown[1] > RECORD_LIMITS.jitter_noted:
-        late = 1e3 * shown[0].intervals / float(cube.attrs["frame_rate"])
+        late = 1e3 * shown[0].intervals / rate
         yield Remark(
             "record",
             "jitter",
