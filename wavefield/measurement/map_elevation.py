@@ -145,6 +145,20 @@ def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
     return np.asarray(out * matching.noise_factor_near_holes(information, _NOISE_AT_HOLES))
 
 
+def noise_along_and_across(
+    matches: Sequence[PairMatch], prepared: PreparedImages, modes: Modes, pixel: float, field: Float
+) -> tuple[tuple[Float, Float], tuple[Float, Float]]:
+    """Scores and Hessians (ny, nx) of all pairs at a field (ny, nx), along and across the sight lines."""
+    pairs = [_PairScores(match, pixel) for match in matches]
+    smooth, _ = _smooth_across(matches, modes)
+    for one in pairs:
+        one.reevaluate(field, prepared)
+    along = [(one.score(field), one.hessian) for one in pairs]
+    across = [one.across(smooth) for one in pairs]
+    (a, b), (c, d) = ([np.sum(part, axis=0) for part in zip(*one)] for one in (along, across))
+    return (a, b), (c, d)
+
+
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
     """Smooth part of the "elevation" across the sight lines, (ny, nx), and its rms without noise, metres.
     Waves that are shorter by a third show the noise.

@@ -21,6 +21,7 @@ from wavefield.quality.field_remarks import (
     remark_on_coverage,
     remark_on_eps_piv,
     remark_on_holes,
+    remark_on_scattered_heights,
     remark_on_unresolved_waves,
 )
 from wavefield.quality.patch_matching import PatchMatcher
@@ -43,6 +44,7 @@ class RunLimits:
     instants: int = 4  # of a record, compared before a run and after it
     instants_for_delays: int = 24  # of a record, by which delays of cameras are measured after its run
     instants_for_first_delays: int = 4  # the same before it
+    instants_for_scatter: int = 3  # of a record, at which the scatter of heights is measured
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
     without_camera: tuple[float, float] = (0.01, 0.1)  # fraction of the nodes: more is noted, remarked upon
@@ -100,6 +102,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
         *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
         *(remark_on_stored_values(cube, sample) if comparable else ()),
         *_short_waves(sample, prepared),
+        *remark_on_scattered_heights(_height_scatter(prepared)),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
 
@@ -156,6 +159,22 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         yield from remark_on_unresolved_waves(
             rise * rate, wavelength, float(np.sqrt(np.mean(np.square(w)))), float(np.median(std))
         )
+
+
+def _height_scatter(prepared: PreparedRun) -> float:
+    """Typical scatter of the heights of single blocks at some frames, over what noise explains."""
+    from wavefield.measurement.height_scatter import height_scatter
+
+    geometry, model = prepared.geometry, prepared.model
+    if model is None or geometry.settings.sheet_thickness is not None:
+        return np.nan
+    found = []
+    for k in evenly_spaced(prepared.steps + 1, LIMITS.instants_for_scatter):
+        images = {name: one.read(k).image for name, one in prepared.series.items()}
+        covered = {name: one.covered(k) for name, one in prepared.series.items()}
+        if all(image is not None for image in images.values()):
+            found.append(height_scatter(images, geometry, model, covered))
+    return float(np.median(found)) if found else np.nan
 
 
 def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:

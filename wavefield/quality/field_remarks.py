@@ -14,6 +14,7 @@ MIN_USEFUL_MEASURED = 0.2  # fewer are worth nothing
 MAX_EPS_PIV = 0.15  # px: a larger median eps' is remarked upon
 MAX_USEFUL_EPS_PIV = 0.5  # px: a larger one makes values useless
 MAX_UNRESOLVED = 0.3  # of the variance of w by waves that images do not resolve: more is remarked upon
+MAX_HEIGHT_SCATTER = 2.2  # of single blocks over noise, variance: sound seas have 0.4 to 2.1
 UNRESOLVED_STD = 2.0  # standard uncertainties of w with them over those without: more is noted
 
 
@@ -80,4 +81,19 @@ def remark_on_unresolved_waves(
             f"less than {100 * MAX_UNRESOLVED:.0f} %",
             "for these waves take images with smaller pixels; means over nodes and longer waves are sound",
             {"fraction": share, "w_std": unresolved},
+        )
+
+
+def remark_on_scattered_heights(scatter: float) -> Iterator[Remark]:
+    """Report that the heights of single blocks scatter by more than noise; the ratio of their variances."""
+    if scatter > MAX_HEIGHT_SCATTER:
+        yield Remark(
+            "surface",
+            "scattered heights",
+            "remark",
+            f"heights of neighbouring beads scatter by {scatter:.1f} times the variance that noise explains:"
+            " z and velocities may be off by more than their standard uncertainties",
+            f"at most {MAX_HEIGHT_SCATTER}",
+            "are beads under the water, wet or sinking? else waves are too short for these pixels",
+            {"variance_ratio": scatter},
         )
