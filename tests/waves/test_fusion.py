@@ -174,6 +174,53 @@ def test_what_the_measurement_takes_comes_back_in_a_field_of_few_wavelengths():
         np.testing.assert_allclose(ratio, 1, atol=0.06)
 
 
+def test_intervals_hold_the_error_of_a_predicted_gain():
+    """Signal over noise is learned within a factor: spectra of many waves are no more certain than that."""
+
+    def kept(k, ratio=1.0):
+        return 1 / (1 + (k / 60.0) ** 5 / ratio)
+
+    rng, sea = np.random.default_rng(3), PeriodicSea(n=128, box=0)
+    true = wv.komega(sea.cube(512, 40, 48).exact, segment=128).E
+    truth = (true.sum("k") * float(true.k[1] - true.k[0])).values
+    k = 2 * np.pi * np.fft.fftfreq(sea.n, sea.dx)
+    sea.box = kept(np.hypot(k, k[:, None]))
+    cube = sea.cube(512, 40, 48, noise_z=1e-5, noise_dz=1e-5).drop_vars("exact")
+    k, holds = np.linspace(0, 220, 111), {"linear theory": [], "given": []}
+    for _ in range(8):
+        ratios = dict(zip("zw", np.exp(1.5 * np.log(1.5) * rng.uniform(-1, 1, 2))))
+        stated = {f"gain_{n}": (("direction", "k"), np.tile(kept(k, r), (8, 1))) for n, r in ratios.items()}
+        for origin, found in holds.items():
+            gain = xr.Dataset(stated, {"k": k}, {"origin": origin})
+            out = wv.fused_spectra(cube, segment=128, record=wv.whole_record(cube), gain=gain)
+            for method in ("stereo", "w", "fusion"):
+                short = out[f"valid_{method}"].values & (out.frequency.values > 3.3)
+                ratio = (truth / out[f"Ez_{method}"].where(short)).values
+                inside = (out[f"low_{method}"] < ratio) & (ratio < out[f"high_{method}"])
+                found.append(inside.values[short])
+    share = {origin: np.concatenate(found).mean() for origin, found in holds.items()}
+    assert share["linear theory"] > 0.9, share
+    assert share["given"] < 0.8, share
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_w_is_not_valid_where_z_contradicts_it(seed):
+    rng = np.random.default_rng(seed)
+    wrong = np.exp(rng.choice([-1, 1]) * rng.uniform(0.4, 1.0))
+    size = 256, 30, 20, 0.25, 0.5
+    cube = linear_cube(random_waves(seed, 120, 0.25, 0.65, 0.1, np.inf), *size, noise_z=1e-4, noise_dz=1e-4)
+    even = {f"gain_{n}": (("direction", "k"), np.ones((8, 181))) for n in "zw"}
+    gain = xr.Dataset(even, {"k": np.linspace(0, 9, 181)})
+    right = wv.fused_spectra(cube, gain=gain)
+    found = wv.fused_spectra(cube.assign(w=wrong * cube.w), gain=gain)
+    waves = (right.frequency.values > 0.27) & (right.frequency.values < 0.6) & right.valid_w.values
+    assert waves.sum() > 3
+    assert not (found.valid_w | found.valid_cross).values[waves].any()
+    assert found.valid_stereo.values[waves].all()
+    fused = waves & found.valid_fusion.values
+    np.testing.assert_allclose((found.Ez_fusion / right.Ez_fusion).values[fused], 1, atol=0.15)
+
+
 @pytest.mark.parametrize("towards", [0.0, np.pi / 2])
 def test_what_is_taken_from_the_directions_of_a_sea_comes_back(towards):
     """Cameras near the horizon lose waves that run towards them; an even mean over directions is 10 % off."""
@@ -250,7 +297,10 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
             expected = np.where(valid, (1 + (k / half) ** 5) ** 2, 1).reshape(-1, *[1] * (ratio.ndim - 1))
             np.testing.assert_allclose(ratio, np.broadcast_to(expected, ratio.shape), rtol=0.02)
     xr.testing.assert_equal(one.E_k_u, other.E_k_u)
-    np.testing.assert_allclose(other["Ez_fusion"], wv.fused_spectra(cube, gain=stored, segment=64).Ez_fusion)
+    predicted = stored.assign_attrs(origin="linear theory")  # less certain than one that is given
+    np.testing.assert_allclose(
+        other["Ez_fusion"], wv.fused_spectra(cube, gain=predicted, segment=64).Ez_fusion
+    )
     # water at rest: nothing that could be undone
     still = stored.assign(gain_w=0.1 * stored.gain_w)
     assert wv.analyze(cube.merge(still), segment=64).attrs["windows_undone"] == "no"

@@ -6,7 +6,7 @@ from wavefield.errors import CubeError
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
 from wavefield.measurement.response import tabulated
 from wavefield.pipeline.opened_run import Run
-from wavefield.waves.estimation.window_gain import label
+from wavefield.waves.estimation.window_gain import PREDICTED, label
 
 
 def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
@@ -55,4 +55,4 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
             f"the cube does not state how it was made ({error}): measure the gain of its windows, window_gain"
         ) from None
     table = tabulated(GridGeometry(run.rig, run.grid, settings), record)
-    return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], "linear theory")
+    return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], PREDICTED)

@@ -30,6 +30,7 @@ MIN_POWER_GAIN = 0.25  # half the amplitude of a wave: less is not corrected
 CELLS_OF_WEIGHT = 2.0  # standard deviation over which directions are averaged along k
 MIN_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
 # field: measured variable, variable of the truth
+PREDICTED = "linear theory"
 _TRUTH = {"z": ("z_t", "z_t"), "u": ("u", "dx"), "v": ("v", "dy"), "w": ("w", "dz")}
 
 
@@ -208,7 +209,12 @@ def gain_of(
         float(own[name].isel(k=0).mean()) > np.sqrt(MIN_POWER_GAIN) for name in names
     ):  # NaN of a light sheet
         return None
-    return own.assign_attrs(origin="linear theory, from what the run learned of its record")
+    return own.assign_attrs(origin=f"{PREDICTED}, from what the run learned of its record")
+
+
+def is_predicted(gain: xr.Dataset) -> bool:
+    """Whether a gain is predicted from what a run learned, not measured or given."""
+    return str(gain.attrs.get("origin", "")).startswith(PREDICTED)
 
 
 def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -32,7 +32,13 @@ from wavefield.waves.estimation.transfer_functions import (
 )
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
-from wavefield.waves.estimation.window_gain import MIN_POWER_GAIN, read_gain, ring_gain, with_directions
+from wavefield.waves.estimation.window_gain import (
+    MIN_POWER_GAIN,
+    is_predicted,
+    read_gain,
+    ring_gain,
+    with_directions,
+)
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
 from wavefield.waves.spectra.field_spectra import E_omega, density
@@ -50,6 +56,9 @@ MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: further off there are non
 MIN_TRUSTED_FRACTION = 0.7  # of the cells of free waves
 MIN_OWN_FRACTION = 0.5  # of a line of w: the rest is leakage
 MAIN_LOBE = 2.0  # rings over which a Hann window spreads a wave
+LEARNED_WITHIN = 1.5  # factor by which signal over noise of a predicted gain is uncertain
+MAX_DEVIATION = 3.0  # of a method from the more certain of z and w, in standard deviations
+MODEL_ERROR = 0.05  # of z against w besides: leakage, bound waves
 MIN_NOISE_FREQUENCY = 1.2  # Hz: below it the integrated w is mostly drift
 
 
@@ -93,6 +102,13 @@ class _Gains:
     z: Array
     w: Array
     zw: Array
+    doubt: float = 0.0  # standard deviation of ln(signal over noise) that they are predicted from
+
+    @property
+    def std(self) -> tuple[Array, Array]:
+        """Relative standard deviations of the amplitude gains of z and w: of S / (S + N)."""
+        z, w = (self.doubt * np.maximum(1.0 - np.sqrt(power), 0.0) for power in (self.z, self.w))
+        return z, w
 
     @property
     def both_usable(self) -> Array:
@@ -108,7 +124,8 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
-    return _Gains(np.where(z > MIN_POWER_GAIN, z, 0.0), np.where(w > MIN_POWER_GAIN, w, 0.0), both)
+    z, w = (np.where(power > MIN_POWER_GAIN, power, 0.0) for power in (z, w))
+    return _Gains(z, w, both, float(np.log(LEARNED_WITHIN)) if is_predicted(gain) else 0.0)
 
 
 def _source(spectra: "_Elevations", water: Water) -> Array:
@@ -211,16 +228,24 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
     return _Noise(noise_z, noise_w, np.maximum(fit_z, tiny), np.maximum(fit_w, tiny), white_z, white_dz)
 
 
-def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array]:
-    """Spectrum and noise of z / H_z and w / H_w, weighted inversely to their noise in every cell."""
-    by_z, by_w = np.sqrt(gains.z) / noise.fit_z, np.sqrt(gains.w) / noise.fit_w
+def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
+    """Spectrum and noise of z / H_z and w / H_w, weighted inversely to the variance of either in every cell,
+    by noise and by its gain; and the relative standard deviation of the amplitude by the gains.
+    """
+    std_z, std_w = gains.std
+    waves = np.maximum(gains.elevation(spectra.zw), 0.0)
+    by_z = np.sqrt(gains.z) / (noise.fit_z + std_z**2 * gains.z * waves)
+    by_w = np.sqrt(gains.w) / (noise.fit_w + std_w**2 * gains.w * waves)
     scale = np.maximum(by_z, by_w)
     with np.errstate(divide="ignore", invalid="ignore"):
         by_z, by_w = by_z / scale, by_w / scale
         norm = by_z**2 * gains.z + by_w**2 * gains.w + 2 * by_z * by_w * gains.zw
         remaining = (by_z**2 * noise.fit_z + np.where(by_w > 0, by_w**2 * noise.fit_w, 0.0)) / norm
         power = (by_z**2 * spectra.zz + by_w**2 * spectra.ww + 2 * by_z * by_w * spectra.zw) / norm
-    return np.where(scale > 0, power - remaining, 0.0), np.where(scale > 0, remaining, np.inf)
+        share = by_z * np.sqrt(gains.z) / (by_z * np.sqrt(gains.z) + by_w * np.sqrt(gains.w))
+        std = share * std_z + (1 - share) * std_w  # learned from the same images
+    some = scale > 0
+    return np.where(some, power - remaining, 0.0), np.where(some, remaining, np.inf), np.where(some, std, 0.0)
 
 
 def _tiny(spectra: _Elevations) -> float:
@@ -229,11 +254,11 @@ def _tiny(spectra: _Elevations) -> float:
 
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
-) -> tuple[tuple[Array, ...], tuple[Array, ...] | None]:
-    """Energies (omega, k) in the order of METHODS, and where they are trusted."""
-    best, remaining = _best(spectra, noise, gains)
+) -> tuple[tuple[Array, ...], tuple[Array, ...] | None, tuple[Array, ...]]:
+    """Energies (omega, k) in the order of METHODS, where they are trusted, and their std by the gains."""
+    best, remaining, std_best = _best(spectra, noise, gains)
     if not undo:
-        return (spectra.zz, spectra.ww, spectra.zw, best), None
+        return (spectra.zz, spectra.ww, spectra.zw, best), None, (0.0 * best,) * len(METHODS)
     with np.errstate(divide="ignore", invalid="ignore"):
         energies = (
             (spectra.zz - noise.fit_z) / gains.z,
@@ -249,7 +274,34 @@ def _by_method(
                 (gains.z > 0, gains.w > 0, gains.both_usable, (gains.z > 0) | (gains.w > 0)),
             )
         )
-    return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted
+    std_z, std_w = gains.std
+    stds = 2 * std_z, 2 * std_w, std_z + std_w, 2 * std_best
+    return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted, stds
+
+
+def _agreed(
+    spectra: _Elevations, noise: _Noise, gains: _Gains, both: Array, best: Array, dof: Array
+) -> dict[str, Array]:
+    """Lines in which each method agrees with the more certain of z and w, in cells (omega, k) of both."""
+    tiny = _tiny(spectra)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        noises = noise.fit_z / gains.z, noise.fit_w / gains.w
+        measured = spectra.zz / gains.z, spectra.ww / gains.w
+        parts = measured[0] - noises[0], measured[1] - noises[1], gains.elevation(spectra.zw), best
+        stereo, w, cross, fusion, *rest = (
+            np.maximum(np.where(both, part, 0.0).sum(axis=1), tiny)
+            for part in (*parts, *measured, *noises, *(best * std for std in gains.std))
+        )
+    all_z, all_w, noise_z, noise_w, std_z, std_w = (part / fusion for part in rest)
+    chance = 4 * np.clip(1 - (cross / fusion) ** 2 / (all_z * all_w), 0.0, 1.0) / dof
+    std = np.sqrt(chance + 4 * (std_z**2 + std_w**2) + MODEL_ERROR**2)
+    # z is geometry alone: w is followed only where z is clearly less certain
+    z_is_better = np.hypot(noise_z, 2 * std_z) <= np.hypot(noise_w, 2 * std_w) + MODEL_ERROR
+    better = np.where(z_is_better, stereo, w)
+    return {
+        method: ~both.any(axis=1) | (np.abs(np.log(one / better)) < MAX_DEVIATION * std)
+        for method, one in zip(METHODS, (stereo, w, cross, fusion))
+    }
 
 
 def from_spectra(
@@ -261,9 +313,8 @@ def from_spectra(
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
     noise = _noise(spectra, water, gains)
-    energies_k, trusted_k = _by_method(
-        spectra, noise, _gains(gain, _source(spectra, water)), gain is not None
-    )
+    corrected = _gains(gain, _source(spectra, water))
+    energies_k, trusted_k, stds_k = _by_method(spectra, noise, corrected, gain is not None)
     energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
     fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
     # of the fields as measured, the same for all k: for time series
@@ -276,13 +327,18 @@ def from_spectra(
     if trusted_k is None:
         valid = _above_noise(energies, dof["cross"], fit_z, fit_w, remaining, positive)
     else:
-        lines = (_trusted_lines(trusted, spectra, water) for trusted in trusted_k)
-        valid = {method: inner(omega.size) & trusted for method, trusted in zip(METHODS, lines)}
+        lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
+        both = trusted_k[0] & trusted_k[1] & (lines[0] & lines[1])[:, None]
+        agreed = _agreed(spectra, noise, corrected, both, energies_k[-1], dof["fusion"])
+        valid = {m: inner(omega.size) & trusted & agreed[m] for m, trusted in zip(METHODS, lines)}
     waves = _at_waves(energies_k[-1], spectra, water)
     own = {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | (spectra.own > MIN_OWN_FRACTION)}
     valid = {m: lines & waves & own.get(m, spectra.own > MIN_OWN_FRACTION) for m, lines in valid.items()}
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, remaining, tiny)
+    for method, energy_k, std in zip(METHODS, energies_k, stds_k):
+        square = (spectra.over_k(energy_k * std) / np.maximum(np.abs(energies[method]), tiny)) ** 2
+        kept[method] = 1 / (1 / kept[method] + 0.5 * square * dof[method])
 
     out = xr.Dataset(coords=omega_coords(omega) | {"source": list(METHODS)})
     for method in METHODS:
@@ -421,7 +477,9 @@ def fused_spectra(
     N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
     noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) replaces
     the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them;
-    H^2 of a ring is the mean over directions, weighted by the energy that w has in each.
+    H^2 of a ring is the mean over directions, weighted by the energy that w has in each. A gain S / (S + N)
+    that a run predicted is uncertain by a factor of 1.5 in S / N, which weights and intervals contain. Where
+    z and w are both trusted and differ by more than three standard deviations, the less certain is not valid.
     It assumes independent noises: ``noise_coherence`` measures their correlation. On a current U, w is
     integrated at omega - k . U in every cell.
     """
