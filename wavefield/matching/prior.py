@@ -69,10 +69,11 @@ class Prior:
         Fraction of the spectrum that is waves: noise of long wavelength among them, as on still water, is not
         missing from a field.
     shown : tuple of tuple of float
-        Least power of every ring of every component over this one: 1 where waves are significant, and in all
-        if empty. In other rings the power is a limit, which weights take for waves.
+        Least power of every ring of every component over this one: 1 where waves are significant; 0 if empty.
+        In other rings the power is a limit, which weights take for waves.
     share : (float, float)
-        How much of these limits the fields show on the whole, and its standard deviation.
+        How much of the power is waves on the whole, and its standard deviation: of these limits as one field
+        shows it, or of all that the prior removes as several cameras have it in common.
 
     Notes
     -----
@@ -137,7 +138,7 @@ class Prior:
         share, (estimate, std) = np.linspace(0.0, 1.0, 101) ** 2, self.share
         away = (share - np.clip(estimate, -3.0 * std, 1.0 + 3.0 * std)) / max(std, 1e-3)
         weight = np.exp(-0.5 * np.square(away))
-        table = np.maximum(self.shown or [[1.0] * len(self.k)], float(share @ weight / weight.sum()))
+        table = np.maximum(self.shown or [[0.0] * len(self.k)], float(share @ weight / weight.sum()))
         return self.waves * np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in table])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
@@ -336,7 +337,7 @@ def better_prior(
     lost = [binning.exceeds(one, LOST_SIGNAL_TO_NOISE) for one in found]
     shown = np.where(significant, 1.0, found * (seen & lost & (found > chance)) / of_limit)
     weight = binning.count * (seen & (found < of_limit + chance))
-    share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
+    share = _pooled(list(map(_share_of_limits, of_limit, found, weight)))
     at_least = tuple(tuple(float(f"{v:.4g}") for v in one) for one in shown)
     return Prior(binning.k, table, information, prior.noise, prior.waves, at_least, share)
 
@@ -371,24 +372,8 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
     return out
 
 
-def pooled_share(shares: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """`Prior.share` of several fields of the same waves together, by the precision of each.
-
-    Parameters
-    ----------
-    shares : sequence of (float, float)
-        Of each field, with its standard deviation.
-
-    Returns
-    -------
-    float, float
-        Of all, with its standard deviation.
-
-    Examples
-    --------
-    >>> pooled_share([(0.2, 0.5), (0.6, 0.5)])
-    (0.4, 0.3535533905932738)
-    """
+def _pooled(shares: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Share of all components together, by the precision of each."""
     precision = np.array([std**-2 if std > 0 else 1e12 for _, std in shares])
     mean = float(precision @ [share for share, _ in shares] / precision.sum())
     return mean, float(precision.sum() ** -0.5)
