@@ -58,7 +58,7 @@ class FirstHeights:
                 f"elevation: none of {self.tried} patches of images is found in another camera's; {searched}"
             )
         coarse = self.resolution > 0.1 * (self.searched[1] - self.searched[0])
-        within = f" to within {100 * self.resolution:.0f} cm" if coarse else ""
+        within = f" to within {100 * self.resolution:.2g} cm" if coarse else ""
         lowest, highest = (f"{100 * z:+.{digits}f}" for z in self.z)
         return (
             f"elevation: {lowest} to {highest} cm{within} ({self.found} of {self.tried} patches found in "

@@ -1,7 +1,7 @@
 """The verdict on an experiment before its run, and on a cube after it."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -48,6 +48,7 @@ class RunLimits:
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
     without_camera: tuple[float, float] = (0.01, 0.1)  # fraction of the nodes: more is noted, remarked upon
+    deep_sheet: float = 4.0  # px between sight lines: particles of thinner ones make one picture
     faulty: float = 0.01  # of the steps with bad frames: fewer are only noted
 
 
@@ -55,11 +56,33 @@ LIMITS = RunLimits()
 
 
 def compare_cameras(prepared: PreparedRun) -> CameraFaults:
-    """Compare the cameras' images at some instants of the record."""
-    count = prepared.steps + 1
+    """Compare the cameras' images at some instants of the record.
+    Patches of deep light sheets overlap differently in each camera, and disagree whatever the rig.
+    """
+    count, matcher = prepared.steps + 1, _patch_matcher(prepared)
     frames = evenly_spaced(count, LIMITS.instants)
     with one_thread():  # each of them
-        return find_camera_faults(_patch_matcher(prepared), count, frames, threads_here(prepared.workflow))
+        found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
+    thickness = prepared.geometry.settings.sheet_thickness or 0.0
+    depth = thickness * max(float(np.median(matcher.parallax(pair))) for pair in prepared.geometry.pairs)
+    if depth < LIMITS.deep_sheet * matcher.pixel:
+        return found
+    remarks = [
+        _not_compared(depth / matcher.pixel) if one.kind == "disagree" else one for one in found.remarks
+    ]
+    return replace(found, remarks=tuple(remarks))
+
+
+def _not_compared(depth: float) -> Remark:
+    return Remark(
+        "cameras",
+        "not compared",
+        "remark",
+        f"the light sheet is {depth:.0f} px deep between their sight lines: patches of their images cannot "
+        "be compared, and a wrong rig or frames of other moments would not be found",
+        f"less than {LIMITS.deep_sheet:g} px",
+        "`wavefield rig sheet`, which correlates all frames together, compares them",
+    )
 
 
 def synchrony_of(prepared: PreparedRun, instants: int = LIMITS.instants_for_delays) -> Synchrony:
