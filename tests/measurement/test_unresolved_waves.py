@@ -8,7 +8,7 @@ import pytest
 import scipy.fft
 from measurement_cases import RATE
 
-from wavefield.matching import Modes, Prior
+from wavefield.matching import Modes, PosteriorVariance, Prior
 from wavefield.matching.matching_gain import footprint
 from wavefield.measurement import LearnedRecord, Model, measure
 from wavefield.measurement.differences import Differences
@@ -124,6 +124,18 @@ def test_of_waves_that_a_field_lacks_as_much_is_found_as_cameras_have_in_common(
             off.append((estimate - share) / std)
         assert abs(np.mean(off)) < 1.2, "no bias beyond chance"
         assert 0.3 < np.sqrt(np.mean(np.square(off))) < 2.0, "as uncertain as stated"
+
+
+def test_a_hole_lacks_all_of_the_waves_whatever_blocks_lack_of_them():
+    prior = Prior.isotropic((0.04, 0.5, 3.1), (1.0, 0.1, 1e-5), 100.0)
+    everywhere = np.full((SIDE, SIDE), 100.0, np.float32)
+    hole = everywhere.copy()
+    hole[20:40, 20:40] = 0.0
+    few = replace(prior, share=(0.05, 0.02), of_all=True)
+    missing = [[PosteriorVariance(p, (SIDE, SIDE))(a)[1] for a in (everywhere, hole)] for p in (prior, few)]
+    (most, most_in_hole), (least, least_in_hole) = (([m[0, 30, 30] for m in one]) for one in missing)
+    assert least < 0.15 * most
+    assert least_in_hole > 0.9 * most_in_hole
 
 
 def test_without_blocks_in_common_no_waves_are_found():

@@ -69,11 +69,12 @@ class Prior:
         Fraction of the spectrum that is waves: noise of long wavelength among them, as on still water, is not
         missing from a field.
     shown : tuple of tuple of float
-        Least power of every ring of every component over this one: 1 where waves are significant; 0 if empty.
-        In other rings the power is a limit, which weights take for waves.
+        Least power of every ring of every component over this one: 1 where waves are significant, and in all
+        if empty. In other rings the power is a limit, which weights take for waves.
     share : (float, float)
-        How much of the power is waves on the whole, and its standard deviation: of these limits as one field
-        shows it, or of all that the prior removes as several cameras have it in common.
+        How much of these limits is waves on the whole, and its standard deviation.
+    of_all : bool
+        Whether that is measured of all that the prior removes, as several cameras have it in common.
 
     Notes
     -----
@@ -89,6 +90,7 @@ class Prior:
     waves: float = 1.0
     shown: tuple[tuple[float, ...], ...] = ()
     share: tuple[float, float] = (1.0, 0.0)
+    of_all: bool = False
 
     @classmethod
     def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
@@ -131,14 +133,16 @@ class Prior:
         out += s * ((1 - t) * table[:, after, i] + t * table[:, after, i + 1])
         return np.asarray(np.exp(out))
 
-    def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Power of waves that is expected over `spectrum`, which is a limit where none were detected.
+    def expected(self, kx: Float, ky: Float, removed: bool = False) -> NDArray[np.float64]:
+        """Power of waves that is expected over `spectrum`, which is a limit where none were detected;
+        or of what the prior removes of them where blocks hold the typical information.
         Of the share of that every amplitude is as likely before the fields showed something of it.
         """
         share, (estimate, std) = np.linspace(0.0, 1.0, 101) ** 2, self.share
         away = (share - np.clip(estimate, -3.0 * std, 1.0 + 3.0 * std)) / max(std, 1e-3)
         weight = np.exp(-0.5 * np.square(away))
-        table = np.maximum(self.shown or [[0.0] * len(self.k)], float(share @ weight / weight.sum()))
+        shown = np.array(self.shown or [[1.0] * len(self.k)]) * (not (removed and self.of_all))
+        table = np.maximum(shown, float(share @ weight / weight.sum()))
         return self.waves * np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in table])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
@@ -178,8 +182,12 @@ class Prior:
         """Plain data for a recipe."""
         power = [[list(ring) for ring in directions] for directions in self.power]
         numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
-        limits = {"shown": [list(rings) for rings in self.shown], "share": list(self.share)}
-        return {"k": list(self.k), "power": power} | numbers | limits
+        limits = {
+            "shown": [list(rings) for rings in self.shown],
+            "share": list(self.share),
+            "of_all": self.of_all,
+        }
+        return {"k": list(self.k), "power": power, "of_all": self.of_all} | numbers | limits
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
@@ -188,7 +196,8 @@ class Prior:
         information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
         shown = tuple(tuple(map(float, rings)) for rings in data.get("shown", ()))
         share, std = map(float, data.get("share", (1.0, 0.0)))
-        return cls(tuple(map(float, data["k"])), power, information, noise, waves, shown, (share, std))
+        k, of_all = tuple(map(float, data["k"])), bool(data.get("of_all", False))
+        return cls(k, power, information, noise, waves, shown, (share, std), of_all)
 
 
 def _in_all_directions(k: Float) -> tuple[Float, Float]:

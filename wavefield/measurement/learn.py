@@ -171,7 +171,7 @@ def _learned(
         else:  # fields by the last spectra have another noise than those that it was fitted to
             own = {name: one * float(np.clip(found.noise, *_NOISE_FACTORS)) for name, one in own.items()}
         if found.share:
-            priors = {name: replace(one, shown=(), share=found.share) for name, one in priors.items()}
+            priors = {name: replace(one, share=found.share, of_all=True) for name, one in priors.items()}
         record = replace(
             record,
             displacement=tuple(priors.items()),
