@@ -10,10 +10,7 @@ from wavefield.grid import Grid
 from wavefield.matching import Prior
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
-from wavefield.measurement.differences import differences
-from wavefield.measurement.elevation import surface
-from wavefield.measurement.flow import FlowEstimate, flows
-from wavefield.measurement.instant import images_of
+from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.learn import _mean_flow, _shown
 from wavefield.tank import Scene, Tank
 
@@ -71,21 +68,6 @@ def test_information_at_the_nodes_is_learned_of_either_component(bare):
         X, Y = camera.project(geometry.x, geometry.y, 0.0)
         expected = [(p.mean() - 2.0) / BLOCK / prior.information / bare for p in (X, Y)]
         assert _shown(fields, prior, geometry, name) == pytest.approx(expected, rel=0.03)
-
-
-def test_the_stated_noise_is_that_of_fields_by_the_learned_spectra(series, geometry, model):
-    """The misfit of cameras is what their noise makes it once spectra are learned, not before."""
-    found = []
-    for k in range(4):
-        images = [
-            images_of({n: f[k + i] for n, f in series.frames.items()}, geometry, dict(model.record.beads))
-            for i in (0, 1)
-        ]
-        moved = flows(*(one.raw for one in images), geometry.settings.piv, model)
-        z = np.mean([surface(one.flat, geometry, model).z for one in images], axis=0)
-        found.append(differences(moved, z, geometry, model).noise)
-    stated = np.mean([model.record.own_noise(name) for name in geometry.velocity_cameras])
-    assert np.median(found) == pytest.approx(stated, rel=0.02)
 
 
 def test_short_waves_of_two_cameras_are_not_taken_for_noise():

@@ -9,7 +9,7 @@ from wavefield.matching.noise import component_variance_factors, noise_factor_ne
 from wavefield.matching.posterior import Modes
 from wavefield.matching.posterior_variance import PosteriorVariance
 from wavefield.matching.prepared import PreparedImage, prepare
-from wavefield.matching.prior import Prior, better_prior, first_prior, shrinkage
+from wavefield.matching.prior import Prior, better_prior, first_prior, pooled_share, shrinkage
 
 __all__ = [
     "Displacement",
@@ -30,6 +30,7 @@ __all__ = [
     "match",
     "noise_factor_near_holes",
     "noise_of_scores",
+    "pooled_share",
     "prepare",
     "reevaluate",
     "scores_at",

@@ -23,7 +23,7 @@ from wavefield.matching.edges import EDGE_REACH, Edge, Slopes, kept_slopes
 from wavefield.matching.matching_gain import footprint
 from wavefield.matching.noise import CLUSTER, hole_mask
 from wavefield.matching.preconditioner import Factor, Preconditioner
-from wavefield.matching.prior import SHORTEST_IN_LIMITS, Prior, wavenumbers
+from wavefield.matching.prior import Prior, wavenumbers
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -116,31 +116,6 @@ class Modes:
     def seen(self, waves: Float) -> Float:
         """Field averaged over the footprint of the blocks, (c, ny, nx)."""
         return self.field(self.foot * waves)
-
-    def lost(self, waves: Float) -> tuple[Float, float, float]:
-        """What an estimate lacks of waves, and as much of the noise of each wave.
-
-        Parameters
-        ----------
-        waves : ndarray, (c, my, mx)
-            Coefficients of the estimate less its prior mean.
-
-        Returns
-        -------
-        field : ndarray of float32, (c, ny, nx)
-            The estimate times (1 - G) / G, of waves that can be searched for.
-        float
-            Its variance without noise if waves are as strong as the spectrum, mean of the components.
-        float
-            Number of independent modes of its noise.
-        """
-        precision = np.square(self.foot) * np.float32(self.prior.information)
-        searched = np.hypot(self.kx, self.ky) < SHORTEST_IN_LIMITS
-        missing = searched * self.inverse / np.square(precision + self.inverse)
-        noise = np.mean(missing * self.inverse / precision, axis=0)
-        field = self.field(np.asarray(waves * searched * self.inverse / precision, np.float32))
-        count = float(np.square(noise.sum()) / max(float(np.square(noise).sum()), 1e-30))
-        return field, float(missing.sum()) / (len(missing) * float(np.prod(self.lattice))), count
 
     def mean(self, field: Float) -> tuple[Float, Float, Slopes]:
         """A smooth field with the edge slopes of a given one, which cosines do not represent.

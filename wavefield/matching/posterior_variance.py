@@ -54,11 +54,11 @@ class PosteriorVariance:
         square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
         self.shape = shape
         self.typical_information = prior.information
-        waves, removed = (np.maximum(prior.expected(kx, ky, one), MIN_WAVE_FRACTION) for one in (False, True))
+        waves = np.maximum(prior.expected(kx, ky), MIN_WAVE_FRACTION)
         levels = INFORMATION_LEVELS * prior.information
         precision = [square * a + inverse for a in levels]
         noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, precision)]
-        missing = [np.mean(removed * inverse / c**2, axis=(1, 2)) for c in precision]
+        missing = [np.mean(waves * inverse / c**2, axis=(1, 2)) for c in precision]
         self._log = np.log(levels).astype(np.float32)
         # (2 c, levels): noise of every component, then what is missing of it
         self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(

@@ -72,9 +72,7 @@ class Prior:
         Least power of every ring of every component over this one: 1 where waves are significant, and in all
         if empty. In other rings the power is a limit, which weights take for waves.
     share : (float, float)
-        How much of these limits is waves on the whole, and its standard deviation.
-    of_all : bool
-        Whether that is measured of all that the prior removes, as several cameras have it in common.
+        How much of these limits the fields show on the whole, and its standard deviation.
 
     Notes
     -----
@@ -90,7 +88,6 @@ class Prior:
     waves: float = 1.0
     shown: tuple[tuple[float, ...], ...] = ()
     share: tuple[float, float] = (1.0, 0.0)
-    of_all: bool = False
 
     @classmethod
     def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
@@ -133,16 +130,14 @@ class Prior:
         out += s * ((1 - t) * table[:, after, i] + t * table[:, after, i + 1])
         return np.asarray(np.exp(out))
 
-    def expected(self, kx: Float, ky: Float, removed: bool = False) -> NDArray[np.float64]:
-        """Power of waves that is expected over `spectrum`, which is a limit where none were detected;
-        or of what the prior removes of them where blocks hold the typical information.
+    def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """Power of waves that is expected over `spectrum`, which is a limit where none were detected.
         Of the share of that every amplitude is as likely before the fields showed something of it.
         """
         share, (estimate, std) = np.linspace(0.0, 1.0, 101) ** 2, self.share
         away = (share - np.clip(estimate, -3.0 * std, 1.0 + 3.0 * std)) / max(std, 1e-3)
         weight = np.exp(-0.5 * np.square(away))
-        shown = np.array(self.shown or [[1.0] * len(self.k)]) * (not (removed and self.of_all))
-        table = np.maximum(shown, float(share @ weight / weight.sum()))
+        table = np.maximum(self.shown or [[1.0] * len(self.k)], float(share @ weight / weight.sum()))
         return self.waves * np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in table])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
@@ -182,12 +177,8 @@ class Prior:
         """Plain data for a recipe."""
         power = [[list(ring) for ring in directions] for directions in self.power]
         numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
-        limits = {
-            "shown": [list(rings) for rings in self.shown],
-            "share": list(self.share),
-            "of_all": self.of_all,
-        }
-        return {"k": list(self.k), "power": power, "of_all": self.of_all} | numbers | limits
+        limits = {"shown": [list(rings) for rings in self.shown], "share": list(self.share)}
+        return {"k": list(self.k), "power": power} | numbers | limits
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
@@ -196,8 +187,7 @@ class Prior:
         information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
         shown = tuple(tuple(map(float, rings)) for rings in data.get("shown", ()))
         share, std = map(float, data.get("share", (1.0, 0.0)))
-        k, of_all = tuple(map(float, data["k"])), bool(data.get("of_all", False))
-        return cls(k, power, information, noise, waves, shown, (share, std), of_all)
+        return cls(tuple(map(float, data["k"])), power, information, noise, waves, shown, (share, std))
 
 
 def _in_all_directions(k: Float) -> tuple[Float, Float]:
@@ -346,7 +336,7 @@ def better_prior(
     lost = [binning.exceeds(one, LOST_SIGNAL_TO_NOISE) for one in found]
     shown = np.where(significant, 1.0, found * (seen & lost & (found > chance)) / of_limit)
     weight = binning.count * (seen & (found < of_limit + chance))
-    share = _pooled(list(map(_share_of_limits, of_limit, found, weight)))
+    share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
     at_least = tuple(tuple(float(f"{v:.4g}") for v in one) for one in shown)
     return Prior(binning.k, table, information, prior.noise, prior.waves, at_least, share)
 
@@ -381,8 +371,24 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
     return out
 
 
-def _pooled(shares: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Share of all components together, by the precision of each."""
+def pooled_share(shares: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """`Prior.share` of several fields of the same waves together, by the precision of each.
+
+    Parameters
+    ----------
+    shares : sequence of (float, float)
+        Of each field, with its standard deviation.
+
+    Returns
+    -------
+    float, float
+        Of all, with its standard deviation.
+
+    Examples
+    --------
+    >>> pooled_share([(0.2, 0.5), (0.6, 0.5)])
+    (0.4, 0.3535533905932738)
+    """
     precision = np.array([std**-2 if std > 0 else 1e12 for _, std in shares])
     mean = float(precision @ [share for share, _ in shares] / precision.sum())
     return mean, float(precision.sum() ** -0.5)

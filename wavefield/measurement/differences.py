@@ -21,7 +21,6 @@ from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
 
-_LEAST_SHARE_STD = 0.02  # of the share of waves in what priors remove
 _MIN_MOTION_PX = 1e-3  # of the water from frame to frame, that is assumed
 
 
@@ -43,15 +42,6 @@ class Differences:
     # Variance of the rise from frame to frame by waves that blocks do not resolve, m^2; their wavelength, m;
     # typical ones have the standard deviation
     unresolved: tuple[float, float] = (0.0, 0.0)
-    missing: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of waves that priors remove (`missing_waves`)
-
-    @property
-    def share(self) -> tuple[float, float] | None:
-        """How much of what priors remove is waves, with its std (`Prior.share`); None if unknown."""
-        common, chance, expected = self.missing
-        if not expected > 0:
-            return None
-        return common / expected, max(float(np.sqrt(chance)) / expected, _LEAST_SHARE_STD)
 
 
 def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) -> Differences | None:
@@ -129,8 +119,4 @@ def typical_differences(steps: Sequence[Differences], pixel: float) -> Differenc
     variance, wavelength = np.mean([one.unresolved for one in steps], axis=0)
     unresolved = float(np.sqrt(max(variance, 0.0))), float(wavelength)
     moved_by_water = float(x), float(y), float(z)
-    common, chance, expected = map(float, np.mean([one.missing for one in steps], axis=0))
-    missing = common, chance, expected
-    return Differences(
-        camera_jitter, True, noise, own, moved_by_water, waves, noise_variance, unresolved, missing
-    )
+    return Differences(camera_jitter, True, noise, own, moved_by_water, waves, noise_variance, unresolved)

@@ -28,13 +28,12 @@ from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.model import Model
 from wavefield.measurement.temporal_truncation import temporal_truncation
-from wavefield.measurement.unresolved_waves import missing_waves, unresolved_rise
+from wavefield.measurement.unresolved_waves import unresolved_rise
 
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
 
 SAMPLES = 4  # steps of a record
-_ROUNDS = 2  # of displacements' spectra and noise in turn
 _MIN_INFORMATION = 1e-3  # of a block, per square px: its own estimate is uncertain by 30 px
 _SLOW_FLOW = 0.25  # nodes per step: slower water leaves the phases of waves nearly as they are
 _NOISE_FACTORS = 0.1, 10.0  # accepted range
@@ -156,22 +155,19 @@ def _learned(
         partial(_matching_gain, record, geometry),
     )
     record = replace(record, temporal_truncation=truncation)
-    for number in range(_ROUNDS + 1):
+    for number in range(2):
         if number:
             model = Model(geometry, record, model)
         each = pool.map(partial(_differences, geometry, model), samples, surfaces)
         found = typical_differences([one for one in each if one is not None], geometry.pixel)
-        priors = dict(record.displacement)
+        priors = {}
+        for name, prior in record.displacement:
+            factor = float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS))
+            prior = replace(prior, noise=factor, waves=found.waves)
+            priors[name] = measured[name].better(prior) if name in measured else prior
+        share = matching.pooled_share([prior.share for prior in priors.values()])
+        priors = {name: replace(prior, share=share) for name, prior in priors.items()}
         own = {name: record.own_noise(name) * found.own.get(name, 1.0) for name in priors}
-        if number < _ROUNDS:
-            for name, prior in priors.items():
-                factor = float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS))
-                prior = replace(prior, noise=factor, waves=found.waves)
-                priors[name] = measured[name].better(prior) if name in measured else prior
-        else:  # fields by the last spectra have another noise than those that it was fitted to
-            own = {name: one * float(np.clip(found.noise, *_NOISE_FACTORS)) for name, one in own.items()}
-        if found.share:
-            priors = {name: replace(one, share=found.share, of_all=True) for name, one in priors.items()}
         record = replace(
             record,
             displacement=tuple(priors.items()),
@@ -336,9 +332,4 @@ def _differences(
     if shown is None or geometry.settings.sheet_thickness is not None:
         return shown
     missing = {name: one.missing for name, one in flows.items()}
-    modes = {name: model.displacement[name].modes for name in found}
-    return replace(
-        shown,
-        unresolved=unresolved_rise(found, missing, surfaces[0], geometry),
-        missing=missing_waves(found, modes, surfaces[0], geometry),
-    )
+    return replace(shown, unresolved=unresolved_rise(found, missing, surfaces[0], geometry))

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Displacement, Evaluation, Modes
+from wavefield.matching import Displacement, Evaluation
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.sight import Sight
 from wavefield.measurement.velocity import SHORT_WAVE_VARIANCES
 from wavefield.water import dispersion
 
@@ -44,82 +43,31 @@ def unresolved_rise(
     """
     motions, jacobians, removed, scales = {}, {}, {}, []
     for name, one in found.items():
-        columns, rows, inside, J = _at_nodes(geometry.sights[name], z)
+        sight = geometry.sights[name]
+        x, y, *jacobian = sight.at(z).reshape(8, -1)
+        columns, rows, inside = _blocks_at(sight.lattice, x, y)
         motions[name] = np.where(inside, _block_motion(one.found)[:, rows, columns], np.nan)
-        jacobians[name] = J
+        jacobians[name] = J = np.reshape(jacobian, (2, 3, -1)).astype(np.float64)
         size = 2.0 * np.mean(missing[name], axis=0)[rows, columns] / np.einsum("iin->n", _covariance(J, J))
         removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
-        scales.append(np.median(np.linalg.norm(J[:, :2], axis=(0, 1))) / np.sqrt(2.0))
-    common = []
-    pairs, apart = _pairs(jacobians)
-    for a, b in pairs:
+        scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
+    common, pairs = [], list(combinations(motions, 2))
+    apart = [(a, b) for a, b in pairs if _sine(jacobians[a], jacobians[b]) > _MIN_SINE]
+    for a, b in apart or pairs:
         both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
         if both.sum() < _MIN_BLOCKS:
             continue
         (p, J), (q, K) = ((_limited(motions[n][:, both]), jacobians[n][..., both]) for n in (a, b))
-        shared = _rise_in_common(p, J, q, K)
-        shared -= _COMMON_OF_BEADS * float(np.sqrt(_own_rise(p, J) * _own_rise(q, K)))
+        expected = _covariance(J, K)
+        own = [np.sum(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
+        shared = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
+        shared -= _COMMON_OF_BEADS * float(np.sqrt(own[0] * own[1]))
         known = _SEEN_OF_REMOVED * min(removed[a], removed[b])
         common.append(shared * shared / (shared + known) if shared > 0 else shared)
     if not common:
         return 0.0, 0.0
     variance = float(np.mean(common)) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
     return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
-
-
-def missing_waves(
-    found: Mapping[str, FlowEstimate], modes: Mapping[str, Modes], z: Float, geometry: GridGeometry
-) -> tuple[float, float, float]:
-    """Variance of the rise per frame by waves that the prior removes, m^2; its own variance by chance; and
-    what the priors expect of it if all of their spectra are waves.
-    Cameras have waves in common and noise not: so have what they lack of both (`Modes.lost`). The product of
-    two cameras is as uncertain as their independent modes are few.
-    """
-    motions, jacobians, expected, counts = {}, {}, {}, {}
-    for name, one in found.items():
-        columns, rows, inside, J = _at_nodes(geometry.sights[name], z)
-        lost, variance, counts[name] = modes[name].lost(one.waves - one.mean)
-        motions[name] = np.where(inside & one.found.valid[rows, columns], lost[:, rows, columns], np.nan)
-        jacobians[name] = J
-        expected[name] = 2.0 * variance / float(np.mean(np.einsum("iin->n", _covariance(J, J))))
-    parts = []
-    for a, b in _pairs(jacobians)[0]:
-        both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
-        if both.sum() < _MIN_BLOCKS:
-            continue
-        (p, J), (q, K) = ((motions[n][:, both], jacobians[n][..., both]) for n in (a, b))
-        chance = _own_rise(p, J) * _own_rise(q, K) / max(min(counts[a], counts[b]), 1.0)
-        parts.append((_rise_in_common(p, J, q, K), chance, np.sqrt(expected[a] * expected[b])))
-    if not parts:
-        return 0.0, 0.0, 0.0
-    common, chance, of_priors = map(float, np.mean(parts, axis=0))
-    return common, chance / len(parts), of_priors
-
-
-def _at_nodes(sight: Sight, z: Float) -> tuple[Blocks, Blocks, NDArray[np.bool_], Float]:
-    """Column and row of the block of a camera nearest to each node on the surface z, whether it is on the
-    lattice, and the Jacobian (2, 3, n) there.
-    """
-    x, y, *jacobian = sight.at(z).reshape(8, -1)
-    return *_blocks_at(sight.lattice, x, y), np.reshape(jacobian, (2, 3, -1)).astype(np.float64)
-
-
-def _pairs(jacobians: Mapping[str, Float]) -> tuple[list[tuple[str, str]], bool]:
-    """Pairs of cameras that look from different sides, and True; if there are none all pairs, and False."""
-    pairs = list(combinations(jacobians, 2))
-    apart = [(a, b) for a, b in pairs if _sine(jacobians[a], jacobians[b]) > _MIN_SINE]
-    return apart or pairs, bool(apart)
-
-
-def _rise_in_common(p: Float, J: Float, q: Float, K: Float) -> float:
-    """Variance of the rise that gives motions p, q (2, n) in two images their covariance."""
-    expected = _covariance(J, K)
-    return float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
-
-
-def _own_rise(p: Float, J: Float) -> float:
-    """The same that gives motions (2, n) in one image their variance."""
-    return float(np.sum(np.square(p)) / np.einsum("iin->", _covariance(J, J)))
 
 
 def _sine(J: Float, K: Float) -> float:
