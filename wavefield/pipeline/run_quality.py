@@ -63,7 +63,9 @@ def compare_cameras(prepared: PreparedRun) -> CameraFaults:
     frames = evenly_spaced(count, LIMITS.instants)
     with one_thread():  # each of them
         found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
-    thickness = prepared.geometry.settings.sheet_thickness or 0.0
+    thickness = prepared.geometry.settings.sheet_thickness
+    if thickness is None:
+        return found
     depth = thickness * max(float(np.median(matcher.parallax(pair))) for pair in prepared.geometry.pairs)
     if depth < LIMITS.deep_sheet * matcher.pixel:
         return found

@@ -29,8 +29,8 @@ MIN_HALF_BAND_LINES = 3
 MIN_POWER_GAIN = 0.25  # half the amplitude of a wave: less is not corrected
 CELLS_OF_WEIGHT = 2.0  # standard deviation over which directions are averaged along k
 MIN_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
+PREDICTED = "linear theory"  # origin of a gain that is predicted
 # field: measured variable, variable of the truth
-PREDICTED = "linear theory"
 _TRUTH = {"z": ("z_t", "z_t"), "u": ("u", "dx"), "v": ("v", "dy"), "w": ("w", "dz")}
 
 

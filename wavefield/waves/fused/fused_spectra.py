@@ -102,12 +102,12 @@ class _Gains:
     z: Array
     w: Array
     zw: Array
-    doubt: float = 0.0  # standard deviation of ln(signal over noise) that they are predicted from
+    log_std: float = 0.0  # of the signal over noise that they are predicted from: that of its logarithm
 
     @property
     def std(self) -> tuple[Array, Array]:
         """Relative standard deviations of the amplitude gains of z and w: of S / (S + N)."""
-        z, w = (self.doubt * np.maximum(1.0 - np.sqrt(power), 0.0) for power in (self.z, self.w))
+        z, w = (self.log_std * np.maximum(1.0 - np.sqrt(power), 0.0) for power in (self.z, self.w))
         return z, w
 
     @property
