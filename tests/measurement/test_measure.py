@@ -116,7 +116,7 @@ def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, geometry, m
     out = measure(frames, geometry, RATE, model)
     seen = np.isfinite(out["z"][0])
     assert (out["quality"][0] & Quality.TWO_FRAME_MEAN).all()
-    assert not (out["quality"][1:] & Quality.TWO_FRAME_MEAN).any()
+    assert not (out["quality"][1:] & Quality.TWO_FRAME_MEAN)[:, series.inside].any()
     assert out["frame_status"][0] == FrameStatus.DONE
     # z of four frames instead of six tilts the surface a little otherwise
     np.testing.assert_allclose(out["z_t"][1:], cube["z_t"][1:], atol=1e-4)

@@ -83,13 +83,13 @@ def test_beside_a_lost_frame_paths_have_four(fast, cube):
     for name in (*NAMES, "w_std"):
         np.testing.assert_array_equal(out[name][0], four[name][0])
         np.testing.assert_array_equal(out[name][1:], cube[name][1:])
-    assert not (out["quality"][0] & Quality.TWO_FRAME_MEAN).any()
+    assert not (out["quality"][0] & Quality.TWO_FRAME_MEAN)[5:-5, 5:-5].any()
 
 
 def test_a_knock_is_not_spread_along_paths(fast):
     """One camera's picture jumps between the last two frames of a step's six: it does not enter four."""
     _, frames, geometry, model = fast
-    moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.4]])
+    moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.6]])
     knocked = {name: list(images) for name, images in frames.items()}
     image = knocked["cam1"][5]
     knocked["cam1"][5] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)

@@ -5,7 +5,12 @@ from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import match, reevaluate, scores_at
 from wavefield.matching.matching_gain import footprint, footprint_excess, transfer_function
 from wavefield.matching.matching_settings import MatchSettings
-from wavefield.matching.noise import component_variance_factors, noise_factor_near_holes, noise_of_scores
+from wavefield.matching.noise import (
+    component_variance_factors,
+    noise_factor_near_holes,
+    noise_of_scores,
+    trust_in_scores,
+)
 from wavefield.matching.posterior import Modes
 from wavefield.matching.posterior_variance import PosteriorVariance
 from wavefield.matching.prepared import PreparedImage, prepare
@@ -36,4 +41,5 @@ __all__ = [
     "scores_at",
     "shrinkage",
     "transfer_function",
+    "trust_in_scores",
 ]

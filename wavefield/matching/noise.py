@@ -15,6 +15,8 @@ F = np.float32
 CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
 SMOOTHING_RADIUS = 6.0  # blocks over which noise is averaged
 HOLE_INFORMATION = 0.15  # of the typical information, mean of 7 x 7 blocks: below is a hole
+MAX_MISFIT = 30.0  # of a cluster's squared score, over the square that is expected of those around it
+LEAST_NOISE = 0.3  # of the median: no less is expected anywhere
 MAX_EXCESS = 0.25  # of one component's noise over the mean: more is a mismatch, not noise
 RIM_WIDTH, RIM_SIGMA = 6, 2.0  # blocks: reach of the surroundings of a hole, and smoothing of their edge
 
@@ -65,6 +67,34 @@ def noise_of_scores(
     out = (square + least_information * F(total)) / ((expected + least_information) * F(freedom))
     ny, nx = trace.shape
     return cv2.resize(np.maximum(out, F(1e-12)), (nx, ny), interpolation=cv2.INTER_LINEAR)
+
+
+def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
+    """Weight of blocks: below 1 in clusters whose scores are far larger than those around.
+
+    Parameters
+    ----------
+    score, trace, counts : ndarray of float32
+        As for `noise_of_scores`.
+
+    Returns
+    -------
+    ndarray of float32, (ny, nx)
+        Above 0, at most 1. Where it is small, what moved is not the field: the edge of an object, or beads
+        that enter or leave the image.
+    """
+    square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
+    information = _clusters(trace * counts)
+    least = F(HOLE_INFORMATION) * information.mean()
+    ratio = square / np.maximum(information, F(1e-20))
+    # medians of 5 x 5 clusters side by side: an object does not raise them; such squares are exponential
+    apart, known = (field[:: CLUSTER - 1, :: CLUSTER - 1] for field in (ratio, information > least))
+    typical = np.median(apart[known]) if known.any() else F(0)
+    around = cv2.medianBlur(np.where(known, apart, typical).astype(np.float32), CLUSTER) / F(np.log(2))
+    around = cv2.resize(np.maximum(around, F(LEAST_NOISE) * typical), trace.shape[::-1])
+    limit = np.where(information > least, F(MAX_MISFIT) * around, np.inf)
+    trust = np.square(np.minimum(limit / np.maximum(ratio, F(1e-30)), F(1)))
+    return cv2.erode(trust.astype(np.float32), np.ones((CLUSTER, CLUSTER), np.uint8))
 
 
 def component_variance_factors(score: Float, hessian: Float, counts: Float) -> tuple[float, float]:

@@ -22,6 +22,7 @@ Float = NDArray[np.floating]
 # Variance of matched displacements over that of the sample steps: above it the spectra learned from these
 # suppress waves, by more than the uncertainties hold.
 MAX_MOTION_RATIO = 16.0
+MIN_TRUST = 0.5  # in the scores of a block that counts as measured
 STILL_WATER_VARIANCE = 8e-4  # of matched displacements, px^2: less in the sample steps is taken for this
 
 
@@ -84,6 +85,10 @@ def map_displacement(
             found = matching.reevaluate(one, other, u[0], u[1], match.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
+        if number:
+            trust = matching.trust_in_scores(found.score, trace, counts)
+            outlier = (trust < MIN_TRUST) * np.uint8(matching.Reason.NEIGHBOURS)
+            found, counts = replace(found, reason=found.reason | outlier), counts * trust
         nu = matching.noise_of_scores(found.score, trace, counts, modes.freedom, with_mismatches=True)
         counts /= nu * np.float32(modes.prior.noise)
         a = found.hessian * counts
