@@ -43,6 +43,7 @@ FRAMES = 9
 CROP = 0.22  # of every sensor, along both axes
 NAMES = ("z", "u", "v", "w")
 MAX_WRONG = 0.01  # of the judged nodes, without a remark
+MIN_LIGHT = 0.2  # of a camera's median: with less, flicker has blackened a frame, which is a fault
 MIN_MEASURED = 0.7  # of them: with fewer, holes are remarked upon with reason
 FAULTS = (
     "duplicated", "lost", "duplicated in one", "lost in one", "jitter", "jitter, with stamps",
@@ -209,9 +210,18 @@ def cover(tank: Tank, name: str, image: NDArray[Any] | None, frame: int) -> NDAr
     return np.asarray(cv2.fillPoly(image.copy(), [outline], 90))
 
 
+def has_dark_frame(images: Images) -> bool:
+    """Whether flicker has left one of the frames of a camera nearly without light."""
+    light = [[float(np.std(np.asarray(frame))) for frame in frames] for frames in images.values()]
+    return any(min(one) < MIN_LIGHT * float(np.median(one)) for one in light)
+
+
 def write_experiment(conditions: Conditions, tank: Tank, folder: Path) -> Path:
     """The record as files, with the exact cameras."""
-    for name, frames in take_images(conditions, tank).items():
+    images = take_images(conditions, tank)
+    if has_dark_frame(images):
+        conditions.text = conditions.text.replace("no fault", "a dark frame")
+    for name, frames in images.items():
         for number, image in enumerate(frames):
             write_image(folder / name / f"img_{number:05d}.tif", np.asarray(image))
     tank.rig.save(folder / "rig.yaml")
@@ -282,6 +292,7 @@ def one_draw(seed: int, number: int) -> Outcome:
     try:
         tank = Tank(conditions.scene)
         path = write_experiment(conditions, tank, folder)
+        outcome.text = f"{number:4d}  {conditions.text}"
         found = wf.check(path)
         refusals = [str(problem) for problem in found.problems]
         verdicts = [found.verdict] if found.verdict else []

@@ -66,6 +66,21 @@ def test_what_was_not_measured_is_not_asked():
         assert (block[[0, 4], 0] == -1).all()
 
 
+def test_water_that_was_not_in_the_image_was_not_measured():
+    """A current carries it in and out: fields are not asked beyond their edge."""
+    rng = np.random.default_rng(3)
+    at = rng.uniform(0.0, 299.0, (2, 400)).astype(np.float32)
+    moved = rng.uniform(-50.0, 50.0, 2)
+    spline = coefficients(np.broadcast_to(moved, (*LATTICE.shape, 2)).astype(np.float32))
+    measured = np.ones(LATTICE.shape, bool)
+    _, block = read_path([spline] * 5, [measured] * 5, LATTICE, *at)
+    places = at + np.multiply.outer(np.arange(-2, 3) - 0.5, moved)[..., None]  # where each step departs
+    inside = ((places > -0.5) & (places < 299.5)).all(axis=1)
+    inside[[0, 4]] = inside[[0, 1, 3, 4]].all(axis=0)
+    np.testing.assert_array_equal((block >= 0)[[0, 1, 3, 4]], inside[[0, 1, 3, 4]])
+    assert 0 < inside[1].sum() < inside[2].sum() < 400
+
+
 @pytest.mark.parametrize("places", [2, 4, 6])
 def test_noise_passes_a_path_as_its_weights_state(places):
     # a fifth of the variance comes from frames, which two displacements share with opposite signs, twice that

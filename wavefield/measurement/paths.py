@@ -42,6 +42,13 @@ def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, 
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
+def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
+    """Whether a place, in blocks, is in the image; fields are read at its edge from beyond it."""
+    half = F(0.5)
+    return bool(-half < x < F(nx) - half and -half < y < F(ny) - half)
+
+
+@compiled(error_model="numpy", fastmath=_LOOSE)
 def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
     """Four blocks along x, weighed, of four rows."""
     step = np.uintp(2)
@@ -154,7 +161,8 @@ def _read_path(
             wb, zb, _ = _nearest(b, nx, ny, bx, by)
             bx, by, ub, vb, _ = _solve_near(b, nx, ny, across, sx, sy, wb, zb)
             nb = _nearest(b, nx, ny, bx, by)[2]
-        after, before = has_a.size > 0 and has_a[na], has_b.size > 0 and has_b[nb]
+        after = has_a.size > 0 and has_a[na] and _inside(nx, ny, ax, ay)
+        before = has_b.size > 0 and has_b[nb] and _inside(nx, ny, bx, by)
         ua, va, ub, vb = _extended(after, before, u, v, ua, va, ub, vb)
         # the bend as it is now moves the place of departure a little, and with it all places
         kx, ky = bend * across * (ua - ub) - kx, bend * across * (va - vb) - ky
@@ -172,7 +180,7 @@ def _read_path(
             wb, zb, _ = _nearest(bb, nx, ny, bx - across * ub, by - across * vb)
             bx, by, wb, zb, _ = _solve_near(bb, nx, ny, across, bx, by, wb, zb)
             na, nb = _nearest(aa, nx, ny, ax, ay)[2], _nearest(bb, nx, ny, bx, by)[2]
-            if has_aa[na] and has_bb[nb]:
+            if has_aa[na] and has_bb[nb] and _inside(nx, ny, ax, ay) and _inside(nx, ny, bx, by):
                 wa, za = displacement_at(aa, nx, ny, ax, ay)
                 out[0, k] = us + near * (ua - F(2) * u + ub) + far * (wa - F(2) * u + wb)
                 out[1, k] = vs + near * (va - F(2) * v + vb) + far * (za - F(2) * v + zb)
