@@ -24,11 +24,11 @@ def learned_once():
     learn = wavefield.measurement.learn
 
     @functools.wraps(learn)
-    def remembered(steps, geometry, masks=None, threads=1):
-        asked = pickle.dumps((steps, masks, geometry.rig, geometry.grid, geometry.settings, geometry.covered))
-        key = hashlib.sha256(asked).digest()
+    def remembered(steps, geometry, masks=None, threads=1, frame_rate=None):
+        place = geometry.rig, geometry.grid, geometry.settings, geometry.covered
+        key = hashlib.sha256(pickle.dumps((steps, masks, frame_rate, place))).digest()
         if key not in LEARNED:
-            LEARNED[key] = learn(steps, geometry, masks, threads)
+            LEARNED[key] = learn(steps, geometry, masks, threads, frame_rate)
         return LEARNED[key]
 
     with pytest.MonkeyPatch.context() as patch:

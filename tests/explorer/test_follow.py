@@ -445,13 +445,13 @@ def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, 
 def test_a_program_that_ends_while_it_learns_prints_nothing(monkeypatch):
     """Pools end before threads do; any other failure of theirs is one."""
 
-    def learn(*_):
+    def learn(*_, **__):
         with ThreadPoolExecutor(1) as pool:
             pool.shutdown()
             pool.submit(int)
 
     monkeypatch.setattr(learning, "learn", learn)
-    Learner(None)._learn()
-    monkeypatch.setattr(learning, "learn", lambda *_: threading.Lock().release())
+    Learner(None, 1.0)._learn()
+    monkeypatch.setattr(learning, "learn", lambda *_, **__: threading.Lock().release())
     with pytest.raises(RuntimeError, match="release unlocked lock"):
-        Learner(None)._learn()
+        Learner(None, 1.0)._learn()

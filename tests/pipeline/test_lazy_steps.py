@@ -92,7 +92,7 @@ def test_the_arrays_go_with_those_of_dask_and_travel_as_whole_chunks(measured):
 def test_a_record_is_learned_once_for_all_that_is_computed(monkeypatch):
     calls = []
     monkeypatch.setattr(lazy._Learner, "_learn", lambda self, pairs: calls.append(1) or ("known", None))
-    learner = lazy._Learner(None, None)
+    learner = lazy._Learner(None, 1.0, None)
     known = dask.delayed(learner, pure=False, traverse=False)([])
     assert dask.compute(known) == dask.compute(known) == (("known", None),)
     assert len(calls) == 1

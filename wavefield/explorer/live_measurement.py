@@ -125,7 +125,7 @@ class LiveMeasurement:
             settings, covered = make_settings(experiment, Workflow()), footprints(experiment.mask)
             geometry = GridGeometry(rig, experiment.choose_grid(rig), settings, covered)
             self._masks = LiveMasks(experiment, rig, -geometry.z_range[0])
-            self.learner = Learner(geometry)
+            self.learner = Learner(geometry, experiment.frame_rate)
             self.trouble = ""
         except WavefieldError as error:
             self.trouble = f"nothing is measured: {error}"
@@ -134,8 +134,8 @@ class LiveMeasurement:
 class Learner:
     """What is learned of a record as it is now; `model` is None before the first frames."""
 
-    def __init__(self, geometry: GridGeometry) -> None:
-        self.geometry = geometry
+    def __init__(self, geometry: GridGeometry, frame_rate: float) -> None:
+        self.geometry, self._frame_rate = geometry, frame_rate
         self.model: Model | None = None
         self._steps: deque[tuple[tuple[Frames, Frames], tuple[Masks, Masks]]] = deque(maxlen=_STEPS)
         self._next_s = 0.0
@@ -154,7 +154,8 @@ class Learner:
         begun = time.monotonic()
         steps = list(self._steps)
         try:
-            record = learn([frames for frames, _ in steps], self.geometry, [masks for _, masks in steps])
+            frames, masks = ([one[i] for one in steps] for i in (0, 1))
+            record = learn(frames, self.geometry, masks, frame_rate=self._frame_rate)
             if record is not None:
                 self.model = Model(self.geometry, record)
         except (WavefieldError, ValueError) as error:  # the model stays

@@ -73,6 +73,9 @@ class Prior:
         if empty. In other rings the power is a limit, which weights take for waves.
     share : (float, float)
         How much of these limits the fields show on the whole, and its standard deviation.
+    in_common : tuple of tuple of float
+        Fraction of the power of every ring of every component that several cameras have in common, and which
+        so is waves; none if empty.
 
     Notes
     -----
@@ -88,6 +91,7 @@ class Prior:
     waves: float = 1.0
     shown: tuple[tuple[float, ...], ...] = ()
     share: tuple[float, float] = (1.0, 0.0)
+    in_common: tuple[tuple[float, ...], ...] = ()
 
     @classmethod
     def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
@@ -138,7 +142,8 @@ class Prior:
         away = (share - np.clip(estimate, -3.0 * std, 1.0 + 3.0 * std)) / max(std, 1e-3)
         weight = np.exp(-0.5 * np.square(away))
         table = np.maximum(self.shown or [[1.0] * len(self.k)], float(share @ weight / weight.sum()))
-        return self.waves * np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in table])
+        table = np.maximum(self.waves * table, self.in_common or np.zeros_like(table))
+        return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in table])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""
@@ -178,6 +183,7 @@ class Prior:
         power = [[list(ring) for ring in directions] for directions in self.power]
         numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
         limits = {"shown": [list(rings) for rings in self.shown], "share": list(self.share)}
+        limits["in_common"] = [list(rings) for rings in self.in_common]
         return {"k": list(self.k), "power": power} | numbers | limits
 
     @classmethod
@@ -187,7 +193,10 @@ class Prior:
         information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
         shown = tuple(tuple(map(float, rings)) for rings in data.get("shown", ()))
         share, std = map(float, data.get("share", (1.0, 0.0)))
-        return cls(tuple(map(float, data["k"])), power, information, noise, waves, shown, (share, std))
+        common = tuple(tuple(map(float, rings)) for rings in data.get("in_common", ()))
+        return cls(
+            tuple(map(float, data["k"])), power, information, noise, waves, shown, (share, std), common
+        )
 
 
 def _in_all_directions(k: Float) -> tuple[Float, Float]:
@@ -244,6 +253,7 @@ def better_prior(
     waves: Sequence[Float],
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
+    common: Float | None = None,
 ) -> Prior:
     """Prior from the MAP fields that another prior gave.
 
@@ -262,6 +272,9 @@ def better_prior(
     noise_alone : sequence of (ndarray, float), optional
         Coefficients of fields that the same prior gave of noise alone, and their information: they measure
         how noise changes from ring to ring. Its level is the least of the power over what is expected of it.
+    common : ndarray, (c, directions, rings), optional
+        Power of waves that is expected from what several cameras have in common; NaN where it is not known.
+        Where these fields alone show no waves the spectrum is no less than this, up to their own limit.
 
     Returns
     -------
@@ -324,21 +337,37 @@ def better_prior(
     )
     weight = binning.sector_count * len(waves) * np.square(rings / (rings + noise_power))[:, None]
     shapes = _shapes((sector_power - sector_noise_power) / rings[:, None], weight, lasts)
-    table = tuple(
-        tuple(tuple(float(f"{v:.4g}") for v in ring) for ring in directions)
-        for directions in shapes * rings[:, None]
-    )
+    power = shapes * rings[:, None]
+    expected = np.zeros_like(power)
+    if common is not None:
+        alone = (np.array(significant) | ~resolved)[:, None]
+        expected = np.where(alone, 0.0, np.minimum(np.nan_to_num(common), limit[:, None]))
+        power = np.maximum(power, expected)
     # noise hardly changes while the same beads are seen: samples count as one
     chance = LIMIT_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(binning.count, 1))
     of_limit, found = rings / noise_power, measured / noise_power
     seen = ~np.array(significant) & (binning.middle < SHORTEST_IN_LIMITS)
     # single rings exceed chance by chance, and the level of the noise differs from ring to ring
     lost = [binning.exceeds(one, LOST_SIGNAL_TO_NOISE) for one in found]
-    shown = np.where(significant, 1.0, found * (seen & lost & (found > chance)) / of_limit)
     weight = binning.count * (seen & (found < of_limit + chance))
     share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
-    at_least = tuple(tuple(float(f"{v:.4g}") for v in one) for one in shown)
-    return Prior(binning.k, table, information, prior.noise, prior.waves, at_least, share)
+    mean = power.mean(axis=1)
+    shown = np.where(significant, 1.0, measured * (seen & lost & (found > chance)) / mean)
+    return Prior(
+        binning.k,
+        tuple(_rounded(directions) for directions in power),
+        information,
+        prior.noise,
+        prior.waves,
+        _rounded(shown),
+        share,
+        _rounded(expected.mean(axis=1) / mean),
+    )
+
+
+def _rounded(table: Float) -> tuple[tuple[float, ...], ...]:
+    """A table for a recipe."""
+    return tuple(tuple(float(f"{value:.4g}") for value in row) for row in table)
 
 
 def _share_of_limits(limit: Float, found: Float, weight: Float) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -99,7 +99,7 @@ class DisplacementSample:
         other: matching.PreparedImage,
         bare: float,
     ) -> None:
-        self._parts, self.bare = (found, one, other), bare
+        self.match, self._images, self.bare = found, (one, other), bare
         self.field = filled(found)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
@@ -108,11 +108,21 @@ class DisplacementSample:
 
     def estimate(self, modes: Modes) -> FlowEstimate:
         """The MAP displacement."""
-        return map_displacement(*self._parts, modes)
+        return map_displacement(self.match, *self._images, modes)
 
     def noise(self, modes: Modes) -> tuple[Float, float] | None:
         """None: one camera alone shows no noise without waves."""
         return None
+
+
+@dataclass(frozen=True)
+class OpenFields:
+    """The samples' fields under a prior that suppresses no wave."""
+
+    prior: Prior
+    modes: Modes
+    found: Sequence[ElevationEstimate | FlowEstimate]
+    noise: Sequence[tuple[Float, float]]  # fields of noise alone, where cameras show it
 
 
 @dataclass
@@ -122,6 +132,7 @@ class FieldSamples:
     samples: Sequence[FieldSample]
     prior: Prior
     pool: ThreadPoolExecutor
+    opened: OpenFields = field(init=False)  # from which the prior follows
 
     @classmethod
     def of(
@@ -134,15 +145,23 @@ class FieldSamples:
         typical = float(np.mean([s.information for s in samples]))
         out = cls(samples, matching.first_prior(fields, window, typical), pool)
         for number in range(_ROUNDS):
-            out.prior = out.better(out.prior, OPEN_SIGNAL_TO_NOISE if number else FIRST_SIGNAL_TO_NOISE)
+            ratio = OPEN_SIGNAL_TO_NOISE if number else FIRST_SIGNAL_TO_NOISE
+            out.opened = out.open(out.prior, ratio)
+            out.prior = out.better(out.opened)
         return out
 
-    def better(self, prior: Prior, open_ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
-        """The prior that follows from the fields that this one gives where it suppresses no wave."""
-        prior = prior.with_min_signal_to_noise(open_ratio)
+    def open(self, prior: Prior, ratio: float = OPEN_SIGNAL_TO_NOISE) -> OpenFields:
+        """Fields with at least this signal over noise assumed of every wave."""
+        prior = prior.with_min_signal_to_noise(ratio)
         modes = Modes(prior, self.samples[0].field.shape[-2:])
         found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
+        noise = [part for part in self.pool.map(lambda sample: sample.noise(modes), self.samples) if part]
+        return OpenFields(prior, modes, found, noise)
+
+    def better(self, opened: OpenFields, common: Float | None = None) -> Prior:
+        """The prior that follows from open fields, and from what waves cameras have in common."""
+        found, modes = opened.found, opened.modes
         information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
         waves = [(f.waves - f.mean) / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
-        noise = [part for part in self.pool.map(lambda sample: sample.noise(modes), self.samples) if part]
-        return matching.better_prior(prior, modes.kx, modes.ky, modes.foot, waves, information, noise)
+        band = modes.kx, modes.ky, modes.foot
+        return matching.better_prior(opened.prior, *band, waves, information, opened.noise, common)

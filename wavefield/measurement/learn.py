@@ -18,8 +18,15 @@ from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation
 from wavefield.measurement.background import bead_width
+from wavefield.measurement.common_waves import CommonWaves, OpenField, common_waves
 from wavefield.measurement.differences import Differences, differences, typical_differences
-from wavefield.measurement.field_samples import DisplacementSample, ElevationSample, FieldSample, FieldSamples
+from wavefield.measurement.field_samples import (
+    DisplacementSample,
+    ElevationSample,
+    FieldSample,
+    FieldSamples,
+    OpenFields,
+)
 from wavefield.measurement.flow import FlowEstimate, camera_flow, map_displacement, motion_variance
 from wavefield.measurement.frame import usable
 from wavefield.measurement.geometry import GridGeometry
@@ -70,6 +77,7 @@ def learn(
     geometry: GridGeometry,
     masks: Sequence[tuple[Masks, Masks]] | None = None,
     threads: int = 1,
+    frame_rate: float | None = None,
 ) -> LearnedRecord | None:
     """Learn a record's beads, spectra and noise from sample frames.
 
@@ -83,6 +91,8 @@ def learn(
         True where pixels of these frames do not count, per camera; None where all do.
     threads : int, default 1
         Steps that are computed in parallel; the result does not depend on it.
+    frame_rate : float, optional
+        Frames per second, Hz; without it, waves below the noise of z are not known from displacements.
 
     Returns
     -------
@@ -96,7 +106,7 @@ def learn(
     cameras' misfit is that of chi^2.
     """
     with ThreadPoolExecutor(threads) as pool:
-        return _learned(steps, geometry, masks or [({}, {})] * len(steps), pool)
+        return _learned(steps, geometry, masks or [({}, {})] * len(steps), pool, frame_rate)
 
 
 @dataclass(frozen=True)
@@ -131,15 +141,17 @@ def _learned(
     geometry: GridGeometry,
     masks: Sequence[tuple[Masks, Masks]],
     pool: ThreadPoolExecutor,
+    frame_rate: float | None,
 ) -> LearnedRecord | None:
     beads = _bead_widths(steps, masks, geometry, pool)
     samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
-    prior = _learn_elevation(samples, geometry, pool)
+    heights = _learn_elevation(samples, geometry, pool)
     by_camera = {
         name: _learn_displacement(name, samples, geometry, pool) for name in geometry.velocity_cameras
     }
     measured = {name: fields for name, fields in by_camera.items() if fields is not None}
-    if prior is None or len(measured) < 2:
+    prior = _elevation_prior(heights) if heights else _FLAT
+    if len(measured) < 2 or not (heights or geometry.settings.sheet_thickness is not None):
         return None
     some = next(iter(measured.values()))
     priors = {name: measured.get(name, some).prior for name in geometry.velocity_cameras}
@@ -160,11 +172,25 @@ def _learned(
             model = Model(geometry, record, model)
         each = pool.map(partial(_differences, geometry, model), samples, surfaces)
         found = typical_differences([one for one in each if one is not None], geometry.pixel)
-        priors = {}
-        for name, prior in record.displacement:
-            factor = float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS))
-            prior = replace(prior, noise=factor, waves=found.waves)
-            priors[name] = measured[name].better(prior) if name in measured else prior
+        usual = {
+            name: replace(
+                prior, noise=float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS)), waves=found.waves
+            )
+            for name, prior in record.displacement
+        }
+        opened = {name: fields.open(usual[name]) for name, fields in measured.items()}
+        common = _common_waves(opened, measured, samples, surfaces, geometry)
+        priors = dict(usual)
+        for name, fields in measured.items():
+            k = np.array(priors[name].k)
+            power = None if common is None else common.in_camera(geometry.sights[name], k)
+            priors[name] = fields.better(opened[name], power)
+        if common is not None and heights is not None and frame_rate:
+            z, block = record.elevation, BLOCK * geometry.pixel
+            power = common.of_elevation(block, np.array(z.k), frame_rate)
+            better = heights.better(heights.opened, power)
+            z = replace(better, information=z.information, waves=z.waves)
+            record = replace(record, elevation=z)
         share = matching.pooled_share([prior.share for prior in priors.values()])
         priors = {name: replace(prior, share=share) for name, prior in priors.items()}
         own = {name: record.own_noise(name) * found.own.get(name, 1.0) for name in priors}
@@ -186,6 +212,30 @@ def _learned(
         for name, fields in measured.items()
     ]
     return replace(record, path_frames=frames, motion=tuple(motion), shown=tuple(shown))
+
+
+def _common_waves(
+    opened: Mapping[str, OpenFields],
+    measured: Mapping[str, FieldSamples],
+    samples: Sequence[_SampleStep],
+    surfaces: Sequence[tuple[Float, Float, Float] | None],
+    geometry: GridGeometry,
+) -> CommonWaves | None:
+    """Waves that the cameras' displacements have in common; None of a light sheet."""
+    if geometry.settings.sheet_thickness is not None:
+        return None
+    steps = []
+    for step, surface in zip(samples, surfaces):
+        fields: dict[str, OpenField] = {}
+        for name, one in opened.items():
+            for sample, found in zip(measured[name].samples, one.found):
+                assert isinstance(sample, DisplacementSample)
+                assert isinstance(found, FlowEstimate)
+                if sample.match is step.displacements.get(name):
+                    fields[name] = OpenField(one.prior, one.modes, found)
+        if surface is not None:
+            steps.append((fields, surface[0]))
+    return common_waves(steps, geometry)
 
 
 def _shown(fields: FieldSamples, prior: Prior, geometry: GridGeometry, name: str) -> tuple[float, float]:
@@ -229,9 +279,10 @@ def _bead_widths(
 
 def _learn_elevation(
     steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor
-) -> Prior | None:
+) -> FieldSamples | None:
+    """The samples' elevation; None of a light sheet and where nothing shows it."""
     if geometry.settings.sheet_thickness is not None:
-        return _FLAT
+        return None
 
     def sample_of(step: _SampleStep) -> ElevationSample | None:
         if step.pairs is None:
@@ -241,14 +292,15 @@ def _learn_elevation(
 
     least = _MIN_INFORMATION / geometry.pixel**2
     samples = [one for one in pool.map(sample_of, steps) if one is not None and one.information > least]
-    if not samples:
-        return None
-    prior = FieldSamples.of(samples, geometry.settings.stereo, pool).prior
-    modes = Modes(prior, geometry.lattice.shape)
+    return FieldSamples.of(samples, geometry.settings.stereo, pool) if samples else None
 
-    information, variance, epipolar = np.mean(
-        list(pool.map(lambda sample: sample.summary(modes), samples)), axis=0
-    )
+
+def _elevation_prior(heights: FieldSamples) -> Prior:
+    """The prior of the elevation with its information along the sight lines, and how much of it is waves."""
+    prior = heights.prior
+    modes = Modes(prior, heights.samples[0].field.shape[-2:])
+    each = list(heights.pool.map(lambda sample: sample.summary(modes), heights.samples))
+    information, variance, epipolar = np.mean(each, axis=0)
     prior = replace(prior, information=float(information))
     waves, noise = (float(part[0]) for part in prior.variances(modes.lattice))
     return replace(prior, waves=matching.shrinkage(variance, noise + epipolar, waves))

@@ -91,7 +91,7 @@ def measure(
         samples = [1 + k for k in sample_steps(steps + 2)]
         pairs = [_pair(frames, k) for k in samples]
         geometry = search_widened(pairs[:SEARCHED_STEPS], geometry)
-        record = learn(pairs, geometry, [_pair(masks, k) for k in samples] if masks else None)
+        record = learn(pairs, geometry, [_pair(masks, k) for k in samples] if masks else None, 1, frame_rate)
         if record is None:
             return out
         model = Model(geometry, record)

@@ -27,7 +27,7 @@ _SEEN_OF_REMOVED = 0.5  # of the variance of waves that the prior removes: of th
 _RIDGE = 0.1  # of the typical Hessian
 _MAX_STD = 3.0  # single blocks are limited to so many standard deviations
 _MIN_BLOCKS = 50
-_MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light
+MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light
 _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
@@ -52,7 +52,7 @@ def unresolved_rise(
         removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
         scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
     common, pairs = [], list(combinations(motions, 2))
-    apart = [(a, b) for a, b in pairs if _sine(jacobians[a], jacobians[b]) > _MIN_SINE]
+    apart = [(a, b) for a, b in pairs if sine_between(jacobians[a], jacobians[b]) > MIN_SINE]
     for a, b in apart or pairs:
         both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
         if both.sum() < _MIN_BLOCKS:
@@ -70,7 +70,7 @@ def unresolved_rise(
     return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
 
 
-def _sine(J: Float, K: Float) -> float:
+def sine_between(J: Float, K: Float) -> float:
     """Sine of the angle between the sight lines of two cameras in the middle, from Jacobians (2, 3, n)."""
     a, b = (np.cross(middle[0], middle[1]) for middle in (np.median(J, axis=-1), np.median(K, axis=-1)))
     return float(np.linalg.norm(np.cross(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))

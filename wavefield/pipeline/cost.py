@@ -52,7 +52,8 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
     start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
-    prepared = prepared.with_prior(learn_from([pair], prepared.geometry))  # as a run learns; and compiles
+    learned = learn_from([pair], prepared.geometry, prepared.experiment.frame_rate)
+    prepared = prepared.with_prior(learned)  # as a run learns; and compiles
     one, step = _measured(prepared, start, stop)
     if (one.frame_status == FrameStatus.FAILED).all() and not one.fields["quality"].any():
         raise ExperimentError(

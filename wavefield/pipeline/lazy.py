@@ -169,7 +169,7 @@ def reconstruct(
     steps = len(times) - 1
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
-    known = dask.delayed(_Learner(geometry, record), pure=False, traverse=False)(
+    known = dask.delayed(_Learner(geometry, frame_rate, record), pure=False, traverse=False)(
         samples(sources, sample_steps(steps)), dask_key_name=f"learn-{token}"
     )
     lazy = LazySteps(sources, departures, frame_rate, known, grid.shape, token)
@@ -221,13 +221,15 @@ def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> Non
 class _Learner:
     """The geometry that includes the water's motion, and what sample steps show: learned once, then kept."""
 
-    def __init__(self, geometry: "GridGeometry", record: Mapping[str, object] | None) -> None:
-        self.geometry, self.record = geometry, record
+    def __init__(
+        self, geometry: "GridGeometry", frame_rate: float, record: Mapping[str, object] | None
+    ) -> None:
+        self.geometry, self.frame_rate, self.record = geometry, frame_rate, record
         self._known: Known | None = None
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Learner, (self.geometry, self.record)
+        return _Learner, (self.geometry, self.frame_rate, self.record)
 
     def __call__(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
         with self._lock:
@@ -246,7 +248,7 @@ class _Learner:
                 for pair in pairs[:SEARCHED_STEPS]
             ]
             geometry = search_widened(frames, geometry)
-            learned = learn_from(pairs, geometry)
+            learned = learn_from(pairs, geometry, self.frame_rate)
         return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 
 

@@ -21,7 +21,7 @@ _MIN_MOTION_PX = 0.1  # rms: less is noise
 
 
 def learn_record(
-    sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
+    sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
     """Learn from sample frames of a record; `steps` are those that were used."""
     from wavefield.measurement import sample_steps
@@ -29,7 +29,7 @@ def learn_record(
     for number in range(_TRIES):
         usual = sample_steps(steps, number)
         chosen = usual if number else steps_with_waves(sources, steps, geometry, threads)
-        if found := learn_from(samples(sources, chosen), geometry, threads):
+        if found := learn_from(samples(sources, chosen), geometry, frame_rate, threads):
             return found | {"steps": chosen}
     return {}
 
@@ -73,9 +73,9 @@ def steps_with_waves(
 
 
 def learn_from(
-    pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", threads: int = 1
+    pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from some steps."""
+    """Learn from some steps; the frame rate in Hz."""
     from wavefield.measurement import learn
     from wavefield.quality.stabilized import corrected
 
@@ -89,7 +89,7 @@ def learn_from(
     steps = [(frames(pair, 0), frames(pair, 1)) for pair in pairs]
     covered = [(masks(pair, 0), masks(pair, 1)) for pair in pairs]
     with one_thread():  # each of them
-        record = learn(steps, geometry, covered, threads)
+        record = learn(steps, geometry, covered, threads, frame_rate)
     return {} if record is None else record.to_dict()
 
 

@@ -86,7 +86,9 @@ def _learned(prepared: PreparedRun, geometry: GridGeometry) -> Model | None:
     """What one sampled step gives of the record; a run learns without cameras that give no velocity."""
     steps = prepared.recipe.record.get("steps", sample_steps(prepared.steps))
     for pair in samples(prepared.series, steps):
-        if record := learn_from([pair], geometry, threads_here(prepared.workflow)):
+        if record := learn_from(
+            [pair], geometry, prepared.experiment.frame_rate, threads_here(prepared.workflow)
+        ):
             return Model(geometry, LearnedRecord.from_dict(record))
     return None
 

@@ -224,7 +224,10 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         return prepared, read_layout(open_group(path))
     log.info("learning beads, spectra and noise from sample frames")
     threads = threads_here(prepared.workflow)
-    prepared = prepared.with_prior(learn_record(prepared.series, prepared.steps, prepared.geometry, threads))
+    learned = learn_record(
+        prepared.series, prepared.steps, prepared.geometry, prepared.experiment.frame_rate, threads
+    )
+    prepared = prepared.with_prior(learned)
     if prepared.recipe.record:
         log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
     grid = prepared.grid

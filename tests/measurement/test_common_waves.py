@@ -1,0 +1,103 @@
+"""Waves below the noise of every single camera are found in products of cameras, and noise alone is not."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from wavefield.grid import Grid
+from wavefield.measurement import GridGeometry, Model, learn, measure
+from wavefield.measurement.common_waves import expected_power
+from wavefield.tank import Scene, Tank
+from wavefield.variables import Quality
+
+GRID = Grid(x=(-0.3, 0.3), y=(-0.23, 0.23), step=0.01)
+X, Y = np.meshgrid(GRID.x_nodes, GRID.y_nodes)
+SEEDS = 60, 61, 62
+SCALE = 0.65  # of the images: a pixel of 2.8 mm
+
+
+def dark_scene(seed, still=False):
+    """A weak sea of short waves, or still water, in dark and noisy images."""
+    rng = np.random.default_rng(seed)
+    length, slope = rng.uniform(0.055, 0.09), rng.uniform(0.01, 0.025)
+    sea = {
+        "rms": slope * length / (2.0 * np.pi),
+        "spectrum": {"kind": "power", "peak": 1.0, "exponent": 3.0},
+        "direction": float(rng.uniform(0.0, 360.0)),
+        "spread": float(rng.choice([2.0, 10.0, 40.0])),
+        "shortest": length / 1.3,
+        "longest": length * 1.3,
+        "period": 2.0,
+    }
+    light = {"read_noise": float(rng.uniform(3.0, 8.0)), "blur": float(rng.uniform(0.6, 1.0))}
+    beads = {
+        "brightness": float(rng.uniform(50.0, 100.0)),
+        "density": float(rng.uniform(0.5, 1.2)) * 1.1e4 * SCALE**2,
+        "diameter": 0.7e-3 / SCALE,
+    }
+    return Scene.load("demo").with_(
+        seed=seed,
+        frames=6,
+        frame_rate=float(rng.uniform(50.0, 90.0)),
+        rig={"scale": SCALE, "crop": 0.34},
+        sea={"kind": "still"} if still else sea,
+        light=light,
+        surface=beads,
+    )
+
+
+def measured(scene):
+    """Errors over standard uncertainties of z, u, v, and the uncertainties, at nodes flagged as measured."""
+    tank = Tank(scene)
+    images, rate = [tank.render(k) for k in range(6)], scene.frame_rate
+    geometry = GridGeometry(tank.rig, GRID)
+    record = learn([(images[k], images[k + 1]) for k in (0, 2, 4)], geometry, frame_rate=rate)
+    assert record is not None
+    frames = {name: [image[name] for image in images] for name in tank.rig}
+    out = measure(frames, geometry, rate, Model(geometry, record))
+    inside = (np.abs(X) < 0.24) & (np.abs(Y) < 0.17) & ((out["quality"][0] & Quality.MEASURED) > 0)
+    exact = tank.basin.snapshot(tank.time(2.5), ("z", "u", "v"))(X, Y)
+    pixel = 1.8e-3 / SCALE * np.array([1.0, rate, rate])
+    std = np.array([out[f"{name}_std"][0][inside] for name in "zuv"])
+    error = np.array([(out[name][0] - one)[inside] for name, one in zip("zuv", exact)])
+    return error / std, std / pixel[:, None]
+
+
+def wrong(ratio):
+    """Share of the nodes that are wrong by five standard uncertainties."""
+    return float(np.mean((np.abs(ratio) > 5.0).any(axis=0)))
+
+
+def test_weak_seas_of_short_waves_are_not_still_water():
+    ratio = np.concatenate([measured(dark_scene(seed))[0] for seed in SEEDS], axis=1)
+    assert ratio.shape[1] > 3000
+    assert wrong(ratio) < 0.03
+    assert (np.mean(np.abs(ratio) < 2.0, axis=1) > 0.8).all()
+
+
+def test_without_products_of_cameras_they_are(monkeypatch):
+    monkeypatch.setattr(sys.modules["wavefield.measurement.learn"], "common_waves", lambda *_: None)
+    assert np.mean([wrong(measured(dark_scene(seed))[0]) for seed in SEEDS]) > 0.2
+
+
+@pytest.mark.parametrize("seed", SEEDS[:2])
+def test_still_water_stays_certain(seed):
+    ratio, std = measured(dark_scene(seed, still=True))
+    assert wrong(ratio) == 0.0
+    assert (np.median(std, axis=1) < 0.02).all()  # px
+
+
+def test_power_is_expected_where_it_exceeds_chance():
+    std, largest = np.full(3, 0.1), np.ones(3)
+    nothing, some, much = expected_power(np.array([0.0, 0.5, 5.0]), std, largest)
+    assert nothing < 0.01
+    assert some == pytest.approx(0.5, rel=0.01)
+    assert much == pytest.approx(1.0, rel=0.1)
+
+
+def test_chance_alone_is_seldom_taken_for_waves():
+    found = np.random.default_rng(0).normal(0.0, 0.05, 4000)
+    power = expected_power(found, np.full(4000, 0.05), np.ones(4000))
+    assert np.mean(power) < 0.01
+    assert np.mean(power > 0.1) < 0.01
