@@ -62,7 +62,7 @@ def test_information_at_the_nodes_is_learned_of_either_component(bare):
     for name in geometry.velocity_cameras:
         camera = geometry.sights[name].camera
         shape = geometry.sights[name].lattice.shape
-        found = FlowEstimate(*[None] * 3, np.indices(shape)[::-1].astype(np.float32), None)
+        found = FlowEstimate(*[None] * 4, np.indices(shape)[::-1].astype(np.float32), None)
         sample = SimpleNamespace(field=found.each, bare=bare, estimate=lambda modes, found=found: found)
         fields = SimpleNamespace(samples=[sample] * 2, pool=SimpleNamespace(map=map))
         X, Y = camera.project(geometry.x, geometry.y, 0.0)

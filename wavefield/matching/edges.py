@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.cosines import cosines
-from wavefield.matching.matching_gain import footprint
 from wavefield.matching.prior import Prior
 
 F = np.float32
@@ -83,7 +82,7 @@ def kept_slopes(prior: Prior, edge: Edge, kx: Float, ky: Float) -> tuple[Float, 
     All is kept where waves exceed noise: the rest of a long wave's slope would ring far into the field.
     """
     spectrum = prior.spectrum(kx, ky)
-    noise = 1.0 / (footprint(kx, ky) ** 2 * prior.information)
+    noise = 1.0 / (prior.footprint(kx, ky) ** 2 * prior.information)
     responses = edge.responses(kx, ky)
     of_waves = np.array([np.mean(spectrum * one, axis=(1, 2)) for one in responses])
     of_noise = np.array([np.full(len(spectrum), np.mean(noise * one)) for one in responses])

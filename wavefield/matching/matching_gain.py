@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from wavefield.matching.block_lattice import gaussian, window_sigma
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.matching_settings import MatchSettings
 
-FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value is taken to represent, with beads' images
+# px^2: of the area that a block's value is taken to represent, with beads' images: in the elevation by two
+# cameras, and in a displacement of one
+FOOTPRINT_VARIANCE = 6.0
+DISPLACEMENT_FOOTPRINT = 5.0
 AVERAGED_VARIANCE = 4.0  # px^2: of the area over which blocks and beads' images average displacements
 
 
@@ -49,21 +53,32 @@ def transfer_function(settings: MatchSettings, kx: np.ndarray, ky: np.ndarray) -
     return total
 
 
-def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:
     """Gain of the area that a block's value is taken to represent.
 
     Parameters
     ----------
     kx, ky : ndarray, shapes that broadcast
         Wavenumbers along columns and rows, rad per block.
+    variance : float
+        Of that area, px^2.
 
     Returns
     -------
     ndarray
         Amplitude gain.
     """
-    out: np.ndarray = np.exp(-0.5 * FOOTPRINT_VARIANCE * (np.square(kx) + np.square(ky)) / BLOCK**2)
+    out: np.ndarray = np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2)
     return out
+
+
+def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
+    """Fields (c, ny, nx) averaged over the area of such a variance, px^2, that a block's value represents."""
+    side = 0.5 * variance / BLOCK**2
+    kernel = np.array([side, 1.0 - 2.0 * side, side])
+    return np.stack(
+        [cv2.sepFilter2D(one, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT) for one in fields]
+    )
 
 
 def footprint_excess(k: np.ndarray) -> np.ndarray:
@@ -82,7 +97,7 @@ def footprint_excess(k: np.ndarray) -> np.ndarray:
     Examples
     --------
     >>> footprint_excess(np.array([0.0, 0.8])).round(3).tolist()
-    [1.0, 1.026]
+    [1.0, 1.013]
     """
-    out: np.ndarray = np.exp(0.5 * (FOOTPRINT_VARIANCE - AVERAGED_VARIANCE) * np.square(k) / BLOCK**2)
+    out: np.ndarray = np.exp(0.5 * (DISPLACEMENT_FOOTPRINT - AVERAGED_VARIANCE) * np.square(k) / BLOCK**2)
     return out

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import Cosines, multiply
 from wavefield.matching.edges import EDGE_REACH, Edge, Slopes, kept_slopes
-from wavefield.matching.matching_gain import footprint
 from wavefield.matching.noise import CLUSTER, hole_mask
 from wavefield.matching.preconditioner import Factor, Preconditioner
 from wavefield.matching.prior import Prior, wavenumbers
@@ -71,7 +70,7 @@ class Modes:
         inside[edge:-edge, edge:-edge] = True
         self._requested &= inside
         kx, ky = wavenumbers(shape)
-        foot, spectrum, ratio = footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
+        foot, spectrum, ratio = prior.footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
         rows, columns = np.nonzero((ratio > MIN_SIGNAL_TO_NOISE).any(axis=0))
         # whole vectors, and as many even as odd ones
         my, mx = (
@@ -89,7 +88,7 @@ class Modes:
         self._kept = kept_slopes(prior, self.edge, kx, ky)[0].astype(np.float32)[..., None]
         none = np.zeros(1)
         self._truncated = self.edge.truncated_profiles(
-            (my, mx), (footprint(none, ky[:, 0]), footprint(kx, none))
+            (my, mx), (prior.footprint(none, ky[:, 0]), prior.footprint(kx, none))
         )
         self._preconditioner = Preconditioner(
             shape, ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0), self.foot

@@ -15,7 +15,6 @@ from scipy.ndimage import map_coordinates, spline_filter1d
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import cosines
 from wavefield.matching.edges import Edge, kept_slopes
-from wavefield.matching.matching_gain import footprint
 from wavefield.matching.noise import hole_mask
 from wavefield.matching.prior import Prior, wavenumbers
 
@@ -51,7 +50,7 @@ class PosteriorVariance:
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
         kx, ky = wavenumbers(shape)
-        square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
+        square, inverse = prior.footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
         self.shape = shape
         self.typical_information = prior.information
         waves = np.maximum(prior.expected(kx, ky), MIN_WAVE_FRACTION)

@@ -14,7 +14,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
-from wavefield.matching.matching_gain import footprint
+from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE, footprint
 
 Float = NDArray[np.floating[Any]]
 
@@ -76,6 +76,8 @@ class Prior:
     in_common : tuple of tuple of float
         Fraction of the power of every ring of every component that several cameras have in common, and which
         so is waves; none if empty.
+    area : float
+        Variance of the area that a block's value represents, px^2.
 
     Notes
     -----
@@ -92,9 +94,12 @@ class Prior:
     shown: tuple[tuple[float, ...], ...] = ()
     share: tuple[float, float] = (1.0, 0.0)
     in_common: tuple[tuple[float, ...], ...] = ()
+    area: float = FOOTPRINT_VARIANCE
 
     @classmethod
-    def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
+    def isotropic(
+        cls, k: Sequence[float], power: Sequence[float], information: float, area: float = FOOTPRINT_VARIANCE
+    ) -> Prior:
         """Prior of a field with the same spectrum at wavenumbers k in all directions and components.
 
         Examples
@@ -103,7 +108,11 @@ class Prior:
         >>> prior.spectrum(np.array([0.3, 0.4]), np.array([[0.5]])).tolist()
         [[[4.0, 4.0]]]
         """
-        return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information))
+        return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information), area=area)
+
+    def footprint(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """Gain of the area that a block's value represents, at wavenumbers kx, ky, rad per block."""
+        return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
         """The prior with at least this signal over noise in every resolved mode.
@@ -112,7 +121,7 @@ class Prior:
         is small there again. Spectra are therefore learned from fields that an open prior gave.
         """
         k = np.array(self.k)
-        least = ratio / (footprint(k, np.zeros(1)) ** 2 * self.information)
+        least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
         table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
         power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in table)
         return replace(self, power=power)
@@ -147,7 +156,7 @@ class Prior:
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""
-        return np.asarray(footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
+        return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Fraction of a wave's amplitude that the MAP field keeps, F^2 A S / (F^2 A S + 1), (1 or c,) + S."""
@@ -166,7 +175,7 @@ class Prior:
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
         squared_gain[:, 0, 0] = 0.0
-        noise = squared_gain / (footprint(kx, ky) ** 2 * self.information)
+        noise = squared_gain / (self.footprint(kx, ky) ** 2 * self.information)
         return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
 
     def noise_power(self, k: Float) -> NDArray[np.float64]:
@@ -174,14 +183,15 @@ class Prior:
 
         0 beyond the shortest wave of the lattice.
         """
-        total_weight = footprint(k, np.zeros(1)) ** 2 * self.information
+        total_weight = self.footprint(k, np.zeros(1)) ** 2 * self.information
         squared_gain = np.square(self.gain(*_in_all_directions(k))).mean(axis=(0, 1))
         return np.where(k < np.pi, squared_gain / np.maximum(total_weight, 1e-30), 0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe."""
         power = [[list(ring) for ring in directions] for directions in self.power]
-        numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
+        names = ("information", "noise", "waves", "area")
+        numbers = {name: getattr(self, name) for name in names}
         limits = {"shown": [list(rings) for rings in self.shown], "share": list(self.share)}
         limits["in_common"] = [list(rings) for rings in self.in_common]
         return {"k": list(self.k), "power": power} | numbers | limits
@@ -194,9 +204,9 @@ class Prior:
         shown = tuple(tuple(map(float, rings)) for rings in data.get("shown", ()))
         share, std = map(float, data.get("share", (1.0, 0.0)))
         common = tuple(tuple(map(float, rings)) for rings in data.get("in_common", ()))
-        return cls(
-            tuple(map(float, data["k"])), power, information, noise, waves, shown, (share, std), common
-        )
+        limits = shown, (share, std), common
+        area = float(data.get("area", FOOTPRINT_VARIANCE))
+        return cls(tuple(map(float, data["k"])), power, information, noise, waves, *limits, area)
 
 
 def _in_all_directions(k: Float) -> tuple[Float, Float]:
@@ -211,7 +221,9 @@ def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np
     return kx, ky[:, None]
 
 
-def first_prior(fields: Sequence[Float], window: Float, information: float) -> Prior:
+def first_prior(
+    fields: Sequence[Float], window: Float, information: float, area: float = FOOTPRINT_VARIANCE
+) -> Prior:
     """Prior from windowed fields.
 
     Parameters
@@ -222,6 +234,8 @@ def first_prior(fields: Sequence[Float], window: Float, information: float) -> P
         Gain of the windows for every cosine mode.
     information : float
         Typical information of a block.
+    area : float
+        Variance of the area that a block's value represents, px^2.
 
     Returns
     -------
@@ -235,14 +249,15 @@ def first_prior(fields: Sequence[Float], window: Float, information: float) -> P
     kx, ky = wavenumbers(window.shape)
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
     binning = _Rings(kx, ky)
-    window_power, gain = binning.mean(window**2), binning.mean(footprint(kx, ky) ** 2)
+    window_power, gain = binning.mean(window**2), binning.mean(footprint(kx, ky, area) ** 2)
     raw = binning.mean(power) / np.maximum(window_power, 1e-9)
     plateau = float(raw[window_power > MIN_SQUARED_WINDOW_GAIN].min())
     signal = np.maximum(raw - plateau, 0.0) / gain
     last = binning.count_until_false(
         (window_power > MIN_SQUARED_WINDOW_GAIN) & (raw > MIN_POWER_TO_PLATEAU * plateau)
     )
-    return Prior.isotropic(binning.k, _extrapolated(binning.middle, signal, last, plateau), information)
+    power_law = _extrapolated(binning.middle, signal, last, plateau)
+    return Prior.isotropic(binning.k, power_law, information, area)
 
 
 def better_prior(
@@ -362,6 +377,7 @@ def better_prior(
         _rounded(shown),
         share,
         _rounded(expected.mean(axis=1) / mean),
+        prior.area,
     )
 
 

@@ -18,7 +18,6 @@ from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
 from wavefield.matching import Modes, Prior
-from wavefield.matching.matching_gain import footprint
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prior import RINGS, SECTOR_ANGLES, SHORTEST_WAVENUMBER
 from wavefield.measurement.flow import FlowEstimate
@@ -82,7 +81,9 @@ class OpenField:
     def _power(self, kx: Float, ky: Float) -> Array:
         """Expected power of waves and noise."""
         information = max(float(self.found.information.mean()), _TINY)
-        return np.asarray(self.prior.spectrum(kx, ky) + 1.0 / (footprint(kx, ky) ** 2 * information))
+        return np.asarray(
+            self.prior.spectrum(kx, ky) + 1.0 / (self.prior.footprint(kx, ky) ** 2 * information)
+        )
 
 
 @dataclass(frozen=True)

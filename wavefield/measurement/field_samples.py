@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes, Prior
+from wavefield.matching.matching_gain import DISPLACEMENT_FOOTPRINT, FOOTPRINT_VARIANCE
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement.flow import FlowEstimate, filled, map_displacement
 from wavefield.measurement.map_elevation import (
@@ -34,11 +35,13 @@ _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, abou
 class FieldSample(Protocol):
     """One field: as windows give it, and as a prior makes it; `bare` is the fraction of blocks not masked.
     `information` is the mean of these: below a mask the water is assumed to be as rough and as visible.
+    `area` is that of `Prior`.
     """
 
     field: Float
     information: float
     bare: float
+    area: float
 
     def estimate(self, modes: Modes) -> ElevationEstimate | FlowEstimate:
         """The MAP field."""
@@ -49,6 +52,8 @@ class FieldSample(Protocol):
 
 class ElevationSample:
     """Elevation of one instant from matched pairs; pixel in metres."""
+
+    area = FOOTPRINT_VARIANCE
 
     def __init__(
         self,
@@ -91,6 +96,8 @@ class ElevationSample:
 
 class DisplacementSample:
     """Displacement of one camera's image between two frames."""
+
+    area = DISPLACEMENT_FOOTPRINT
 
     def __init__(
         self,
@@ -143,7 +150,7 @@ class FieldSamples:
         window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
         fields = [s.field - matching.edge_slopes(s.field) for s in samples]
         typical = float(np.mean([s.information for s in samples]))
-        out = cls(samples, matching.first_prior(fields, window, typical), pool)
+        out = cls(samples, matching.first_prior(fields, window, typical, samples[0].area), pool)
         for number in range(_ROUNDS):
             ratio = OPEN_SIGNAL_TO_NOISE if number else FIRST_SIGNAL_TO_NOISE
             out.opened = out.open(out.prior, ratio)

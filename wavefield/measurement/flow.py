@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
+from wavefield.matching.block_lattice import slopes as slopes_of
+from wavefield.matching.matching_gain import averaged
 from wavefield.measurement.convergence import MAX_EVALUATIONS, Convergence
 from wavefield.measurement.model import FieldModel, Model
 from wavefield.measurement.pair_surface import why_rejected
-from wavefield.measurement.regrid import push_pull
+from wavefield.measurement.regrid import local_coefficients, push_pull
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -54,6 +56,7 @@ class FlowEstimate:
     waves: Float  # (2, my, mx): cosine coefficients of the displacement and of its prior mean, px
     mean: Float
     slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
+    harmonics: Float = field(repr=False)  # (2, ny, nx): what it has beside these (`harmonics`), px
     each: Float = field(repr=False)  # (2, ny, nx): diagonal of every block's A, px^-2
     # Scores and reasons to reject blocks at the last evaluation
     found: matching.Displacement | matching.Evaluation = field(repr=False)
@@ -70,17 +73,36 @@ def filled(found: matching.Displacement) -> Float:
     return np.moveaxis(push_pull(np.stack([found.u, found.v], axis=-1), found.valid), -1, 0)
 
 
+def harmonics(midway: Float) -> Float:
+    """What a displacement (2, ny, nx), px, at places where water is first has beside that where it is midway.
+    u(x) = D(x + u/2), so that the harmonics of a wave are u - D = (D . grad) D / 2, to first order.
+    """
+    x, y = midway
+    xx, xy, yx, yy = slopes_of(x, y)
+    return np.asarray(np.float32(0.5) * np.stack([x * xx + y * xy, x * yx + y * yy]))
+
+
 def map_displacement(
-    match: matching.Displacement, one: matching.PreparedImage, other: matching.PreparedImage, modes: Modes
+    match: matching.Displacement,
+    one: matching.PreparedImage,
+    other: matching.PreparedImage,
+    modes: Modes,
+    harmonics_of: Callable[[Float], Float] = np.zeros_like,
 ) -> FlowEstimate:
-    """Displacement by all blocks together, from what matching found."""
+    """Displacement by all blocks together, from what matching found.
+    The spectrum limits what it has beside its harmonics. While spectra and noise are learned these count as
+    waves: fields are open to noise then, whose harmonics would be learned.
+    """
     found: matching.Displacement | matching.Evaluation = match
     u = filled(match)
-    waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
-    seen, a = None, u
+    waves, (mean, edges, slopes) = modes.waves(u), modes.mean(u)
+    seen, a, beyond, beside = None, u, edges, np.zeros_like(u)
     convergence = Convergence()
     for number in range(MAX_EVALUATIONS):
         if number:
+            before, beside = beside, harmonics_of(modes.field(waves) + edges)
+            waves = waves - modes.waves(beside - before)
+            seen, beyond = modes.seen(waves), edges + averaged(beside, modes.prior.area)
             u = seen + beyond
             found = matching.reevaluate(one, other, u[0], u[1], match.settings)
         counts = found.valid.astype(np.float32)
@@ -104,7 +126,7 @@ def map_displacement(
         if convergence.converged:
             break
     along = matching.component_variance_factors(found.score, found.hessian, found.valid.astype(np.float32))
-    return FlowEstimate(waves, mean, slopes, a[::2], found, along)
+    return FlowEstimate(waves, mean, slopes, beside, a[::2], found, along)
 
 
 def flows(
@@ -141,11 +163,11 @@ def flow_near(
     model: FieldModel,
 ) -> CameraFlow:
     """Displacement of one camera from what matching found."""
-    return camera_flow(map_displacement(near, one, other, model.modes), model)
+    return camera_flow(map_displacement(near, one, other, model.modes, harmonics), model)
 
 
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
     """The MAP displacement, ready to be read."""
     noise, missing = model.spread(found.information)
-    spline = model.splined(found.waves, found.slopes)
+    spline = model.splined(found.waves, found.slopes) + local_coefficients(found.harmonics)
     return CameraFlow(spline, noise, missing, found.along, why_rejected(found.found.reason))

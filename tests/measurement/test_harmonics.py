@@ -1,0 +1,69 @@
+"""Harmonics of displacements: water that is at a block in the first frame is elsewhere midway."""
+
+import numpy as np
+import pytest
+
+from tests.matching.matching_cases import particle_pair
+from wavefield import matching
+from wavefield.matching import MatchSettings, Modes, Prior
+from wavefield.matching.matching_gain import DISPLACEMENT_FOOTPRINT
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.measurement.flow import harmonics, map_displacement
+
+SIZE = 260  # px
+
+
+class Water:
+    """One to four short steep waves, sinusoidal by where the water is midway; px."""
+
+    def __init__(self, seed, strain):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(1, 5))
+        k, direction = rng.uniform(0.13, 0.2, count), rng.uniform(0, np.pi) + rng.uniform(-0.4, 0.4, count)
+        self.k = np.stack([k * np.cos(direction), k * np.sin(direction)])
+        self.phase, size = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.5, 1, count)
+        self.moved = self.k / k * size / np.sqrt(np.sum(np.square(size * k)) / 2) * strain
+
+    def midway(self, x, y):
+        """Displacement of what is at places midway."""
+        along = np.einsum("ij,i...->...j", self.k, [x, y])
+        return np.einsum("ij,...j->i...", self.moved, np.cos(along + self.phase))
+
+    def first(self, x, y):
+        """Displacement of what is at places in the first frame."""
+        u = np.zeros((2, *np.shape(x)))
+        for _ in range(40):
+            u = self.midway(x + u[0] / 2, y + u[1] / 2)
+        return u
+
+
+def blocks():
+    at = BLOCK * np.arange(SIZE // BLOCK) + 0.5 * (BLOCK - 1)
+    return np.meshgrid(at, at)
+
+
+def rms(field):
+    return float(np.sqrt(np.mean(np.square(field[:, 6:-6, 6:-6]))))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_harmonics_are_what_a_displacement_has_beside_that_midway(seed):
+    water = Water(seed, 0.25)
+    midway, first = (of(*blocks()) for of in (water.midway, water.first))
+    rest = first - midway - harmonics(midway.astype(np.float32))
+    assert rms(rest) < 0.35 * rms(first - midway)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_steep_short_waves_keep_their_harmonics(seed):
+    water = Water(50 + seed, 0.2)
+    images = particle_pair(water.first, (SIZE, SIZE), noise=0.01, seed=seed)
+    images = [matching.prepare(image, MatchSettings.piv()) for image in images]
+    k = np.linspace(0.04, 3.1, 40)
+    power = 40.0 * np.exp(-np.square((k - 0.85) / 0.2)) + 1e-4
+    modes = Modes(Prior.isotropic(k, power, 100.0, DISPLACEMENT_FOOTPRINT), (SIZE // BLOCK,) * 2)
+    found = matching.match(*images)
+    true = water.first(*blocks())
+    with_them, without = (map_displacement(found, *images, modes, of) for of in (harmonics, np.zeros_like))
+    lost, kept = (rms(modes.field(one.waves) + one.harmonics - true) for one in (without, with_them))
+    assert lost**2 - kept**2 > 0.5 * rms(true - water.midway(*blocks())) ** 2
