@@ -20,7 +20,7 @@ from wavefield.matching import (
 )
 from wavefield.matching.cosines import cosines
 from wavefield.matching.posterior_variance import hole_variance
-from wavefield.matching.prior import _share_of_limits
+from wavefield.matching.prior import SECTORS, _share_of_limits
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 
@@ -269,6 +269,13 @@ def test_noise_that_is_thought_too_small_is_not_taken_for_waves():
             found.append(modes.waves(data) * gain / modes.foot)
         prior = better_prior(prior, modes.kx, modes.ky, modes.foot, found, prior.information)
     assert prior.mean_gain(np.array([2.2]))[0] < 0.1
+
+
+def test_the_mean_gain_is_that_of_directions_with_waves():
+    power = np.full((1, SECTORS, 2), 1e-6)
+    power[0, 2] = 100.0
+    prior = Prior((0.1, 1.0), tuple(tuple(map(tuple, one)) for one in power.tolist()), 1.0)
+    assert prior.mean_gain(np.array([0.5]))[0] > 0.95
 
 
 def test_a_hole_is_solved_more_closely_but_not_some_blocks_of_which_little_is_known():

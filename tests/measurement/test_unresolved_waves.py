@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from measurement_cases import RATE
 
-from wavefield.measurement import LearnedRecord, Model, measure
+from wavefield.grid import Grid
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
 from wavefield.measurement.regrid import BlockLattice
 from wavefield.measurement.unresolved_waves import unresolved_rise, unresolved_std
+from wavefield.tank import Scene, Tank
 
 SIDE = 60
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (SIDE, SIDE))
@@ -43,7 +45,10 @@ def found(seed, waves, noise, cameras, removed=0.0):
         missing[name] = np.broadcast_to(part[:, None, None], (2, SIDE, SIDE))
         at = np.concatenate([np.stack([x, y]), np.broadcast_to(J.reshape(6, 1, 1), (6, SIDE, SIDE))])
         sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
-    return unresolved_rise(estimates, missing, np.zeros((SIDE, SIDE)), SimpleNamespace(sights=sights))
+    curvature = dict.fromkeys(cameras, 0.0)
+    return unresolved_rise(
+        estimates, missing, curvature, np.zeros((SIDE, SIDE)), SimpleNamespace(sights=sights)
+    )
 
 
 @pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])
@@ -93,3 +98,21 @@ def test_standard_uncertainties_contain_them_and_values_do_not_change(series, ge
         good = np.isfinite(cube[name]) & ((cube["quality"] & 1) > 0)
         added = np.sqrt(np.square(cube[f"{name}_std"]) - np.square(without[f"{name}_std"]))
         assert added[good] == pytest.approx(std, rel=1e-2)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_short_waves_that_blocks_resolve_are_not_found_as_unresolved_ones(seed):
+    length = float(np.random.default_rng(seed).uniform(0.055, 0.09))
+    sea = {
+        "rms": 0.1 * length / (2.0 * np.pi),
+        "spectrum": {"kind": "power", "peak": 1.0, "exponent": 3.0},
+        "shortest": length / 1.2,
+        "longest": length * 1.2,
+        "period": 1.0,
+    }
+    scene = Scene.load("demo").with_(seed=seed, rig={"crop": 0.3}, frames=4, sea=sea)
+    tank = Tank(scene)
+    images = [tank.render(k) for k in range(4)]
+    geometry = GridGeometry(tank.rig, Grid(x=(-0.24, 0.24), y=(-0.18, 0.18), step=0.01))
+    record = learn([(images[0], images[1]), (images[2], images[3])], geometry)
+    assert record.unresolved[0] < 0.02 * record.moved[2]

@@ -164,8 +164,10 @@ class Prior:
         return np.asarray(ratio / (ratio + 1.0))
 
     def mean_gain(self, k: Float) -> NDArray[np.float64]:
-        """`gain` at wavenumbers k, rad per block, mean over directions and components."""
-        return np.asarray(self.gain(*_in_all_directions(k)).mean(axis=(0, 1)))
+        """`gain` at wavenumbers k, rad per block, mean over components and directions by their power."""
+        at = _in_all_directions(k)
+        power = self.spectrum(*at)
+        return np.asarray((self.gain(*at) * power).sum(axis=(0, 1)) / power.sum(axis=(0, 1)))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Variance of the MAP field by waves, G^2 S, and by noise, G^2 / (F^2 A), each (1 or c,).

@@ -67,6 +67,11 @@ class FlowEstimate:
         """(ny, nx): mean of both parts of the diagonal, px^-2."""
         return np.asarray(np.float32(0.5) * (self.each[0] + self.each[1]))
 
+    def mean_square_curvature(self, modes: Modes) -> float:
+        """Of both components of the displacement together, px^2 per block to the fourth power."""
+        factor = np.square(np.square(modes.kx) + np.square(modes.ky))
+        return float(np.sum(factor * np.square(self.waves, dtype=np.float64)) / np.prod(modes.lattice))
+
 
 def filled(found: matching.Displacement) -> Float:
     """Displacement without holes, (2, ny, nx), px: filled by coarser and coarser means."""

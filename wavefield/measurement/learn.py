@@ -384,4 +384,7 @@ def _differences(
     if shown is None or geometry.settings.sheet_thickness is not None:
         return shown
     missing = {name: one.missing for name, one in flows.items()}
-    return replace(shown, unresolved=unresolved_rise(found, missing, surfaces[0], geometry))
+    curvature = {
+        name: one.mean_square_curvature(model.displacement[name].modes) for name, one in found.items()
+    }
+    return replace(shown, unresolved=unresolved_rise(found, missing, curvature, surfaces[0], geometry))

@@ -21,7 +21,8 @@ Float = NDArray[Any]
 Blocks = NDArray[np.intp]
 
 WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not resolve
-_COMMON_OF_BEADS = 0.1  # of a block's variance: unsteady, clustered beads without any short waves
+_COMMON_OF_BEADS = 0.06  # of a block's variance: unsteady, clustered beads without any short waves
+_COMMON_OF_CURVATURE = 0.001  # of a displacement's squared, per block: beads do not fill blocks evenly
 _SEEN_IN_COMMON = 0.15  # of the variance of short waves, 0.11 to 0.30: blocks do not hold the same beads
 _SEEN_OF_REMOVED = 0.5  # of the variance of waves that the prior removes: of three to four blocks
 _RIDGE = 0.1  # of the typical Hessian
@@ -32,16 +33,21 @@ _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
 def unresolved_rise(
-    found: Mapping[str, FlowEstimate], missing: Mapping[str, Float], z: Float, geometry: GridGeometry
+    found: Mapping[str, FlowEstimate],
+    missing: Mapping[str, Float],
+    curvature: Mapping[str, float],
+    z: Float,
+    geometry: GridGeometry,
 ) -> tuple[float, float]:
     """Variance of the rise per frame by waves that blocks do not resolve, m^2, and their wavelength, metres.
     By chance it may be negative; steps are averaged. Cameras that look from the same side share changes of
     light as well, which are an error of velocities and no wave: their wavelength is 0.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
     So do waves that the prior removes, whose variance per block, px^2, is missing (1 or 2, ny, nx): what is
-    in common is shared among both by their sizes.
+    in common is shared among both by their sizes. So do resolved waves, of which the beads of a block do not
+    show the mean: as the mean square curvature of the displacement, px^2 per block to the fourth power.
     """
-    motions, jacobians, removed, scales = {}, {}, {}, []
+    motions, jacobians, removed, bent, scales = {}, {}, {}, {}, []
     for name, one in found.items():
         sight = geometry.sights[name]
         x, y, *jacobian = sight.at(z).reshape(8, -1)
@@ -50,6 +56,7 @@ def unresolved_rise(
         jacobians[name] = J = np.reshape(jacobian, (2, 3, -1)).astype(np.float64)
         size = 2.0 * np.mean(missing[name], axis=0)[rows, columns] / np.einsum("iin->n", _covariance(J, J))
         removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
+        bent[name] = curvature[name] / float(np.mean(np.einsum("iin->n", _covariance(J, J))))
         scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
     common, pairs = [], list(combinations(motions, 2))
     apart = [(a, b) for a, b in pairs if sine_between(jacobians[a], jacobians[b]) > MIN_SINE]
@@ -62,6 +69,7 @@ def unresolved_rise(
         own = [np.sum(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
         shared = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
         shared -= _COMMON_OF_BEADS * float(np.sqrt(own[0] * own[1]))
+        shared -= _COMMON_OF_CURVATURE * float(np.sqrt(bent[a] * bent[b]))
         known = _SEEN_OF_REMOVED * min(removed[a], removed[b])
         common.append(shared * shared / (shared + known) if shared > 0 else shared)
     if not common:
