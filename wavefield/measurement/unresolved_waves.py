@@ -21,7 +21,7 @@ Float = NDArray[Any]
 Blocks = NDArray[np.intp]
 
 WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not resolve
-_COMMON_OF_BEADS = 0.06  # of a block's variance: unsteady, clustered beads without any short waves
+_COMMON_OF_BEADS = 0.08  # of a block's variance: unsteady, clustered beads without any short waves
 _COMMON_OF_CURVATURE = 0.001  # of a displacement's squared, per block: beads do not fill blocks evenly
 _SEEN_IN_COMMON = 0.15  # of the variance of short waves, 0.11 to 0.30: blocks do not hold the same beads
 _SEEN_OF_REMOVED = 0.5  # of the variance of waves that the prior removes: of three to four blocks
