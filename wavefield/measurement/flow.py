@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -92,7 +92,7 @@ def map_displacement(
     one: matching.PreparedImage,
     other: matching.PreparedImage,
     modes: Modes,
-    harmonics_of: Callable[[Float], Float] = np.zeros_like,
+    with_harmonics: bool = False,
 ) -> FlowEstimate:
     """Displacement by all blocks together, from what matching found.
     The spectrum limits what it has beside its harmonics. While spectra and noise are learned these count as
@@ -105,9 +105,10 @@ def map_displacement(
     convergence = Convergence()
     for number in range(MAX_EVALUATIONS):
         if number:
-            before, beside = beside, harmonics_of(modes.field(waves) + edges)
-            waves = waves - modes.waves(beside - before)
-            seen, beyond = modes.seen(waves), edges + averaged(beside, modes.prior.area)
+            if with_harmonics:
+                before, beside = beside, harmonics(modes.field(waves) + edges)
+                waves = waves - modes.waves(beside - before)
+                seen, beyond = modes.seen(waves), edges + averaged(beside, modes.prior.area)
             u = seen + beyond
             found = matching.reevaluate(one, other, u[0], u[1], match.settings)
         counts = found.valid.astype(np.float32)
@@ -168,7 +169,7 @@ def flow_near(
     model: FieldModel,
 ) -> CameraFlow:
     """Displacement of one camera from what matching found."""
-    return camera_flow(map_displacement(near, one, other, model.modes, harmonics), model)
+    return camera_flow(map_displacement(near, one, other, model.modes, True), model)
 
 
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:

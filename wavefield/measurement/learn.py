@@ -185,12 +185,6 @@ def _learned(
             k = np.array(priors[name].k)
             power = None if common is None else common.in_camera(geometry.sights[name], k)
             priors[name] = fields.better(opened[name], power)
-        if common is not None and heights is not None and frame_rate:
-            z, block = record.elevation, BLOCK * geometry.pixel
-            power = common.of_elevation(block, np.array(z.k), frame_rate)
-            better = heights.better(heights.opened, power)
-            z = replace(better, information=z.information, waves=z.waves)
-            record = replace(record, elevation=z)
         share = matching.pooled_share([prior.share for prior in priors.values()])
         priors = {name: replace(prior, share=share) for name, prior in priors.items()}
         own = {name: record.own_noise(name) * found.own.get(name, 1.0) for name in priors}
@@ -202,6 +196,11 @@ def _learned(
             camera_jitter=found.camera_jitter,
             unresolved=found.unresolved,
         )
+    if common is not None and heights is not None and frame_rate:
+        z, block = record.elevation, BLOCK * geometry.pixel
+        better = heights.better(heights.opened, common.of_elevation(block, np.array(z.k), frame_rate))
+        z = replace(better, information=z.information, waves=z.waves)
+        record = replace(record, elevation=z)
     motion = [
         (name, max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements))
         for name in measured
@@ -356,15 +355,13 @@ def _elevations(
 def _mean_flow(step: _SampleStep, geometry: GridGeometry) -> tuple[float, float]:
     """Median displacement of the water in a step, by all cameras, metres."""
     rows, moved = [], []
-    ny, nx = geometry.grid.shape
     for name, found in step.displacements.items():
         if found.valid.any():
-            jacobian = geometry.sights[name].at(np.zeros((ny, nx), np.float32))[2:, ny // 2, nx // 2]
-            rows.append(jacobian.reshape(2, 3))
+            rows.append(geometry.sights[name].at_middle())
             moved += [float(np.median(part[found.valid])) for part in (found.u, found.v)]
     if len(rows) < 2:
         return 0.0, 0.0
-    dx, dy, _ = np.linalg.lstsq(np.concatenate(rows).astype(np.float64), np.array(moved))[0]
+    dx, dy, _ = np.linalg.lstsq(np.concatenate(rows), np.array(moved))[0]
     return float(dx), float(dy)
 
 
