@@ -1,5 +1,6 @@
 """Waves shorter than blocks move the beads of all cameras alike: they are found, noise is not."""
 
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,9 +11,13 @@ from measurement_cases import RATE
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.unresolved_waves import unresolved_rise, unresolved_std
+from wavefield.measurement.unresolved_waves import Unresolved, stated_rise, unresolved_rise, unresolved_std
 from wavefield.tank import Scene, Tank
+from wavefield.tank.truth import truth
+from wavefield.variables import Quality
 
+GRID = Grid(x=(-0.3, 0.3), y=(-0.23, 0.23), step=0.01)
+X, Y = np.meshgrid(GRID.x_nodes, GRID.y_nodes)
 SIDE = 60
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (SIDE, SIDE))
 SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
@@ -22,7 +27,7 @@ SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
 }
 
 
-def found(seed, waves, noise, cameras, removed=0.0):
+def found(seed, waves, noise, cameras, removed=0.0, first=False):
     """Rise found where beads move by short waves with this std of the rise, m, and by noise, px.
     The prior removes waves whose rise has the std removed, m.
     """
@@ -46,9 +51,8 @@ def found(seed, waves, noise, cameras, removed=0.0):
         at = np.concatenate([np.stack([x, y]), np.broadcast_to(J.reshape(6, 1, 1), (6, SIDE, SIDE))])
         sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
     curvature = dict.fromkeys(cameras, 0.0)
-    return unresolved_rise(
-        estimates, missing, curvature, np.zeros((SIDE, SIDE)), SimpleNamespace(sights=sights)
-    )
+    geometry = SimpleNamespace(sights=sights)
+    return unresolved_rise(estimates, missing, curvature, np.zeros((SIDE, SIDE)), geometry, first)
 
 
 @pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])
@@ -57,8 +61,8 @@ def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_no
         noise = float(np.random.default_rng(seed).uniform(0.01, 0.3))
         assert found(seed, 0.0, noise, cameras)[0] < 0.0
         size = 2.0 * noise / 500.0
-        variance, wavelength = found(seed, size, noise, cameras)
-        twice, _ = found(seed, 2.0 * size, 2.0 * noise, cameras)
+        variance, wavelength, _ = found(seed, size, noise, cameras)
+        twice, *_ = found(seed, 2.0 * size, 2.0 * noise, cameras)
         assert 0.8 < np.sqrt(variance) / size < 2.7  # of two cameras' blocks not all beads are the same
         assert twice == pytest.approx(4.0 * variance)
         assert wavelength == pytest.approx(2.5 * 5.0 / 540.0, rel=0.1)
@@ -75,14 +79,14 @@ def test_waves_that_the_prior_removes_are_not_stated_twice():
 
 
 def test_without_blocks_in_common_no_waves_are_found():
-    assert found(1, 1e-3, 0.1, ("cam1",)) == (0.0, 0.0)
+    assert found(1, 1e-3, 0.1, ("cam1",)) == Unresolved()
 
 
 def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch):
     """Two cameras at sea see the same reflections change: nothing shows that water rises."""
     turned = np.array(SIGHTS["cam1"]) @ [[1, 0, 0], [0, 1, 0.05], [0, 0, 1]]
     monkeypatch.setitem(SIGHTS, "beside", turned.tolist())
-    variance, wavelength = found(1, 1e-3, 0.1, ("cam1", "beside"))
+    variance, wavelength, _ = found(1, 1e-3, 0.1, ("cam1", "beside"))
     z, rise = unresolved_std(np.sqrt(variance), wavelength, RATE)
     assert z == 0 < rise
 
@@ -116,3 +120,61 @@ def test_short_waves_that_blocks_resolve_are_not_found_as_unresolved_ones(seed):
     geometry = GridGeometry(tank.rig, Grid(x=(-0.24, 0.24), y=(-0.18, 0.18), step=0.01))
     record = learn([(images[0], images[1]), (images[2], images[3])], geometry)
     assert record.unresolved[0] < 0.02 * record.moved[2]
+
+
+def test_the_first_estimate_counts_where_blocks_have_much_in_common_beside_the_last_fields():
+    first, hidden, resolved = (
+        Unresolved(4.0, 0.05, 0.5),
+        Unresolved(1.0, 0.05, 0.4),
+        Unresolved(1.0, 0.05, 0.1),
+    )
+    assert stated_rise(first, hidden) == (2.0, 0.05)
+    assert stated_rise(first, resolved) == (1.0, 0.05)
+    assert stated_rise(Unresolved(-1.0, 0.05, 0.4), Unresolved(-1.0, 0.05, 0.4)) == (0.0, 0.05)
+
+
+def steep_scene(seed):
+    """A steep sea down to waves of four blocks and less, in images of large pixels."""
+    rng = np.random.default_rng(seed)
+    scale, peak = float(rng.uniform(0.42, 0.52)), float(rng.uniform(0.12, 0.3))
+    shape = {"kind": "jonswap", "peak": float(np.sqrt(9.81 / (2.0 * np.pi * peak)))}
+    sea = {
+        "rms": float(rng.uniform(0.1, 0.14)) * peak / (2.0 * np.pi),
+        "spectrum": shape,
+        "spread": float(rng.choice([2.0, 10.0])),
+        "shortest": 0.04,
+        "period": 2.0,
+    }
+    beads = {"density": 1.1e4 * scale**2, "diameter": 0.7e-3 / scale, "brightness": 120.0}
+    rate, rig = float(rng.uniform(25.0, 60.0)), {"scale": scale, "crop": 0.35}
+    return Scene.load("demo").with_(seed=seed, frames=6, frame_rate=rate, rig=rig, sea=sea, surface=beads)
+
+
+def within(scene):
+    """Shares of u, v, w within one, two and five standard uncertainties."""
+    tank = Tank(scene)
+    images, rate = [tank.render(k) for k in range(6)], scene.frame_rate
+    geometry = GridGeometry(tank.rig, GRID)
+    record = learn([(images[k], images[k + 1]) for k in (0, 2, 4)], geometry, frame_rate=rate)
+    frames = {name: [image[name] for image in images] for name in tank.rig}
+    out = measure(frames, geometry, rate, Model(geometry, record))
+    good = (np.abs(X) < 0.24) & (np.abs(Y) < 0.17) & ((out["quality"][0] & Quality.MEASURED) > 0)
+    exact = vars(truth(tank.basin, GRID, tank.time(2.5), 1.0 / rate))
+    ratio = [np.abs((out[n][0] - exact[n]) / out[f"{n}_std"][0])[good] for n in "uvw"]
+    return [float(np.mean(np.array(ratio) < limit)) for limit in (1.0, 2.0, 5.0)]
+
+
+@pytest.mark.parametrize("seed", [28, 29])
+def test_standard_uncertainties_hold_in_steep_seas_near_the_limit_of_resolution(seed):
+    one, two, five = within(steep_scene(seed))
+    assert 0.6 < one < 0.85
+    assert two > 0.88
+    assert five > 0.99
+
+
+def test_without_the_first_estimate_they_do_not(monkeypatch):
+    learning = sys.modules["wavefield.measurement.learn"]
+    monkeypatch.setattr(learning, "stated_rise", lambda _, last: stated_rise(last, last))
+    one, two, _ = within(steep_scene(29))
+    assert one < 0.55
+    assert two < 0.85

@@ -35,7 +35,7 @@ from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.model import Model
 from wavefield.measurement.temporal_truncation import temporal_truncation
-from wavefield.measurement.unresolved_waves import unresolved_rise
+from wavefield.measurement.unresolved_waves import stated_rise, unresolved_rise
 
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
@@ -167,11 +167,13 @@ def _learned(
         partial(_matching_gain, record, geometry),
     )
     record = replace(record, temporal_truncation=truncation)
+    unresolved = []
     for number in range(2):
         if number:
             model = Model(geometry, record, model)
-        each = pool.map(partial(_differences, geometry, model), samples, surfaces)
+        each = pool.map(partial(_differences, geometry, model, number == 0), samples, surfaces)
         found = typical_differences([one for one in each if one is not None], geometry.pixel)
+        unresolved.append(found.unresolved)
         usual = {
             name: replace(
                 prior, noise=float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS)), waves=found.waves
@@ -194,13 +196,13 @@ def _learned(
             moved=found.moved,
             noise=tuple(own.items()),
             camera_jitter=found.camera_jitter,
-            unresolved=found.unresolved,
         )
     if common is not None and heights is not None and frame_rate:
         z, block = record.elevation, BLOCK * geometry.pixel
         better = heights.better(heights.opened, common.of_elevation(block, np.array(z.k), frame_rate))
         z = replace(better, information=z.information, waves=z.waves)
         record = replace(record, elevation=z)
+    record = replace(record, unresolved=stated_rise(*unresolved))
     motion = [
         (name, max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements))
         for name in measured
@@ -366,14 +368,19 @@ def _mean_flow(step: _SampleStep, geometry: GridGeometry) -> tuple[float, float]
 
 
 def _differences(
-    geometry: GridGeometry, model: Model, step: _SampleStep, surfaces: tuple[Float, Float, Float] | None
+    geometry: GridGeometry,
+    model: Model,
+    first: bool,
+    step: _SampleStep,
+    surfaces: tuple[Float, Float, Float] | None,
 ) -> Differences | None:
     """What the cameras' differences show of noise, waves and their own motion."""
     if surfaces is None:
         return None
-    first, second = step.first.raw, step.second.raw
     found = {
-        name: map_displacement(one, first[name], second[name], model.displacement[name].modes)
+        name: map_displacement(
+            one, step.first.raw[name], step.second.raw[name], model.displacement[name].modes
+        )
         for name, one in step.displacements.items()
     }
     flows = {name: camera_flow(one, model.displacement[name]) for name, one in found.items()}
@@ -384,4 +391,4 @@ def _differences(
     curvature = {
         name: one.mean_square_curvature(model.displacement[name].modes) for name, one in found.items()
     }
-    return replace(shown, unresolved=unresolved_rise(found, missing, curvature, surfaces[0], geometry))
+    return replace(shown, unresolved=unresolved_rise(found, missing, curvature, surfaces[0], geometry, first))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,25 @@ WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not re
 _COMMON_OF_BEADS = 0.08  # of a block's variance: unsteady, clustered beads without any short waves
 _COMMON_OF_CURVATURE = 0.001  # of a displacement's squared, per block: beads do not fill blocks evenly
 _SEEN_IN_COMMON = 0.15  # of the variance of short waves, 0.11 to 0.30: blocks do not hold the same beads
+_COMMON_AT_FIRST = 0.3  # of a block's variance beside fields of the first spectra: waves resolved later
+_FIRST_FACTOR = 4.0  # from what they have in common beyond it to the variance of unresolved waves, 2 to 6
 _SEEN_OF_REMOVED = 0.5  # of the variance of waves that the prior removes: of three to four blocks
+_LEAST_IN_COMMON = 0.13  # of a block's variance: less, and later fields resolve the waves
 _RIDGE = 0.1  # of the typical Hessian
 _MAX_STD = 3.0  # single blocks are limited to so many standard deviations
 _MIN_BLOCKS = 50
 MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light
 _MEDIAN_SQUARE = 0.455  # of a standard normal variable
+
+
+class Unresolved(NamedTuple):
+    """Variance of the rise per frame by waves that blocks do not resolve, m^2, their wavelength, metres,
+    and the part of the blocks' variance that cameras have in common.
+    """
+
+    variance: float = 0.0
+    wavelength: float = 0.0
+    in_common: float = 0.0
 
 
 def unresolved_rise(
@@ -38,14 +51,16 @@ def unresolved_rise(
     curvature: Mapping[str, float],
     z: Float,
     geometry: GridGeometry,
-) -> tuple[float, float]:
-    """Variance of the rise per frame by waves that blocks do not resolve, m^2, and their wavelength, metres.
+    first: bool,
+) -> Unresolved:
+    """Waves that blocks do not resolve, from what they move beside the fields of the first or later spectra.
     By chance it may be negative; steps are averaged. Cameras that look from the same side share changes of
     light as well, which are an error of velocities and no wave: their wavelength is 0.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
     So do waves that the prior removes, whose variance per block, px^2, is missing (1 or 2, ny, nx): what is
     in common is shared among both by their sizes. So do resolved waves, of which the beads of a block do not
     show the mean: as the mean square curvature of the displacement, px^2 per block to the fourth power.
+    Beside fields of the first spectra blocks also have waves that later fields resolve.
     """
     motions, jacobians, removed, bent, scales = {}, {}, {}, {}, []
     for name, one in found.items():
@@ -58,7 +73,7 @@ def unresolved_rise(
         removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
         bent[name] = curvature[name] / float(np.mean(np.einsum("iin->n", _covariance(J, J))))
         scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
-    common, pairs = [], list(combinations(motions, 2))
+    common, shares, pairs = [], [], list(combinations(motions, 2))
     apart = [(a, b) for a, b in pairs if sine_between(jacobians[a], jacobians[b]) > MIN_SINE]
     for a, b in apart or pairs:
         both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
@@ -68,14 +83,29 @@ def unresolved_rise(
         expected = _covariance(J, K)
         own = [np.sum(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
         shared = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
-        shared -= _COMMON_OF_BEADS * float(np.sqrt(own[0] * own[1]))
+        total = float(np.sqrt(own[0] * own[1]))
+        shares.append(shared / max(total, 1e-30))
+        if first:
+            common.append(_FIRST_FACTOR * (shared - _COMMON_AT_FIRST * total))
+            continue
+        shared -= _COMMON_OF_BEADS * total
         shared -= _COMMON_OF_CURVATURE * float(np.sqrt(bent[a] * bent[b]))
         known = _SEEN_OF_REMOVED * min(removed[a], removed[b])
-        common.append(shared * shared / (shared + known) if shared > 0 else shared)
+        unstated = shared * shared / (shared + known) if shared > 0 else shared
+        common.append(unstated / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON))
     if not common:
-        return 0.0, 0.0
-    variance = float(np.mean(common)) / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON)
-    return variance, float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
+        return Unresolved()
+    wavelength = float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
+    return Unresolved(float(np.mean(common)), wavelength, float(np.mean(shares)))
+
+
+def stated_rise(first: Unresolved, last: Unresolved) -> tuple[float, float]:
+    """Standard deviation of the rise per frame by unresolved waves, and their wavelength, metres.
+    Fields that follow much noise hide steep waves from the last estimate, but not from the first, which
+    counts where blocks still have much in common beside the last fields.
+    """
+    hidden = np.clip((last.in_common - _LEAST_IN_COMMON) / _LEAST_IN_COMMON, 0.0, 1.0)
+    return float(np.sqrt(max(last.variance, hidden * first.variance, 0.0))), last.wavelength
 
 
 def sine_between(J: Float, K: Float) -> float:
