@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,14 @@ from cube_cases import HERE
 
 from wavefield.commands.cli import main
 from wavefield.images import read_image, write_image
+from wavefield.matching import Prior
+from wavefield.measurement.temporal_truncation import fast_waves
 from wavefield.pipeline import run
 from wavefield.pipeline.run_quality import _left_out
 from wavefield.quality import camera_motion
-from wavefield.quality.field_remarks import remark_on_unresolved_waves
+from wavefield.quality.field_remarks import remark_on_fast_waves, remark_on_unresolved_waves
 from wavefield.variables import Quality
+from wavefield.water import dispersion
 
 
 @pytest.fixture
@@ -106,3 +110,21 @@ def test_waves_that_images_do_not_resolve_are_remarked_upon_by_their_share():
     assert weights(1e-4, 0.05, 0.001) == []
     assert weights(0.002, 0.05, np.hypot(0.002, 1e-3)) == ["note"]
     assert weights(0.04, 0.05, np.hypot(0.04, 1e-3)) == ["remark"]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_waves_that_turn_by_more_than_half_a_turn_between_frames_are_remarked_upon(seed):
+    rng = np.random.default_rng(seed)
+    pixel, k = float(rng.uniform(1e-3, 3e-3)), np.linspace(0.05, 2.0, 40)
+    found = Prior.isotropic(k, k**-2.0, 1.0)
+    detected, none = replace(found, shown=((1.0,) * 40,)), replace(found, shown=((0.0,) * 40,))
+    ring = int(rng.integers(10, 35))
+    half_a_turn = float(dispersion(k[ring] / (5.0 * pixel))) / np.pi
+    share, length = fast_waves(detected, pixel, 0.99 * half_a_turn)
+    assert length == pytest.approx(2.0 * np.pi * 5.0 * pixel / k[ring])
+    slower, shorter = fast_waves(detected, pixel, 1.01 * half_a_turn)
+    assert share > slower
+    assert length > shorter
+    assert fast_waves(none, pixel, 0.5 * half_a_turn) == (0.0, 0.0)
+    for share, weights in ((0.0, []), (0.01, ["note"]), (0.4, ["remark"])):
+        assert [one.weight for one in remark_on_fast_waves(share, length, half_a_turn)] == weights

@@ -10,6 +10,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from wavefield.matching import Prior
+from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement.time_weights import elevation_gain, noise_weights, path_gain, place_weights
 from wavefield.water import dispersion
 
@@ -91,6 +93,20 @@ class TemporalTruncation:
         z = tuple((int(n), float(value)) for n, value in data["z"].items())
         d = tuple((int(n), _parts(value)) for n, value in data["d"].items())
         return cls(z, d, float(data.get("rise", 0.0)))
+
+
+def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
+    """Share of the variance of the rise by detected waves that turn by more than half a turn from frame to
+    frame, which frames do not follow, and the longest of them, metres. The pixel of z is in metres.
+    """
+    k, block = np.array(elevation.k), BLOCK * pixel
+    phase = dispersion(k / block) / frame_rate
+    shown = np.array(elevation.shown or [[0.0]]).min(axis=0) >= 1.0
+    rise = np.mean(elevation.power, axis=(0, 1)) * k * np.square(phase) * shown
+    fast = (phase > np.pi) & (rise > 0)
+    if not fast.any():
+        return 0.0, 0.0
+    return float(rise[fast].sum() / rise.sum()), float(2.0 * np.pi * block / k[fast][0])
 
 
 def _parts(values: Sequence[float]) -> Parts:

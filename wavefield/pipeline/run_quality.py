@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
+from wavefield.measurement.temporal_truncation import fast_waves
 from wavefield.measurement.unresolved_waves import unresolved_std
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
@@ -20,6 +21,7 @@ from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
 from wavefield.quality.field_remarks import (
     remark_on_coverage,
     remark_on_eps_piv,
+    remark_on_fast_waves,
     remark_on_holes,
     remark_on_scattered_heights,
     remark_on_unresolved_waves,
@@ -172,11 +174,16 @@ def _steps(status: Status) -> Iterator[Remark]:
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
-    """Waves that are shorter than what images resolve, beside the w that was measured at some steps."""
+    """Waves that are faster than what frames follow, and shorter than what images resolve, beside the w that
+    was measured at some steps.
+    """
     record = prepared.record
-    if record is None or not all(record.unresolved):
+    if record is None:
         return
     rate, (_, wavelength) = prepared.experiment.frame_rate, record.unresolved
+    yield from remark_on_fast_waves(*fast_waves(record.elevation, prepared.geometry.pixel, rate), rate)
+    if not all(record.unresolved):
+        return
     rise = unresolved_std(*record.unresolved, rate)[1]
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     if measured.any():

@@ -14,6 +14,8 @@ MIN_USEFUL_MEASURED = 0.2  # fewer are worth nothing
 MAX_EPS_PIV = 0.15  # px: a larger median eps' is remarked upon
 MAX_USEFUL_EPS_PIV = 0.5  # px: a larger one makes values useless
 MAX_UNRESOLVED = 0.3  # of the variance of w by waves that images do not resolve: more is remarked upon
+MAX_FAST = 0.3  # of the variance of w by waves that frames do not follow: more is remarked upon
+NOTED_FAST = 0.003  # more is noted
 MAX_HEIGHT_SCATTER = 2.2  # of single blocks over noise, variance: sound seas have 0.4 to 2.1
 UNRESOLVED_STD = 2.0  # standard uncertainties of w with them over those without: more is noted
 
@@ -81,6 +83,24 @@ def remark_on_unresolved_waves(
             f"less than {100 * MAX_UNRESOLVED:.0f} %",
             "for these waves take images with smaller pixels; means over nodes and longer waves are sound",
             {"fraction": share, "w_std": unresolved},
+        )
+
+
+def remark_on_fast_waves(share: float, wavelength: float, frame_rate: float) -> Iterator[Remark]:
+    """Report waves that turn by more than half a turn from frame to frame: their share of the variance of w,
+    the longest of them, m, and frames per second. Shorter ones turn further and may not be detected.
+    """
+    if share > NOTED_FAST:
+        yield Remark(
+            "record",
+            "fast waves",
+            "remark" if share > MAX_FAST else "note",
+            f"waves of {100 * wavelength:.2g} cm and less turn by more than half a turn from frame to frame"
+            f" at {frame_rate:.3g} Hz and have at least {100 * share:.2g} % of the variance of w: velocities"
+            " of these and of shorter waves are not measured, which standard uncertainties may not contain",
+            f"at most {100 * MAX_FAST:.0f} %",
+            "take images at twice the frame rate or more; longer waves are sound",
+            {"fraction": share, "wavelength": wavelength},
         )
 
 
