@@ -27,6 +27,7 @@ MIN_SQUARED_WINDOW_GAIN = 0.15  # of the windows: less, and a wave is not resolv
 MIN_POWER_TO_PLATEAU = 3.0  # of the windowed field over the plateau of noise, to be signal
 DETECTED_SIGNAL_TO_NOISE = 0.3  # least that the MAP field separates from noise
 SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
+SHORTEST_IN_COMMON = 2.9  # the same in what several cameras have in common, in which noise averages out
 OPEN_SIGNAL_TO_NOISE = 1.0  # least of every wave while a spectrum is learned
 FIRST_SIGNAL_TO_NOISE = 6.0  # the same in the first round, whose noise is several times too small
 MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
@@ -357,7 +358,8 @@ def better_prior(
     power = shapes * rings[:, None]
     expected = np.zeros_like(power)
     if common is not None:
-        alone = (np.array(significant) | ~resolved)[:, None]
+        searched = occupied & (binning.middle < SHORTEST_IN_COMMON)
+        alone = (np.array(significant) | ~searched)[:, None]
         expected = np.where(alone, 0.0, np.minimum(np.nan_to_num(common), limit[:, None]))
         power = np.maximum(power, expected)
     # noise hardly changes while the same beads are seen: samples count as one

@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from wavefield.matching import Modes, Prior
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.matching.prior import RINGS, SECTOR_ANGLES, SHORTEST_WAVENUMBER
+from wavefield.matching.prior import RINGS, SECTOR_ANGLES, SHORTEST_IN_COMMON
 from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.sight import Sight
@@ -75,7 +75,7 @@ class OpenField:
 
     def _whitening(self, kx: Float, ky: Float) -> Array:
         """Factor on displacements, (1 or 2, ...), at kx, ky, rad per block; 0 of the shortest waves."""
-        resolved = np.hypot(kx, ky) < SHORTEST_WAVENUMBER
+        resolved = np.hypot(kx, ky) < SHORTEST_IN_COMMON
         return np.asarray(resolved / np.sqrt(self._power(kx, ky)))
 
     def _power(self, kx: Float, ky: Float) -> Array:

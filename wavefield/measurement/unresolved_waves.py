@@ -105,7 +105,7 @@ def stated_rise(first: Unresolved, last: Unresolved) -> tuple[float, float]:
     counts where blocks still have much in common beside the last fields.
     """
     hidden = np.clip((last.in_common - _LEAST_IN_COMMON) / _LEAST_IN_COMMON, 0.0, 1.0)
-    return float(np.sqrt(max(last.variance, hidden * first.variance, 0.0))), last.wavelength
+    return float(np.sqrt(max(0.0, last.variance, hidden * first.variance))), last.wavelength
 
 
 def sine_between(J: Float, K: Float) -> float:
