@@ -47,6 +47,23 @@ def dark_scene(seed, still=False):
     )
 
 
+def coarse_scene(seed):
+    """A weak sea of waves that are eleven to fourteen pixels long."""
+    rng = np.random.default_rng(seed)
+    scale, length = float(rng.uniform(0.42, 0.5)), float(rng.uniform(0.05, 0.06))
+    sea = {
+        "rms": float(rng.uniform(0.012, 0.025)) * length / (2.0 * np.pi),
+        "spectrum": {"kind": "power", "peak": 1.0, "exponent": 3.0},
+        "spread": 2.0,
+        "shortest": length / 1.2,
+        "longest": length * 1.2,
+        "period": 2.0,
+    }
+    beads = {"brightness": 120.0, "density": 1.1e4 * scale**2, "diameter": 0.7e-3 / scale}
+    light, rig = {"read_noise": 2.0, "blur": 0.8}, {"scale": scale, "crop": 0.4}
+    return dark_scene(seed).with_(sea=sea, rig=rig, light=light, surface=beads)
+
+
 def measured(scene):
     """Errors over standard uncertainties of z, u, v, and the uncertainties, at nodes flagged as measured."""
     tank = Tank(scene)
@@ -79,6 +96,18 @@ def test_weak_seas_of_short_waves_are_not_still_water():
 def test_without_products_of_cameras_they_are(monkeypatch):
     monkeypatch.setattr(sys.modules["wavefield.measurement.learn"], "common_waves", lambda *_: None)
     assert np.mean([wrong(measured(dark_scene(seed))[0]) for seed in SEEDS]) > 0.2
+
+
+@pytest.mark.parametrize("seed", [70, 73])
+def test_weak_waves_of_few_blocks_are_not_still_water(seed):
+    ratio, _ = measured(coarse_scene(seed))
+    assert wrong(ratio) < 0.01
+    assert (np.mean(np.abs(ratio) < 2.0, axis=1) > 0.8).all()
+
+
+def test_where_they_are_not_searched_for_they_are(monkeypatch):
+    monkeypatch.setattr(sys.modules["wavefield.measurement.common_waves"], "SHORTEST_IN_COMMON", 2.0)
+    assert wrong(measured(coarse_scene(73))[0]) > 0.05
 
 
 @pytest.mark.parametrize("seed", SEEDS[:2])

@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from wavefield.matching import Modes, Prior
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.matching.prior import RINGS, SECTOR_ANGLES, SHORTEST_IN_COMMON
+from wavefield.matching.prior import RINGS, SECTOR_ANGLES, SHORTEST_IN_COMMON, SHORTEST_WAVENUMBER
 from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.sight import Sight
@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 
 _PROBABILITY = 0.3  # that a ring has waves which no camera shows alone
 _LARGEST_SIGNAL_TO_NOISE = 1.0  # of such waves
+_SHORTEST_WAVE = 0.035  # metres: in fine images shorter ones are searched for only where blocks resolve them
 _RIM = 3  # nodes at the rim of what both cameras measure, that have less weight
 _MIN_NODES = 100
 _SHORTEST_ON_NODES = 0.95 * np.pi  # rad per node
@@ -52,7 +53,7 @@ class OpenField:
         They are on the surface z, (ny, nx); NaN where nothing was measured.
         """
         kx, ky = self.modes.kx, self.modes.ky
-        whitening = self._power(kx, ky) * self._whitening(kx, ky) / self.prior.spectrum(kx, ky)
+        whitening = self._power(kx, ky) * self._whitening(sight, kx, ky) / self.prior.spectrum(kx, ky)
         whitening[:, 0, 0] = 0.0
         field = self.modes.field(((self.found.waves - self.found.mean) * whitening).astype(np.float32))
         lattice = sight.lattice
@@ -71,11 +72,13 @@ class OpenField:
         kx, ky = np.einsum("ji,jyx->iyx", np.linalg.inv(jacobian[:, :2]), k) * BLOCK
         along = k / np.maximum(np.hypot(*k), _TINY)
         moved = np.einsum("ik,kyx->iyx", jacobian[:, :2], along) + 1j * jacobian[:, 2, None, None]
-        return np.asarray(moved * self._whitening(kx, ky))
+        return np.asarray(moved * self._whitening(sight, kx, ky))
 
-    def _whitening(self, kx: Float, ky: Float) -> Array:
+    def _whitening(self, sight: Sight, kx: Float, ky: Float) -> Array:
         """Factor on displacements, (1 or 2, ...), at kx, ky, rad per block; 0 of the shortest waves."""
-        resolved = np.hypot(kx, ky) < SHORTEST_IN_COMMON
+        block = BLOCK / np.sqrt(abs(np.linalg.det(sight.at_middle()[:, :2])))
+        shortest = np.clip(2.0 * np.pi * block / _SHORTEST_WAVE, SHORTEST_WAVENUMBER, SHORTEST_IN_COMMON)
+        resolved = np.hypot(kx, ky) < shortest
         return np.asarray(resolved / np.sqrt(self._power(kx, ky)))
 
     def _power(self, kx: Float, ky: Float) -> Array:
