@@ -144,6 +144,7 @@ def common_waves(
         np.divide(part, square, out=np.full(RINGS, _TINY), where=known)
         for part in (product, np.sqrt(variance), np.sqrt(square * count))
     )
+    noise = np.minimum.accumulate(np.where(known, noise, np.inf))  # shorter waves are not stronger
     density = expected_power(found, std, _LARGEST_SIGNAL_TO_NOISE * noise) * geometry.grid.step**2
     return CommonWaves(0.5 * (edges[1:] + edges[:-1]), np.where(known, density, np.nan))
 
