@@ -27,7 +27,7 @@ SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
 }
 
 
-def found(seed, waves, noise, cameras, removed=0.0, first=False):
+def found(seed, waves, noise, cameras, removed=0.0):
     """Rise found where beads move by short waves with this std of the rise, m, and by noise, px.
     The prior removes waves whose rise has the std removed, m.
     """
@@ -52,7 +52,7 @@ def found(seed, waves, noise, cameras, removed=0.0, first=False):
         sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
     curvature = dict.fromkeys(cameras, 0.0)
     geometry = SimpleNamespace(sights=sights)
-    return unresolved_rise(estimates, missing, curvature, np.zeros((SIDE, SIDE)), geometry, first)
+    return unresolved_rise(estimates, missing, curvature, np.zeros((SIDE, SIDE)), geometry, False)
 
 
 @pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])

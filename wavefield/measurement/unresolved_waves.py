@@ -54,8 +54,8 @@ def unresolved_rise(
     first: bool,
 ) -> Unresolved:
     """Waves that blocks do not resolve, from what they move beside the fields of the first or later spectra.
-    By chance it may be negative; steps are averaged. Cameras that look from the same side share changes of
-    light as well, which are an error of velocities and no wave: their wavelength is 0.
+    By chance the variance may be negative; steps are averaged. Cameras that look from the same side share
+    changes of light as well, which are an error of velocities and no wave: their wavelength is 0.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
     So do waves that the prior removes, whose variance per block, px^2, is missing (1 or 2, ny, nx): what is
     in common is shared among both by their sizes. So do resolved waves, of which the beads of a block do not

@@ -96,7 +96,7 @@ def remark_on_fast_waves(share: float, wavelength: float, frame_rate: float) -> 
             "fast waves",
             "remark" if share > MAX_FAST else "note",
             f"waves of {100 * wavelength:.2g} cm and less turn by more than half a turn from frame to frame"
-            f" at {frame_rate:.3g} Hz and have at least {100 * share:.2g} % of the variance of w: velocities"
+            f" at {frame_rate:.3g} Hz and have {100 * share:.2g} % of the detected variance of w: velocities"
             " of these and of shorter waves are not measured, which standard uncertainties may not contain",
             f"at most {100 * MAX_FAST:.0f} %",
             "take images at twice the frame rate or more; longer waves are sound",
