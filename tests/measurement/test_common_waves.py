@@ -14,6 +14,7 @@ from wavefield.variables import Quality
 GRID = Grid(x=(-0.3, 0.3), y=(-0.23, 0.23), step=0.01)
 X, Y = np.meshgrid(GRID.x_nodes, GRID.y_nodes)
 SEEDS = 60, 61, 62
+FAST_SEEDS = 100, 110
 SCALE = 0.65  # of the images: a pixel of 2.8 mm
 
 
@@ -64,6 +65,15 @@ def coarse_scene(seed):
     return dark_scene(seed).with_(sea=sea, rig=rig, light=light, surface=beads)
 
 
+def fast_scene(seed):
+    """A very weak sea whose waves turn by two to three radians from frame to frame."""
+    rng = np.random.default_rng(seed)
+    scene, length = coarse_scene(seed), float(rng.uniform(0.045, 0.055))
+    sea = {"rms": float(rng.uniform(0.006, 0.012)) * length / (2.0 * np.pi), "spread": 40.0}
+    lengths = {"shortest": length / 1.2, "longest": length * 1.2}
+    return scene.with_(frame_rate=float(rng.uniform(13.0, 15.0)), sea=scene.sea.model_dump() | sea | lengths)
+
+
 def measured(scene):
     """Errors over standard uncertainties of z, u, v, and the uncertainties, at nodes flagged as measured."""
     tank = Tank(scene)
@@ -108,6 +118,20 @@ def test_weak_waves_of_few_blocks_are_not_still_water(seed):
 def test_where_they_are_not_searched_for_they_are(monkeypatch):
     monkeypatch.setattr(sys.modules["wavefield.measurement.common_waves"], "SHORTEST_IN_COMMON", 2.0)
     assert wrong(measured(coarse_scene(73))[0]) > 0.05
+
+
+@pytest.mark.parametrize("seed", FAST_SEEDS)
+def test_very_weak_waves_that_turn_fast_are_not_still_water(seed):
+    ratio, _ = measured(fast_scene(seed))
+    assert wrong(ratio) < 0.005
+    assert np.mean(np.abs(ratio[0]) < 2.0) > 0.9
+
+
+def test_without_their_heights_they_are(monkeypatch):
+    monkeypatch.setattr(sys.modules["wavefield.measurement.common_waves"], "_LARGEST_PHASE", 2.0)
+    ratio, _ = measured(fast_scene(FAST_SEEDS[1]))
+    assert wrong(ratio) > 0.01
+    assert np.mean(np.abs(ratio[0]) < 2.0) < 0.8
 
 
 @pytest.mark.parametrize("seed", SEEDS[:2])

@@ -35,7 +35,7 @@ _SHORTEST_WAVE = 0.035  # metres: in fine images shorter ones are searched for o
 _RIM = 3  # nodes at the rim of what both cameras measure, that have less weight
 _MIN_NODES = 100
 _SHORTEST_ON_NODES = 0.95 * np.pi  # rad per node
-_LARGEST_PHASE = 2.0  # rad per step: the rise of waves that turn further does not show their height
+_LARGEST_PHASE = 4.0  # rad per step: the rise of waves that turn further does not show their height
 _EXCESS_VARIANCE = 1.7  # of products on still water: both components of a camera have noise in common
 _TINY = 1e-30
 
@@ -124,6 +124,13 @@ class CommonWaves:
         phase = dispersion(k / block) / frame_rate
         power = self.at(k / block) / np.square(2.0 * np.sin(0.5 * phase) * block)
         return np.where(phase < _LARGEST_PHASE, power, np.nan)[None, None]
+
+    def on_nodes(self, step: float, frame_rate: float, k: Float) -> tuple[Array, Array]:
+        """Power of the cosines of the elevation on nodes, m^2, and phase per step, at k, rad per node.
+        The step is in metres; no power where it is not known.
+        """
+        power = self.of_elevation(step, k, frame_rate)[0, 0]
+        return np.nan_to_num(power), dispersion(k / step) / frame_rate
 
 
 def common_waves(

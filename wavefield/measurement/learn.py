@@ -160,13 +160,14 @@ def _learned(
     flow = np.mean([_mean_flow(step, geometry) for step in samples], axis=0)
     current = bool(np.hypot(*flow) > _SLOW_FLOW * geometry.grid.step)
     surfaces = list(pool.map(partial(_elevations, geometry, model, current), samples))
-    truncation = temporal_truncation(
+    truncated = partial(
+        temporal_truncation,
         [(first, moved) for first, _, moved in (one for one in surfaces if one is not None)],
         geometry.grid.step,
         partial(_node_noise, prior, geometry),
         partial(_matching_gain, record, geometry),
     )
-    record = replace(record, temporal_truncation=truncation)
+    record = replace(record, temporal_truncation=truncated())
     unresolved = []
     for number in range(2):
         if number:
@@ -201,13 +202,14 @@ def _learned(
         z, block = record.elevation, BLOCK * geometry.pixel
         better = heights.better(heights.opened, common.of_elevation(block, np.array(z.k), frame_rate))
         z = replace(better, information=z.information, waves=z.waves)
-        record = replace(record, elevation=z)
+        on_nodes = partial(common.on_nodes, geometry.grid.step, frame_rate)
+        record = replace(record, elevation=z, temporal_truncation=truncated(on_nodes))
     record = replace(record, unresolved=stated_rise(*unresolved))
     motion = [
         (name, max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements))
         for name in measured
     ]
-    frames = truncation.best_frames(found.moved[2], found.noise_variance)
+    frames = record.temporal_truncation.best_frames(found.moved[2], found.noise_variance)
     shown = [
         (name, _shown(fields, dict(record.displacement)[name], geometry, name))
         for name, fields in measured.items()

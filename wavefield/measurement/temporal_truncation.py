@@ -124,20 +124,25 @@ def temporal_truncation(
     step: float,
     noise: Callable[[Float], Float] | None = None,
     matching_gain: Callable[[Float], tuple[Float, Float]] | None = None,
+    common: Callable[[Float], tuple[Float, Float]] | None = None,
 ) -> TemporalTruncation:
     """Error of the finite time step, metres, from elevations at two consecutive frames (ny, nx).
-    Noise variance and matching_gain (G, B) are functions of wavenumber, rad per node; step is in metres.
+    Noise variance, matching_gain (G, B) and the variance and phase per step of waves that cameras have in
+    common, for rings in which the elevation shows none, are functions of wavenumber, rad per node; step is in
+    metres.
     """
     if not pairs or min(pairs[0][0].shape) < _MIN_NODES:
         return NOTHING
     # in each ring the power of the difference over that of the sum is tan^2(p/2), p = omega dt; P is both
     # over four
-    k, power, phase, waves = _wave_rings(pairs, step, noise)
+    k, power, phase, waves = _wave_rings(pairs, step, noise, common)
     # z leaves out sum P (1 - K)^2 (`elevation_gain`), three frames p^3/16
     z = {n: float(np.sqrt(np.sum(power * (1.0 - elevation_gain(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
     gains = (np.ones_like(k), np.ones_like(k)) if matching_gain is None else matching_gain(k * step)
     rise = float(np.mean([np.mean(np.square(b - a)) for a, b in pairs]))
+    if common is not None:  # elevations have less of these waves
+        rise = max(rise, float(np.sum(power * np.square(2.0 * np.sin(0.5 * phase)))))
     d = []
     factors = {2: _CHORD_FACTOR, 4: 1.0} | ({6: 1.0} if waves > _MIN_WAVES_OF_SIX_FRAMES else {})
     for n, factor in factors.items():
@@ -149,7 +154,10 @@ def temporal_truncation(
 
 
 def _wave_rings(
-    pairs: Sequence[tuple[Float, Float]], step: float, noise: Callable[[Float], Float] | None
+    pairs: Sequence[tuple[Float, Float]],
+    step: float,
+    noise: Callable[[Float], Float] | None,
+    common: Callable[[Float], tuple[Float, Float]] | None,
 ) -> tuple[Float, Float, Float, float]:
     """Wavenumber, rad/m, power, m^2, and phase per step of the waves in rings; number of all waves."""
     shape = pairs[0][0].shape
@@ -180,6 +188,7 @@ def _wave_rings(
     peak = 1 + int(np.argmax(power[1:]))  # beyond it, what follows a ring without waves is noise
     detected[peak:] = np.logical_and.accumulate(detected[peak:])
     waves = np.where(detected, count * len(pairs) / _LINES_PER_WAVE, 0.0)
+    hidden = [np.bincount(ring, part) for part in common(k)] if common is not None else None
     k = np.bincount(ring, k) / count / step
     phase = _shrunk_phases(own_phase, waves, dispersion(k))
     longer = np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()]
@@ -187,6 +196,10 @@ def _wave_rings(
     slowest = float(phase[:2].max()) / np.sqrt(_LEVEL_WAVELENGTH)  # by the relation of deep water
     rise = float(np.mean([np.square(np.mean(b - a)) for a, b in pairs]))
     level = rise / max(4.0 * np.sin(0.5 * slowest) ** 2, _MIN_PHASE**2)
+    if hidden is not None:
+        variance, turned = hidden[0] / np.prod(inner), np.minimum(hidden[1] / count, _MAX_PHASE)
+        replaced = ~detected & (variance > power) & (np.arange(count.size) > 0)
+        power, phase = np.where(replaced, variance, power), np.where(replaced, turned, phase)
     k, power, phase = (np.append(part, one) for part, one in zip((k, power, phase), (0.0, level, slowest)))
     return k, power, phase, float(waves.sum())
 
@@ -201,10 +214,11 @@ def _left_out_of_paths(
     # a wave along theta has phase q = p - k d cos(theta) where the water moves by d; matching leaves B G, the
     # path K(q)
     q = phase - moved
-    # what the prior removes, (1 - G)^2, is stated separately
-    lost = np.square(1.0 - raised * gain * path_gain(q, frames)) - np.square(1.0 - gain)
+    # what the prior removes of displacements, (1 - G)^2, is stated separately
+    removed = np.square((1.0 - gain) * np.sinc(q / (2.0 * np.pi)))
+    lost = np.square(1.0 - raised * gain * path_gain(q, frames)) - removed
     along = 0.5 * np.sum(power * phase**2 * np.maximum(lost, 0.0))
-    rise = _rise_error(power, phase, k, moved, raised * gain, frames) - np.square((1.0 - gain) * q)
+    rise = _rise_error(power, phase, k, moved, raised * gain, frames) - removed * q**2
     return np.array([along, np.sum(power * np.maximum(rise, 0.0))]) / _DIRECTIONS
 
 
