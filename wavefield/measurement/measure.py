@@ -170,7 +170,8 @@ def _fill_step(
     nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
     out["quality"] |= np.where(inside, quality, nothing)
     measured = inside & ((quality & Quality.FILLED) == 0)
-    if measured.sum() < MIN_MEASURED * inside.sum():
+    if measured.sum() < MIN_MEASURED * inside.sum():  # the step has no values
+        out["quality"][measured] ^= np.uint16(Quality.MEASURED | Quality.FILLED)
         return
     fields = _fields(estimate, inside, measured, geometry, model, frame_rate)
     for name in ("z", "u", "v", "w"):  # no water is there: the value is as uncertain as it is large
