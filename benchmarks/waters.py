@@ -3,13 +3,13 @@
     python -m benchmarks.waters [--draws 40] [--seed 0] [--only NUMBER ...] [--workers 1]
 
 Every draw is a record of nine frames of a part of every sensor, with exact cameras: a sea (peak from 4 cm to
-3 m; band, slope, direction and spread), a current to 0.8 m/s, the depth, the frame rate, the size of a pixel,
-light, seeding, two to four cameras, and in every second draw one fault of the frames' times, of the beads or
-of the view. It is checked and measured as a user would, with `wavefield.check` and `wavefield.run`. Counted
-are the nodes 4 cm (20 pixels where these are small) inside the edge of the common view, of all steps; those
-that are flagged as measured and wrong by more than five standard uncertainties in z, u, v or w; and whether
-`check` or the verdict of the run has a remark. A draw fails if more than 1 % of its nodes are wrong and there
-is no remark. ``--only`` repeats single draws.
+3 m; band, slope, direction and spread; no higher than 0.6 of the depth), a current to 0.8 m/s, the depth, the
+frame rate, the size of a pixel, light, seeding, two to four cameras, and in every second draw one fault of
+the frames' times, of the beads or of the view. It is checked and measured as a user would, with
+`wavefield.check` and `wavefield.run`. Counted are the nodes 4 cm (20 pixels where these are small) inside the
+edge of the common view, of all steps; those that are flagged as measured and wrong by more than five standard
+uncertainties in z, u, v or w; and whether `check` or the verdict of the run has a remark. A draw fails if
+more than 1 % of its nodes are wrong and there is no remark. ``--only`` repeats single draws.
 """
 
 import shutil
@@ -45,6 +45,7 @@ NAMES = ("z", "u", "v", "w")
 MAX_WRONG = 0.01  # of the judged nodes, without a remark
 MIN_LIGHT = 0.2  # of a camera's median: with less, flicker has blackened a frame, which is a fault
 MIN_MEASURED = 0.7  # of them: with fewer, holes are remarked upon with reason
+MAX_HEIGHT = 0.6  # of waves, of a sea the significant one, over the depth
 FAULTS = (
     "duplicated", "lost", "duplicated in one", "lost in one", "jitter", "jitter, with stamps",
     "late", "rolling shutter", "ripples", "submerged beads", "floating object", "blurred camera",
@@ -134,6 +135,9 @@ def draw_conditions(seed: int, number: int) -> Conditions:
     speed, towards = float(rng.uniform(0, 0.8) * (rng.random() < 0.5)), float(rng.uniform(0, 2 * np.pi))
     sea |= {"current": (speed * np.cos(towards), speed * np.sin(towards))}
     sea |= {"depth": float(rng.choice([np.inf, 0.7, log_uniform(rng, 0.05, 0.7)]))}
+    for size, part in (("rms", 0.25), ("amplitude", 0.5)):  # higher waves break
+        if sea.get(size, 0.0) > part * MAX_HEIGHT * sea["depth"]:
+            sea[size], text = part * MAX_HEIGHT * sea["depth"], f"{text}, as high as depth allows"
     rate = log_uniform(rng, 10.0, 100.0)
     fault = str(rng.choice(FAULTS)) if rng.random() < 0.5 else ""
     beads = {
