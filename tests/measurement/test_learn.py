@@ -1,17 +1,23 @@
 """What is learned from sample frames of a record: how much of what is learned is waves."""
 
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.fft
 from measurement_cases import around
 
 from wavefield.grid import Grid
 from wavefield.matching import Prior
+from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE, footprint
 from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.prior import wavenumbers
 from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
+from wavefield.measurement.field_samples import FieldSamples
 from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.learn import _mean_flow, _shown
+from wavefield.measurement.map_elevation import ElevationEstimate
 from wavefield.tank import Scene, Tank
 
 
@@ -33,6 +39,48 @@ def test_water_at_rest_has_no_waves_and_its_uncertainty_is_that_of_noise(model):
     assert np.mean(ratio > 3) < 0.02
     sea = model.record
     assert [sea.elevation.waves, *(prior.waves for _, prior in sea.displacement)] == [1.0] * 4
+
+
+class FewBeads:
+    """An elevation in units of the noise of a block, seen by three blocks in ten."""
+
+    bare, area = 1.0, FOOTPRINT_VARIANCE
+
+    def __init__(self, seed, law):
+        rng = np.random.default_rng(seed)
+        shape = 84, 90
+        self.seen = rng.random(shape) < 0.3
+        self.information = 0.3
+        kx, ky = wavenumbers(shape)
+        waves = rng.standard_normal(shape) * np.sqrt(law(np.hypot(kx, ky)))
+        averaged = scipy.fft.idctn(waves * footprint(kx, ky, self.area), norm="ortho")
+        self.field = (averaged + rng.standard_normal(shape)).astype(np.float32)[None]
+
+    def estimate(self, modes):
+        a = self.seen.astype(np.float32)
+        nothing = np.zeros((1, *modes.shape), np.float32)
+        waves = modes.solve(a[None], a * self.field, nothing, 1e-3, nothing, modes.factor(a))
+        return ElevationEstimate(waves, nothing, (), a, 0.0, a > 1)
+
+    def noise(self, modes):
+        return None
+
+
+def test_short_waves_between_few_beads_are_expected_as_high_as_they_are():
+    def law(k):
+        return 30.0 * np.exp(-3.0 * k)
+
+    k = np.linspace(0.3, 0.8, 6)
+    with ThreadPoolExecutor(1) as pool:
+        flat = Prior.isotropic((0.0, np.pi), (10.0, 10.0), 0.3)
+        samples = FieldSamples([FewBeads(seed, law) for seed in range(4)], flat, pool)
+        prior = samples.prior
+        for _ in range(3):
+            prior = samples.better(samples.open(prior))
+    found = prior.spectrum(k, 0.0 * k)[0] / law(k)
+    expected = found * prior.expected(k, 0.0 * k)[0]
+    assert np.exp(np.mean(np.log(found))) < 0.7
+    assert 0.8 < np.exp(np.mean(np.log(expected))) < 1.25
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -42,6 +42,8 @@ CERTAIN_NOISE_FRACTION = 0.9  # the noise is uncertain by a tenth
 MIN_INFORMATION_SHARE = 1e-3  # of what a prior assumes, in the fields that it gave; else they show nothing
 FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
 FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
+MOST_OVER_KEPT = 3.0  # of the gain that even information would have
+KEPT_MODES = 20.0  # as with even information, that count in every ring: few modes show little
 SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
 SLOPE_RINGS = 6  # from which the slope is fitted
 
@@ -70,8 +72,8 @@ class Prior:
         Fraction of the spectrum that is waves: noise of long wavelength among them, as on still water, is not
         missing from a field.
     shown : tuple of tuple of float
-        Least power of every ring of every component over this one: 1 where waves are significant, and in all
-        if empty. In other rings the power is a limit, which weights take for waves.
+        Least power of every ring of every component over this one: 1 or more where waves are significant, and
+        1 in all if empty. In other rings the power is a limit, which weights take for waves.
     share : (float, float)
         How much of these limits the fields show on the whole, and its standard deviation.
     in_common : tuple of tuple of float
@@ -272,6 +274,7 @@ def better_prior(
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
     common: Float | None = None,
+    kept: Sequence[tuple[Float, Float]] = (),
 ) -> Prior:
     """Prior from the MAP fields that another prior gave.
 
@@ -293,6 +296,8 @@ def better_prior(
     common : ndarray, (c, directions, rings), optional
         Power of waves that is expected from what several cameras have in common; NaN where it is not known.
         Where these fields alone show no waves the spectrum is no less than this, up to their own limit.
+    kept : sequence of (ndarray, ndarray), (c, my, mx), optional
+        Power of random fields, and the part of it that blocks with the information of the samples keep.
 
     Returns
     -------
@@ -372,17 +377,37 @@ def better_prior(
     share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
     mean = power.mean(axis=1)
     shown = np.where(significant, 1.0, measured * (seen & lost & (found > chance)) / mean)
+    # where few blocks have all the information, fields had more of short waves than they show
+    more = np.square(_even_over_kept(prior.spectrum(kx, ky), noise, kept, binning))
     return Prior(
         binning.k,
         tuple(_rounded(directions) for directions in power),
         information,
         prior.noise,
         prior.waves,
-        _rounded(shown),
+        _rounded(shown * more),
         share,
-        _rounded(expected.mean(axis=1) / mean),
+        _rounded(expected.mean(axis=1) / mean * more),
         prior.area,
     )
+
+
+def _even_over_kept(
+    spectrum: Float, noise: Float, kept: Sequence[tuple[Float, Float]], binning: _Rings
+) -> Float:
+    """The gain S / (S + N) of even information over what fields keep of waves, (1 or c, rings).
+    Beads are few: where blocks differ, less is kept of short waves than with their mean information.
+    """
+    if not kept:
+        return np.ones((1, RINGS))
+    gain = spectrum / (spectrum + noise)
+    powers = [part for _, part in kept], [gain * whole for whole, _ in kept]
+    found, even = (
+        convolve1d(binning.rings(np.mean(one, axis=0)) * binning.count, np.ones(3), axis=-1, mode="constant")
+        for one in powers
+    )
+    few = KEPT_MODES * even.sum(axis=-1, keepdims=True) / max(3.0 * binning.count.sum(), 1.0)
+    return np.asarray(np.clip((even + few) / np.maximum(found + few, 1e-30), 1.0, MOST_OVER_KEPT))
 
 
 def _rounded(table: Float) -> tuple[tuple[float, ...], ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Modes, Prior
 from wavefield.matching.matching_gain import DISPLACEMENT_FOOTPRINT, FOOTPRINT_VARIANCE
+from wavefield.matching.noise import hole_mask
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement.flow import FlowEstimate, filled, map_displacement
 from wavefield.measurement.map_elevation import (
@@ -29,6 +31,8 @@ Float = NDArray[np.floating]
 
 _ROUNDS = 2  # of spectrum and field in turn
 _HALF_WITHIN = 0.6745  # standard deviations of a Gaussian; of half of a field, so that edges do not count
+_RANDOM_SIGNAL_TO_NOISE = 10.0  # amplitude of random waves
+_TOLERANCE = 0.03  # of the solver (`Modes.solve`)
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 
 
@@ -130,6 +134,7 @@ class OpenFields:
     modes: Modes
     found: Sequence[ElevationEstimate | FlowEstimate]
     noise: Sequence[tuple[Float, float]]  # fields of noise alone, where cameras show it
+    kept: Sequence[tuple[Float, Float]]  # power of random fields, and the part that blocks keep of it
 
 
 @dataclass
@@ -163,7 +168,7 @@ class FieldSamples:
         modes = Modes(prior, self.samples[0].field.shape[-2:])
         found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
         noise = [part for part in self.pool.map(lambda sample: sample.noise(modes), self.samples) if part]
-        return OpenFields(prior, modes, found, noise)
+        return OpenFields(prior, modes, found, noise, list(self.pool.map(partial(_kept, modes), found)))
 
     def better(self, opened: OpenFields, common: Float | None = None) -> Prior:
         """The prior that follows from open fields, and from what waves cameras have in common."""
@@ -171,4 +176,18 @@ class FieldSamples:
         information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
         waves = [(f.waves - f.mean) / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
         band = modes.kx, modes.ky, modes.foot
-        return matching.better_prior(opened.prior, *band, waves, information, opened.noise, common)
+        known = opened.noise, common, opened.kept
+        return matching.better_prior(opened.prior, *band, waves, information, *known)
+
+
+def _kept(modes: Modes, found: ElevationEstimate | FlowEstimate) -> tuple[Float, Float]:
+    """Power of random waves, all lengths alike, outside holes, and the part that blocks keep."""
+    each = found.each if isinstance(found, FlowEstimate) else found.information[None]
+    a = np.stack([each[0], np.zeros_like(each[0]), each[1]]) if len(each) == 2 else each
+    size = np.float32(_RANDOM_SIGNAL_TO_NOISE / np.sqrt(modes.prior.information))
+    waves = size * np.random.default_rng(0).standard_normal((len(each), *modes.shape), np.float32)
+    nothing = np.zeros_like(waves)
+    right, factor = each * modes.seen(waves), modes.factor(found.information)
+    kept = modes.solve(a, right, nothing, _TOLERANCE, nothing, factor)
+    there = modes.waves(modes.field(waves) * ~hole_mask(found.information, modes.prior.information))
+    return there * waves, there * kept
