@@ -376,16 +376,16 @@ def better_prior(
     weight = binning.count * (seen & (found < of_limit + chance))
     share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
     mean = power.mean(axis=1)
-    shown = np.where(significant, 1.0, measured * (seen & lost & (found > chance)) / mean)
-    # where few blocks have all the information, fields had more of short waves than they show
+    # where few blocks have most of the information, fields show less of short waves than there is
     more = np.square(_even_over_kept(prior.spectrum(kx, ky), noise, kept, binning))
+    shown = np.where(significant, more, measured * (seen & lost & (found > chance)) / mean)
     return Prior(
         binning.k,
         tuple(_rounded(directions) for directions in power),
         information,
         prior.noise,
         prior.waves,
-        _rounded(shown * more),
+        _rounded(shown),
         share,
         _rounded(expected.mean(axis=1) / mean * more),
         prior.area,
