@@ -1,25 +1,44 @@
 """Beads at several depths scatter along the sight lines, noise does not: a remark states it."""
 
+import numpy as np
 import pytest
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Model, Settings, learn
 from wavefield.measurement.height_scatter import height_scatter
 from wavefield.measurement.searched import search_widened
-from wavefield.quality.field_remarks import MAX_HEIGHT_SCATTER, remark_on_scattered_heights
+from wavefield.quality.field_remarks import (
+    MAX_HEIGHT_SCATTER,
+    MAX_HEIGHT_SKEWNESS,
+    remark_on_scattered_heights,
+)
 from wavefield.tank import Scene, Tank
+
+GRID = {"x": (-0.16, 0.16), "y": (-0.12, 0.12), "step": 0.01}
+SEAS = {"kind": "still"}, {"rms": 0.004, "shortest": 0.08, "period": 2.0}
+
+
+def scatter(seed, submerged, sea):
+    scene = Scene.load("demo").with_(
+        rig={"crop": 0.2}, grid=GRID, surface={"submerged": submerged}, sea=sea, seed=seed
+    )
+    tank = Tank(scene)
+    pair = tank.render(0), tank.render(1)
+    geometry = search_widened([pair], GridGeometry(tank.rig, Grid(**GRID), Settings()))
+    return height_scatter(pair[0], geometry, Model(geometry, learn([pair], geometry)), {})
 
 
 @pytest.mark.parametrize(("submerged", "remarks"), [(0.0, 0), (0.35, 1)])
 def test_beads_under_the_water_have_a_remark(submerged, remarks):
-    grid = {"x": (-0.16, 0.16), "y": (-0.12, 0.12), "step": 0.01}
-    scene = Scene.load("demo").with_(
-        rig={"crop": 0.2}, grid=grid, surface={"submerged": submerged}, sea={"kind": "still"}, seed=5
-    )
-    tank = Tank(scene)
-    pair = tank.render(0), tank.render(1)
-    geometry = search_widened([pair], GridGeometry(tank.rig, Grid(**grid), Settings()))
-    model = Model(geometry, learn([pair], geometry))
-    scatter = height_scatter(pair[0], geometry, model, {})
-    assert len(list(remark_on_scattered_heights(scatter))) == remarks
-    assert abs(scatter / MAX_HEIGHT_SCATTER - 1.0) > 0.2, "not by chance"
+    variance, skewness = scatter(5, submerged, SEAS[0])
+    assert len(list(remark_on_scattered_heights(variance, skewness))) == remarks
+    assert abs(variance / MAX_HEIGHT_SCATTER - 1.0) > 0.2, "not by chance"
+
+
+@pytest.mark.parametrize("sea", SEAS, ids=["still", "waves"])
+def test_few_beads_under_the_water_are_lower_than_those_around_and_sound_seas_are_even(sea):
+    even, few = (np.array([scatter(seed, part, sea) for seed in (6, 7, 8)]) for part in (0.0, 0.07))
+    assert (few[:, 1] < -1.5 * MAX_HEIGHT_SKEWNESS).all()
+    assert (np.abs(even[:, 1]) < 0.8 * MAX_HEIGHT_SKEWNESS).all()
+    assert all(list(remark_on_scattered_heights(*one)) for one in few)
+    assert not any(list(remark_on_scattered_heights(*one)) for one in even)

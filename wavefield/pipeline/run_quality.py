@@ -129,7 +129,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
         *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
         *(remark_on_stored_values(cube, sample) if comparable else ()),
         *_short_waves(sample, prepared),
-        *remark_on_scattered_heights(_height_scatter(prepared)),
+        *remark_on_scattered_heights(*_height_scatter(prepared)),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
 
@@ -193,20 +193,21 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         )
 
 
-def _height_scatter(prepared: PreparedRun) -> float:
-    """Typical scatter of the heights of single blocks at some frames, over what noise explains."""
+def _height_scatter(prepared: PreparedRun) -> tuple[float, float]:
+    """Typical scatter of the heights of single blocks at some frames: variance over noise, and skewness."""
     from wavefield.measurement.height_scatter import height_scatter
 
     geometry, model = prepared.geometry, prepared.model
     if model is None or geometry.settings.sheet_thickness is not None:
-        return np.nan
+        return np.nan, np.nan
     found = []
     for k in evenly_spaced(prepared.steps + 1, LIMITS.instants_for_scatter):
         images = {name: one.read(k).image for name, one in prepared.series.items()}
         covered = {name: one.covered(k) for name, one in prepared.series.items()}
         if all(image is not None for image in images.values()):
             found.append(height_scatter(images, geometry, model, covered))
-    return float(np.median(found)) if found else np.nan
+    variance, skewness = np.median(found, axis=0) if found else (np.nan, np.nan)
+    return float(variance), float(skewness)
 
 
 def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:

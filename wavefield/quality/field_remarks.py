@@ -16,6 +16,9 @@ MAX_USEFUL_EPS_PIV = 0.5  # px: a larger one makes values useless
 MAX_UNRESOLVED = 0.3  # of the variance of w by waves that images do not resolve: more is remarked upon
 MAX_FAST = 0.3  # of the variance of w by waves that frames do not follow: more is remarked upon
 NOTED_FAST = 0.003  # more is noted
+MAX_HEIGHT_SKEWNESS = (
+    0.6  # third moment of single blocks' heights over noise, downwards: sound seas have 0.45
+)
 MAX_HEIGHT_SCATTER = 2.2  # of single blocks over noise, variance: sound seas have 0.4 to 2.1
 UNRESOLVED_STD = 2.0  # standard uncertainties of w with them over those without: more is noted
 
@@ -104,16 +107,30 @@ def remark_on_fast_waves(share: float, wavelength: float, frame_rate: float) -> 
         )
 
 
-def remark_on_scattered_heights(scatter: float) -> Iterator[Remark]:
-    """Report that the heights of single blocks scatter by more than noise; the ratio of their variances."""
+def remark_on_scattered_heights(scatter: float, skewness: float) -> Iterator[Remark]:
+    """Report that the heights of single blocks scatter by more than noise, or that many are too low.
+    The ratio of their variances, and the third moment of heights over the noise.
+    """
+    advice = "are beads under the water, wet or sinking? else waves are too short for these pixels"
+    wrong = "z and velocities may be off by more than their standard uncertainties"
     if scatter > MAX_HEIGHT_SCATTER:
         yield Remark(
             "surface",
             "scattered heights",
             "remark",
             f"heights of neighbouring beads scatter by {scatter:.1f} times the variance that noise explains:"
-            " z and velocities may be off by more than their standard uncertainties",
+            f" {wrong}",
             f"at most {MAX_HEIGHT_SCATTER}",
-            "are beads under the water, wet or sinking? else waves are too short for these pixels",
+            advice,
             {"variance_ratio": scatter},
+        )
+    elif skewness < -MAX_HEIGHT_SKEWNESS:
+        yield Remark(
+            "surface",
+            "scattered heights",
+            "remark",
+            f"some beads are lower than those around and few higher (third moment {skewness:.1f}): {wrong}",
+            f"at least -{MAX_HEIGHT_SKEWNESS}",
+            "are beads under the water, wet or sinking?",
+            {"third_moment": skewness},
         )
