@@ -20,6 +20,9 @@ Frames = Mapping[str, NDArray[Any] | None]
 _MARGIN_BLOCKS = 6  # from the edge of the lattice, where fewer neighbours hold the field
 _LEAST_HESSIAN = 0.2  # of the median: blocks with less show no height
 _MAX_STD = 4.0  # single heights are limited to so many standard deviations
+_ENOUGH_BLOCKS = (
+    3000  # for their third moment: fewer have a larger one by chance, as the root of their number
+)
 
 
 @one_thread()
@@ -28,7 +31,8 @@ def height_scatter(
 ) -> tuple[float, float]:
     """Variance and third moment of single blocks' heights about the surface, over the variance of "heights"
     across the sight lines, or its power of 3/2. Of one frame of each camera. About 1 and 0 where beads float
-    on waves that blocks resolve; beads under the water are only ever lower. NaN where nothing was matched.
+    on waves that blocks resolve; beads under the water are only ever lower. The third moment of few blocks
+    counts less. NaN where nothing was matched.
     """
     images = images_of(frames, geometry, dict(model.record.beads), masks).flat
     found = match_pairs(images, geometry)
@@ -48,4 +52,5 @@ def height_scatter(
         return np.nan, np.nan
     height = np.clip(height / np.sqrt(np.mean(np.square(height))), -_MAX_STD, _MAX_STD)
     variance = float(ratios[0] / ratios[1])
-    return variance, float(np.mean(height**3)) * variance**1.5
+    certain = min(1.0, float(np.sqrt(height.size / _ENOUGH_BLOCKS)))
+    return variance, certain * float(np.mean(height**3)) * variance**1.5
