@@ -8,8 +8,8 @@ from wavefield.measurement import GridGeometry, Model, Settings, learn
 from wavefield.measurement.height_scatter import height_scatter
 from wavefield.measurement.searched import search_widened
 from wavefield.quality.field_remarks import (
+    LEAST_HEIGHT_MOMENT,
     MAX_HEIGHT_SCATTER,
-    MAX_HEIGHT_SKEWNESS,
     remark_on_scattered_heights,
 )
 from wavefield.tank import Scene, Tank
@@ -30,15 +30,15 @@ def scatter(seed, submerged, sea):
 
 @pytest.mark.parametrize(("submerged", "remarks"), [(0.0, 0), (0.35, 1)])
 def test_beads_under_the_water_have_a_remark(submerged, remarks):
-    variance, skewness = scatter(5, submerged, SEAS[0])
-    assert len(list(remark_on_scattered_heights(variance, skewness))) == remarks
+    variance, third_moment = scatter(5, submerged, SEAS[0])
+    assert len(list(remark_on_scattered_heights(variance, third_moment))) == remarks
     assert abs(variance / MAX_HEIGHT_SCATTER - 1.0) > 0.2, "not by chance"
 
 
 @pytest.mark.parametrize("sea", SEAS, ids=["still", "waves"])
 def test_few_beads_under_the_water_are_lower_than_those_around_and_sound_seas_are_even(sea):
     even, few = (np.array([scatter(seed, part, sea) for seed in (6, 7, 8)]) for part in (0.0, 0.07))
-    assert (few[:, 1] < -1.5 * MAX_HEIGHT_SKEWNESS).all()
-    assert (np.abs(even[:, 1]) < 0.8 * MAX_HEIGHT_SKEWNESS).all()
+    assert (few[:, 1] < 1.5 * LEAST_HEIGHT_MOMENT).all()
+    assert (np.abs(even[:, 1]) < -0.8 * LEAST_HEIGHT_MOMENT).all()
     assert all(list(remark_on_scattered_heights(*one)) for one in few)
     assert not any(list(remark_on_scattered_heights(*one)) for one in even)

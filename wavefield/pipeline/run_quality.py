@@ -194,7 +194,7 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
 
 
 def _height_scatter(prepared: PreparedRun) -> tuple[float, float]:
-    """Typical scatter of the heights of single blocks at some frames: variance over noise, and skewness."""
+    """Typical scatter of the heights of single blocks at some frames: variance and third moment."""
     from wavefield.measurement.height_scatter import height_scatter
 
     geometry, model = prepared.geometry, prepared.model
@@ -206,8 +206,8 @@ def _height_scatter(prepared: PreparedRun) -> tuple[float, float]:
         covered = {name: one.covered(k) for name, one in prepared.series.items()}
         if all(image is not None for image in images.values()):
             found.append(height_scatter(images, geometry, model, covered))
-    variance, skewness = np.median(found, axis=0) if found else (np.nan, np.nan)
-    return float(variance), float(skewness)
+    variance, third_moment = np.median(found, axis=0) if found else (np.nan, np.nan)
+    return float(variance), float(third_moment)
 
 
 def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:
