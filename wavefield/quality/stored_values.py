@@ -3,16 +3,17 @@
 None uses what the uncertainties were computed from, so that all can show where these are wrong.
 """
 
-from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from wavefield.quality.frame_jitter import FrameJitter, frame_jitter, step_factor
+from wavefield.quality.frame_jitter import FrameJitter, frame_jitter
 from wavefield.quality.quality_limits import RECORD_LIMITS
+from wavefield.quality.step_continuity import StepFactors, patch_means, step_factors
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -24,13 +25,12 @@ Mask = NDArray[np.bool_]
 MIN_NODES = 50  # with fewer measured nodes a step is not checked
 MARGIN_NODES = 3  # from the edge of the grid, where slopes are of lower order
 MEDIAN_SQUARE = 0.455  # of a standard normal variable
-JITTER_STEPS = 64  # read for the jitter of frame times
-MAX_NOISE = 0.2  # of the variance of rises: with more, they do not predict each other
+VELOCITY = ("u", "v", "w")
+JITTER_STEPS = 64  # read for the size of the errors by jitter
+MAX_NOISE = 0.2  # of the mean square of velocities: with more, they do not predict each other
 MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left out
 CHANGING_NOISE = 0.25  # of the variance of z by noise: beads repeat the rest of it from frame to frame
 ELEVATION_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z
-NEIGHBOURS = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0  # a cubic through the steps k - 2, k - 1, k + 1, k + 2
-USABLE_CONTINUITY = (0.7, 1.3)  # of the record's median: beyond, waves are too fast to be predicted
 
 
 # variables whose kinematics are compared
@@ -63,71 +63,41 @@ def _robust_rms(squares: Array) -> float:
     return float(np.sqrt(np.median(squares) / MEDIAN_SQUARE)) if squares.size >= MIN_NODES else np.nan
 
 
-def continuity(rise: Sequence[Array], measured: Sequence[Mask], std: Sequence[Array]) -> float:
-    """Regression of a step's rise on the cubic through those of its four neighbours, near 1 for slow waves.
-    Of the steps k - 2 to k + 2, (ny, nx) each; NaN with few nodes or where rises are noise in good part.
-    """
-    everywhere = np.logical_and.reduce(measured)
-    if everywhere.sum() < MIN_NODES:
-        return np.nan
-    before2, before, here, after, after2 = (np.asarray(one[everywhere], np.float64) for one in rise)
-    expected = NEIGHBOURS @ np.stack([before2, before, after, after2])
-    square = float(expected @ expected)
-    # the least noise of the neighbours: that of steps beside a lost frame contains the contradiction
-    least = min(float(np.sum(np.square(std[k][everywhere]))) for k in (0, 1, 3, 4))
-    noise = float(NEIGHBOURS @ NEIGHBOURS) * least
-    # a step of two intervals is far above noise even where the phases of its neighbours nearly cancel
-    size = max(square, float(here @ here))
-    return float(here @ expected) / square if noise < MAX_NOISE * size else np.nan
-
-
-def discontinuous(continuities: Array) -> NDArray[np.intp]:
-    """Steps that do not continue their neighbours, by the continuity (n,); none where waves are too fast."""
-    found = np.isfinite(continuities)
-    lowest, highest = USABLE_CONTINUITY
-    if found.sum() < 3 or not lowest < float(np.median(continuities[found])) < highest:
-        return np.empty(0, np.intp)
-    return np.flatnonzero(found & (np.abs(continuities - 1.0) > RECORD_LIMITS.discontinuity))
-
-
-def continuities_of(cube: xr.Dataset) -> Array:
-    """Continuity of every step of a cube (n,), read chunk by chunk; NaN for two steps at either end."""
+def step_factors_of(cube: xr.Dataset) -> StepFactors:
+    """How the steps of a cube continue each other, read chunk by chunk; unknown where noise is large."""
     count, chunk = cube.sizes["time"], max(cube.w.chunksizes.get("time", (64,))[0], 1)
-    out = np.full(count, np.nan)
-    window: deque[tuple[Array, Mask, Array]] = deque(maxlen=5)
+    means, noise, size = [], np.full(count, np.nan), np.full(count, np.nan)
     for start in range(0, count, chunk):
-        part = cube[["w", "w_std", "quality"]].isel(time=slice(start, start + chunk)).load()
-        flags = part.quality.values & int(Quality.MEASURED) != 0
-        for k, (w, std, flag) in enumerate(zip(part.w.values, part.w_std.values, flags, strict=True), start):
-            window.append((w, flag & np.isfinite(w) & np.isfinite(std), std))
-            if len(window) == 5:
-                out[k - 2] = continuity(*zip(*window, strict=True))
-    return out
+        part = cube[[*VELOCITY, "w_std", "quality"]].isel(time=slice(start, start + chunk)).load()
+        velocity = np.stack([part[name].values for name in VELOCITY], axis=1)
+        measured = (part.quality.values & int(Quality.MEASURED) != 0) & np.isfinite(velocity).all(axis=1)
+        for k, (fields, std, there) in enumerate(zip(velocity, part.w_std.values, measured, strict=True)):
+            means.append(patch_means(fields, there))
+            if there.any():
+                noise[start + k] = np.mean(np.square(std[there], dtype=float))
+                size[start + k] = np.mean(np.square(fields[:, there], dtype=float))
+    # the noise of steps beside a lost frame contains the contradiction: the least of five
+    near = (sliding_window_view(np.pad(one, 2, constant_values=np.nan), 5) for one in (noise, size))
+    least, largest = (of.reduce(one, axis=1) for of, one in zip((np.fmin, np.fmax), near))
+    return step_factors(np.array(means)).without(np.flatnonzero(~(least < MAX_NOISE * largest)), reach=0)
 
 
-def jitter_of(cube: xr.Dataset, continuities: Array) -> tuple[FrameJitter, float] | None:
+def jitter_of(cube: xr.Dataset, factors: StepFactors) -> tuple[FrameJitter, float] | None:
     """Jitter of a cube's frame times, and the largest error by it over its standard uncertainty.
-    Of steps in the middle of the record, without those around discontinuous ones; None if no jitter shows.
+    Without steps around discontinuous ones; None if no jitter shows.
     """
-    count = cube.sizes["time"]
-    first = max((count - JITTER_STEPS) // 2, 0)
-    names = ["u", "v", "w"]
-    part = cube[[*names, "z_std", *(f"{name}_std" for name in names), "quality"]]
-    part = part.isel(time=slice(first, first + JITTER_STEPS)).load()
-    velocity = np.stack([part[name].values for name in names], axis=1).astype(np.float64)
-    measured = (part.quality.values & int(Quality.MEASURED) != 0) & np.isfinite(velocity).all(axis=1)
-    broken = discontinuous(continuities) - first
-    factors, variances = np.full((2, len(velocity)), np.nan)
-    for k in range(2, len(velocity) - 2):
-        near = slice(k - 2, k + 3)
-        alone = not np.any(np.abs(broken - k) <= 2) or broken.size > MAX_BROKEN * count
-        if alone and (found := step_factor(list(velocity[near]), list(measured[near]))):
-            factors[k], variances[k] = found
-    jitter = frame_jitter(factors, variances, int(cube.path_frames))
+    broken = factors.discontinuous(RECORD_LIMITS.discontinuity)
+    few = broken.size <= MAX_BROKEN * cube.sizes["time"]
+    jitter = frame_jitter(factors.without(broken) if few else factors, int(cube.path_frames))
     if jitter is None:
         return None
+    first = max((cube.sizes["time"] - JITTER_STEPS) // 2, 0)
+    part = cube[[*VELOCITY, "z_std", *(f"{name}_std" for name in VELOCITY), "quality"]]
+    part = part.isel(time=slice(first, first + JITTER_STEPS)).load()
+    velocity = np.stack([part[name].values for name in VELOCITY], axis=1).astype(np.float64)
+    measured = (part.quality.values & int(Quality.MEASURED) != 0) & np.isfinite(velocity).all(axis=1)
     sizes = [float(np.sqrt(np.mean(np.square(one[measured])))) for one in np.moveaxis(velocity, 1, 0)]
-    stds = [float(np.median(part[f"{name}_std"].values[measured])) for name in (*names, "z")]
+    stds = [float(np.median(part[f"{name}_std"].values[measured])) for name in (*VELOCITY, "z")]
     late = ELEVATION_NOISE * jitter.intervals
     # that velocities are of another moment is a part of their relative error
     jitter = replace(jitter, velocity=float(np.hypot(jitter.velocity, late * _turn(velocity, measured))))
@@ -163,8 +133,8 @@ def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Re
                 "check frame rate, synchronisation and seeding; waves may be too short for the images",
                 {"kinematic_misfit": misfit},
             )
-    continuities = continuities_of(cube)
-    found = discontinuous(continuities)
+    factors = step_factors_of(cube)
+    found = factors.discontinuous(RECORD_LIMITS.discontinuity)
     if found.size:
         yield Remark(
             "record",
@@ -176,7 +146,7 @@ def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Re
             "check whether frames were duplicated or lost in all cameras there, and leave these steps out",
             {"steps": int(found.size)},
         )
-    shown = jitter_of(cube, continuities)
+    shown = jitter_of(cube, factors)
     if shown and shown[1] > RECORD_LIMITS.jitter_noted:
         late = 1e3 * shown[0].intervals / rate
         yield Remark(

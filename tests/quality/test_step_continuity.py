@@ -1,0 +1,85 @@
+"""Steps that do not continue their neighbours are found, whatever the waves' phase; sound seas have none."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from test_stored_values import NAMES, sea
+
+from wavefield.quality.quality_limits import RECORD_LIMITS
+from wavefield.quality.step_continuity import patch_means, step_factors
+from wavefield.quality.stored_values import step_factors_of
+from wavefield.variables import Quality
+
+LIMIT = RECORD_LIMITS.discontinuity
+
+
+def velocities(seed, steps=16, noise=0.004, rate=20.0):
+    fields = sea(seed, steps, noise=noise, rate=rate)
+    return np.stack([fields[name] for name in NAMES], axis=1)
+
+
+def factors(velocity, measured=None):
+    measured = np.ones((len(velocity), *velocity.shape[2:]), bool) if measured is None else measured
+    return step_factors(np.array([patch_means(one, there) for one, there in zip(velocity, measured)]))
+
+
+def cube_of(velocity, std):
+    fields = {name: (("time", "y", "x"), velocity[:, k]) for k, name in enumerate(NAMES)}
+    shape = (len(velocity), *velocity.shape[2:])
+    flags = np.full(shape, int(Quality.MEASURED), np.uint8)
+    cube = xr.Dataset(
+        fields | {"w_std": (("time", "y", "x"), np.full(shape, std)), "quality": (("time", "y", "x"), flags)}
+    )
+    return cube.chunk(time=5)
+
+
+@pytest.mark.parametrize("rate", [8.0, 12.0, 20.0, 60.0])  # waves turn by up to 2.8 rad from step to step
+@pytest.mark.parametrize("seed", range(6))
+def test_steps_of_sound_seas_continue_each_other(seed, rate):
+    velocity = velocities(seed, rate=rate)
+    measured = np.random.default_rng(seed).random((len(velocity), 40, 50)) < 0.9
+    for steps in (8, 16):
+        found = factors(velocity[:steps], measured[:steps])
+        assert np.isfinite(found.factor[2:-2]).all()
+        assert found.discontinuous(LIMIT).size == 0
+
+
+@pytest.mark.parametrize("rate", [12.0, 20.0, 60.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_step_without_motion_or_of_two_intervals_is_named(seed, rate):
+    velocity = velocities(seed, 18, 0.001, rate)
+    repeated = np.concatenate([velocity[:8], 0 * velocity[:1], velocity[8:-1]])
+    assert 8 in factors(repeated).discontinuous(LIMIT)
+    lost = np.concatenate([velocity[:7], velocity[7:8] + velocity[8:9], velocity[9:]])
+    assert 7 in factors(lost).discontinuous(LIMIT)
+    few = slice(3, 11)  # eight steps
+    assert factors(lost[few]).discontinuous(LIMIT).size
+
+
+@pytest.mark.parametrize("turn", np.arange(0.1, 3.0, 0.3))
+def test_one_wave_is_predicted_whatever_its_phase(turn):
+    rng = np.random.default_rng(int(100 * turn))
+    x = 2 * np.pi * rng.uniform(1.0, 3.0) * np.arange(60) / 60
+    wave = np.cos(x - turn * np.arange(12)[:, None])
+    velocity = np.broadcast_to(wave[:, None, None, :], (12, 3, 40, 60))
+    on_current = velocity + np.array([5.0, 2.0, 0.0])[:, None, None]
+    for fields in (velocity, on_current):
+        assert factors(fields).factor[2:-2] == pytest.approx(1.0, abs=0.1)
+
+
+def test_chunks_of_a_cube_and_noise_change_nothing_but_what_is_compared():
+    velocity = velocities(3, noise=0.0)
+    size = float(np.sqrt(np.mean(np.square(velocity))))
+    found = step_factors_of(cube_of(velocity, 0.01 * size))
+    np.testing.assert_array_equal(found.factor, factors(velocity).factor)
+    for seed, noise in enumerate((0.5, 0.7, 1.0, 1.5)):  # of which most is noise
+        noisy = velocity + noise * size * np.random.default_rng(seed).standard_normal(velocity.shape)
+        assert step_factors_of(cube_of(noisy, noise * size)).discontinuous(LIMIT).size == 0
+
+
+def test_fields_with_few_measured_nodes_are_not_compared():
+    velocity = velocities(2)
+    nothing = np.zeros((len(velocity), 40, 50), bool)
+    assert np.isnan(factors(velocity, nothing).factor).all()
+    assert np.isnan(factors(velocity[..., :2, :2]).factor).all()
+    assert np.isnan(factors(0 * velocity).factor).all(), "still water"
