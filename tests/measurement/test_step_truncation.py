@@ -1,13 +1,17 @@
 """What the finite time step leaves out of single steps: groups of waves, long waves, flat orbits."""
 
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from wavefield.matching import Prior
 from wavefield.measurement.step_truncation import elevation_truncation, motion_truncation
-from wavefield.measurement.temporal_truncation import temporal_truncation
-from wavefield.measurement.time_weights import ELEVATION_WEIGHTS
+from wavefield.measurement.temporal_truncation import detected_waves, temporal_truncation
+from wavefield.measurement.time_weights import ELEVATION_WEIGHTS, path_gain
+from wavefield.water import dispersion
 
 TIMES = np.arange(6) - 2.5
 SHAPE = 18, 24
@@ -95,6 +99,35 @@ def test_motion_is_stated_as_uncertain_as_groups_and_the_depth_make_it(places):
             record_alone.append(rms(error[:2]) / rms(alone[:2]))
     assert np.percentile(now, 95) < min(2.2, 0.8 * np.percentile(record_alone, 95))
     assert np.median(now) > 0.3, "not more cautious than that"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_ripples_beside_longer_waves_turn_as_fast_as_ripples(seed):
+    """Beyond a gap in the spectrum they do not turn as long waves do, which a current slows down here."""
+    rng = np.random.default_rng(seed)
+    length = np.array([0.2, *rng.uniform(0.034, 0.042, 3)])
+    height, rate = np.array([1e-3, *(3 * [8e-5])]), rng.uniform(11.0, 14.0)
+    k, angle, phase = 2 * np.pi / length, rng.uniform(0, 6, 4), rng.uniform(0, 6, 4)
+    y, x = np.mgrid[:40, :50] * 0.01
+    turn = dispersion(k) / rate - [0.3 * k[0] / rate, 0, 0, 0]
+
+    def z(t):
+        waves = k * (x[..., None] * np.cos(angle) + y[..., None] * np.sin(angle)) - turn * t + phase
+        return np.cos(waves) @ height
+
+    pairs = [(z(t), z(t + 1)) for t in (3.0, 30.0, 57.0)]
+    rings = np.geomspace(0.1, 3.0, 60)
+    prior = Prior.isotropic(rings, np.ones(60), 1.0)
+    shown = replace(prior, shown=(tuple(map(float, rings > 0.5)),))
+    blind, found = (
+        temporal_truncation(pairs, 0.01, detected=partial(detected_waves, one, 0.002, 0.01, rate))
+        for one in (replace(prior, shown=((0.0,) * 60,)), shown)
+    )
+    left_out = (height * turn * (1.0 - path_gain(turn, 4)))[1:]
+    d, measured = np.zeros((3, *x.shape)), np.ones(x.shape, bool)
+    stated, short = (one.of_displacement(4, d, measured)[2].mean() for one in (found, blind))
+    assert 0.7 < stated / np.sqrt(0.5 * left_out @ left_out) < 2.0
+    assert short < 0.6 * stated
 
 
 def test_noise_is_not_taken_for_waves_that_turn_fast():

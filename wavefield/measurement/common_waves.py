@@ -125,13 +125,6 @@ class CommonWaves:
         power = self.at(k / block) / np.square(2.0 * np.sin(0.5 * phase) * block)
         return np.where(phase < _LARGEST_PHASE, power, np.nan)[None, None]
 
-    def on_nodes(self, step: float, frame_rate: float, k: Float) -> tuple[Array, Array]:
-        """Power of the cosines of the elevation on nodes, m^2, and phase per step, at k, rad per node.
-        The step is in metres; no power where it is not known.
-        """
-        power = self.of_elevation(step, k, frame_rate)[0, 0]
-        return np.nan_to_num(power), dispersion(k / step) / frame_rate
-
 
 def common_waves(
     steps: Sequence[tuple[Mapping[str, OpenField], Float]], geometry: GridGeometry

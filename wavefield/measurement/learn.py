@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,7 +34,7 @@ from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.model import Model
-from wavefield.measurement.temporal_truncation import temporal_truncation
+from wavefield.measurement.temporal_truncation import detected_waves, temporal_truncation
 from wavefield.measurement.unresolved_waves import stated_rise, unresolved_rise
 
 Frames = Mapping[str, NDArray[Any] | None]
@@ -167,7 +167,13 @@ def _learned(
         partial(_node_noise, prior, geometry),
         partial(_matching_gain, record, geometry),
     )
-    record = replace(record, temporal_truncation=truncated())
+
+    def detected(z: Prior) -> Callable[[Float], tuple[Float, Float, Float]] | None:
+        if not (heights and frame_rate):
+            return None
+        return partial(detected_waves, z, geometry.pixel, geometry.grid.step, frame_rate)
+
+    record = replace(record, temporal_truncation=truncated(detected(prior)))
     unresolved = []
     for number in range(2):
         if number:
@@ -202,8 +208,7 @@ def _learned(
         z, block = record.elevation, BLOCK * geometry.pixel
         better = heights.better(heights.opened, common.of_elevation(block, np.array(z.k), frame_rate))
         z = replace(better, information=z.information, waves=z.waves)
-        on_nodes = partial(common.on_nodes, geometry.grid.step, frame_rate)
-        record = replace(record, elevation=z, temporal_truncation=truncated(on_nodes))
+        record = replace(record, elevation=z, temporal_truncation=truncated(detected(z)))
     record = replace(record, unresolved=stated_rise(*unresolved))
     motion = [
         (name, max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements))

@@ -95,18 +95,38 @@ class TemporalTruncation:
         return cls(z, d, float(data.get("rise", 0.0)))
 
 
+def detected_waves(
+    elevation: Prior, pixel: float, step: float, frame_rate: float, k: Float
+) -> tuple[Float, Float, Float]:
+    """Waves at k, rad per node: 1 where the elevation shows them, the power of their cosines on nodes where
+    only several cameras in common do, m^2, and their phase per step. The pixel and the step are in metres.
+    """
+    block = BLOCK * pixel
+    shown, common = _detected(elevation)
+    power = np.mean(elevation.power, axis=(0, 1)) * common * np.square(block / step)
+    of_rings = (np.interp(k * block / step, elevation.k, one) for one in (shown, power))
+    return *of_rings, dispersion(k / step) / frame_rate
+
+
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
     """Share of the variance of the rise by detected waves that turn by more than half a turn from frame to
     frame, which frames do not follow, and the longest of them, metres. The pixel of z is in metres.
     """
     k, block = np.array(elevation.k), BLOCK * pixel
     phase = dispersion(k / block) / frame_rate
-    shown = np.array(elevation.shown or [[0.0]]).min(axis=0) >= 1.0
-    rise = np.mean(elevation.power, axis=(0, 1)) * k * np.square(phase) * shown
+    rise = np.mean(elevation.power, axis=(0, 1)) * k * np.square(phase) * _detected(elevation)[0]
     fast = (phase > np.pi) & (rise > 0)
     if not fast.any():
         return 0.0, 0.0
     return float(rise[fast].sum() / rise.sum()), float(2.0 * np.pi * block / k[fast][0])
+
+
+def _detected(elevation: Prior) -> tuple[Float, Float]:
+    """Rings in which the elevation shows waves, and what part of the power several cameras have in common."""
+    shown = np.array(elevation.shown or [[0.0]]).min(axis=0) >= 1.0
+    common = np.array(elevation.in_common or [[0.0]]).min(axis=0)
+    every = np.ones(len(elevation.k))
+    return shown * every, common * every
 
 
 def _parts(values: Sequence[float]) -> Parts:
@@ -124,24 +144,23 @@ def temporal_truncation(
     step: float,
     noise: Callable[[Float], Float] | None = None,
     matching_gain: Callable[[Float], tuple[Float, Float]] | None = None,
-    common: Callable[[Float], tuple[Float, Float]] | None = None,
+    detected: Callable[[Float], tuple[Float, Float, Float]] | None = None,
 ) -> TemporalTruncation:
     """Error of the finite time step, metres, from elevations at two consecutive frames (ny, nx).
-    Noise variance, matching_gain (G, B) and the variance and phase per step of waves that cameras have in
-    common, for rings in which the elevation shows none, are functions of wavenumber, rad per node; step is in
-    metres.
+    Noise variance, matching_gain (G, B) and `detected_waves`, whose phase counts where that of these
+    elevations does not show, are functions of wavenumber, rad per node; step is in metres.
     """
     if not pairs or min(pairs[0][0].shape) < _MIN_NODES:
         return NOTHING
     # in each ring the power of the difference over that of the sum is tan^2(p/2), p = omega dt; P is both
     # over four
-    k, power, phase, waves = _wave_rings(pairs, step, noise, common)
+    k, power, phase, waves = _wave_rings(pairs, step, noise, detected)
     # z leaves out sum P (1 - K)^2 (`elevation_gain`), three frames p^3/16
     z = {n: float(np.sqrt(np.sum(power * (1.0 - elevation_gain(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
     gains = (np.ones_like(k), np.ones_like(k)) if matching_gain is None else matching_gain(k * step)
     rise = float(np.mean([np.mean(np.square(b - a)) for a, b in pairs]))
-    if common is not None:  # elevations have less of these waves
+    if detected is not None:  # elevations have less of these waves
         rise = max(rise, float(np.sum(power * np.square(2.0 * np.sin(0.5 * phase)))))
     d = []
     factors = {2: _CHORD_FACTOR, 4: 1.0} | ({6: 1.0} if waves > _MIN_WAVES_OF_SIX_FRAMES else {})
@@ -157,7 +176,7 @@ def _wave_rings(
     pairs: Sequence[tuple[Float, Float]],
     step: float,
     noise: Callable[[Float], Float] | None,
-    common: Callable[[Float], tuple[Float, Float]] | None,
+    detected: Callable[[Float], tuple[Float, Float, Float]] | None,
 ) -> tuple[Float, Float, Float, float]:
     """Wavenumber, rad/m, power, m^2, and phase per step of the waves in rings; number of all waves."""
     shape = pairs[0][0].shape
@@ -179,16 +198,15 @@ def _wave_rings(
     own_phase = _phase(*curved)
     power = 0.25 * (plus + minus)
     curvature = 0.25 * np.sum(curved, axis=0) * np.bincount(ring, square) / count
-    detected = (
-        (power > 0.25 * _DETECTED_SNR * noise_power)
-        & (curvature > _DETECTED_SNR * _leaked(curvature))
-        & (own_phase > 0)
+    significant = (power > 0.25 * _DETECTED_SNR * noise_power) & (
+        curvature > _DETECTED_SNR * _leaked(curvature)
     )
-    detected[0] = False
-    peak = 1 + int(np.argmax(power[1:]))  # beyond it, what follows a ring without waves is noise
-    detected[peak:] = np.logical_and.accumulate(detected[peak:])
-    waves = np.where(detected, count * len(pairs) / _LINES_PER_WAVE, 0.0)
-    hidden = [np.bincount(ring, part) for part in common(k)] if common is not None else None
+    significant[0] = False
+    followed = significant & (own_phase > 0)
+    peak = 1 + int(np.argmax(power[1:]))  # beyond it, after a ring without waves phases are of noise
+    followed[peak:] = np.logical_and.accumulate(followed[peak:])
+    waves = np.where(followed, count * len(pairs) / _LINES_PER_WAVE, 0.0)
+    hidden = [np.bincount(ring, part) for part in detected(k)] if detected is not None else None
     k = np.bincount(ring, k) / count / step
     phase = _shrunk_phases(own_phase, waves, dispersion(k))
     longer = np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()]
@@ -197,9 +215,10 @@ def _wave_rings(
     rise = float(np.mean([np.square(np.mean(b - a)) for a, b in pairs]))
     level = rise / max(4.0 * np.sin(0.5 * slowest) ** 2, _MIN_PHASE**2)
     if hidden is not None:
-        variance, turned = hidden[0] / np.prod(inner), np.minimum(hidden[1] / count, _MAX_PHASE)
-        replaced = ~detected & (variance > power) & (np.arange(count.size) > 0)
-        power, phase = np.where(replaced, variance, power), np.where(replaced, turned, phase)
+        shown, variance, turned = hidden[0] / count, hidden[1] / np.prod(inner), hidden[2] / count
+        alone = ~followed & significant & (shown > 0.5)
+        common = ~followed & (variance > power) & (np.arange(count.size) > 0)
+        power, phase = np.where(common, variance, power), np.where(alone | common, turned, phase)
     k, power, phase = (np.append(part, one) for part, one in zip((k, power, phase), (0.0, level, slowest)))
     return k, power, phase, float(waves.sum())
 
