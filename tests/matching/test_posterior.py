@@ -19,8 +19,9 @@ from wavefield.matching import (
     shrinkage,
 )
 from wavefield.matching.cosines import cosines
+from wavefield.matching.learned_spectrum import _share_of_limits
 from wavefield.matching.posterior_variance import hole_variance
-from wavefield.matching.prior import SECTORS, _share_of_limits
+from wavefield.matching.wavenumber_rings import SECTORS
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 

@@ -3,6 +3,7 @@
 from wavefield.matching.displacement import Displacement, Evaluation, Reason
 from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import match, reevaluate, scores_at
+from wavefield.matching.learned_spectrum import better_prior, first_prior, pooled_share, shrinkage
 from wavefield.matching.matching_gain import footprint, footprint_excess, transfer_function
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.noise import (
@@ -14,7 +15,7 @@ from wavefield.matching.noise import (
 from wavefield.matching.posterior import Modes
 from wavefield.matching.posterior_variance import PosteriorVariance
 from wavefield.matching.prepared import PreparedImage, prepare
-from wavefield.matching.prior import Prior, better_prior, first_prior, pooled_share, shrinkage
+from wavefield.matching.prior import Prior
 
 __all__ = [
     "Displacement",

@@ -18,8 +18,9 @@ from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
 from wavefield.matching import Modes, Prior
+from wavefield.matching.learned_spectrum import SHORTEST_IN_COMMON
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.matching.prior import RINGS, SECTOR_ANGLES, SHORTEST_IN_COMMON, SHORTEST_WAVENUMBER
+from wavefield.matching.wavenumber_rings import RINGS, SECTOR_ANGLES, SHORTEST_WAVENUMBER
 from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.sight import Sight
