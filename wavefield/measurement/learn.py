@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,7 +34,11 @@ from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.model import Model
-from wavefield.measurement.temporal_truncation import detected_waves, temporal_truncation
+from wavefield.measurement.temporal_truncation import (
+    TemporalTruncation,
+    detected_waves,
+    temporal_truncation,
+)
 from wavefield.measurement.unresolved_waves import stated_rise, unresolved_rise
 
 Frames = Mapping[str, NDArray[Any] | None]
@@ -160,20 +164,8 @@ def _learned(
     flow = np.mean([_mean_flow(step, geometry) for step in samples], axis=0)
     current = bool(np.hypot(*flow) > _SLOW_FLOW * geometry.grid.step)
     surfaces = list(pool.map(partial(_elevations, geometry, model, current), samples))
-    truncated = partial(
-        temporal_truncation,
-        [(first, moved) for first, _, moved in (one for one in surfaces if one is not None)],
-        geometry.grid.step,
-        partial(_node_noise, prior, geometry),
-        partial(_matching_gain, record, geometry),
-    )
-
-    def detected(z: Prior) -> Callable[[Float], tuple[Float, Float, Float]] | None:
-        if not (heights and frame_rate):
-            return None
-        return partial(detected_waves, z, geometry.pixel, geometry.grid.step, frame_rate)
-
-    record = replace(record, temporal_truncation=truncated(detected(prior)))
+    truncation = partial(_truncation, surfaces, prior, record, geometry, frame_rate if heights else None)
+    record = replace(record, temporal_truncation=truncation(prior))
     unresolved = []
     for number in range(2):
         if number:
@@ -181,34 +173,12 @@ def _learned(
         each = pool.map(partial(_differences, geometry, model, number == 0), samples, surfaces)
         found = typical_differences([one for one in each if one is not None], geometry.pixel)
         unresolved.append(found.unresolved)
-        usual = {
-            name: replace(
-                prior, noise=float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS)), waves=found.waves
-            )
-            for name, prior in record.displacement
-        }
-        opened = {name: fields.open(usual[name]) for name, fields in measured.items()}
-        common = _common_waves(opened, measured, samples, surfaces, geometry)
-        priors = dict(usual)
-        for name, fields in measured.items():
-            k = np.array(priors[name].k)
-            power = None if common is None else common.in_camera(geometry.sights[name], k)
-            priors[name] = fields.better(opened[name], power)
-        share = matching.pooled_share([prior.share for prior in priors.values()])
-        priors = {name: replace(prior, share=share) for name, prior in priors.items()}
-        own = {name: record.own_noise(name) * found.own.get(name, 1.0) for name in priors}
-        record = replace(
-            record,
-            displacement=tuple(priors.items()),
-            moved=found.moved,
-            noise=tuple(own.items()),
-            camera_jitter=found.camera_jitter,
-        )
+        record, common = _better_displacement(record, found, measured, samples, surfaces, geometry)
     if common is not None and heights is not None and frame_rate:
         z, block = record.elevation, BLOCK * geometry.pixel
         better = heights.better(heights.opened, common.of_elevation(block, np.array(z.k), frame_rate))
         z = replace(better, information=z.information, waves=z.waves)
-        record = replace(record, elevation=z, temporal_truncation=truncated(detected(z)))
+        record = replace(record, elevation=z, temporal_truncation=truncation(z))
     record = replace(record, unresolved=stated_rise(*unresolved))
     motion = [
         (name, max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements))
@@ -220,6 +190,62 @@ def _learned(
         for name, fields in measured.items()
     ]
     return replace(record, path_frames=frames, motion=tuple(motion), shown=tuple(shown))
+
+
+def _truncation(
+    surfaces: Sequence[tuple[Float, Float, Float] | None],
+    prior: Prior,
+    record: LearnedRecord,
+    geometry: GridGeometry,
+    frame_rate: float | None,
+    z: Prior,
+) -> TemporalTruncation:
+    """What the frames leave out, from the surfaces that a prior and a record gave and from what z shows."""
+    step = geometry.grid.step
+    return temporal_truncation(
+        [(first, moved) for first, _, moved in (one for one in surfaces if one is not None)],
+        step,
+        partial(_node_noise, prior, geometry),
+        partial(_matching_gain, record, geometry),
+        partial(detected_waves, z, geometry.pixel, step, frame_rate) if frame_rate else None,
+    )
+
+
+def _better_displacement(
+    record: LearnedRecord,
+    found: Differences,
+    measured: Mapping[str, FieldSamples],
+    samples: Sequence[_SampleStep],
+    surfaces: Sequence[tuple[Float, Float, Float] | None],
+    geometry: GridGeometry,
+) -> tuple[LearnedRecord, CommonWaves | None]:
+    """The record with spectra and noise of the displacements as the cameras' differences have them, and what
+    the cameras have in common.
+    """
+    usual = {
+        name: replace(
+            prior, noise=float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS)), waves=found.waves
+        )
+        for name, prior in record.displacement
+    }
+    opened = {name: fields.open(usual[name]) for name, fields in measured.items()}
+    common = _common_waves(opened, measured, samples, surfaces, geometry)
+    priors = dict(usual)
+    for name, fields in measured.items():
+        k = np.array(priors[name].k)
+        power = None if common is None else common.in_camera(geometry.sights[name], k)
+        priors[name] = fields.better(opened[name], power)
+    share = matching.pooled_share([prior.share for prior in priors.values()])
+    priors = {name: replace(prior, share=share) for name, prior in priors.items()}
+    own = {name: record.own_noise(name) * found.own.get(name, 1.0) for name in priors}
+    better = replace(
+        record,
+        displacement=tuple(priors.items()),
+        moved=found.moved,
+        noise=tuple(own.items()),
+        camera_jitter=found.camera_jitter,
+    )
+    return better, common
 
 
 def _common_waves(
