@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from test_step_continuity import cube_of
 from test_stored_values import sea
 
 from wavefield.quality.frame_jitter import frame_jitter
-from wavefield.quality.step_continuity import patch_means, step_factors
+from wavefield.quality.quality_limits import RECORD_LIMITS
+from wavefield.quality.step_continuity import StepFactors, patch_means, step_factors
+from wavefield.quality.stored_values import jitter_of
 from wavefield.variables import PATH_WEIGHTS
 
 
@@ -42,3 +45,16 @@ def test_a_few_steps_and_holes_suffice():
     holes = np.random.default_rng(0).random((40, 50)) < 0.8
     hits = [found(stored(seed, 0.03, 4, 8), 4, holes) for seed in range(6)]
     assert sum(hit is not None for hit in hits) >= 5
+
+
+@pytest.mark.parametrize("steps", [8, 40])
+def test_one_bad_step_is_left_out_where_others_can_be_compared(steps):
+    """In eight steps, of which four can be compared, it may as well be jitter."""
+    rng = np.random.default_rng(steps)
+    factor = 1.0 + 1e-3 * rng.standard_normal(steps)
+    factor[[0, 1, -2, -1]], factor[3] = np.nan, 1.5
+    weights = np.tile([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6], (steps, 1))
+    factors = StepFactors(factor, np.full(steps, 1e-6), weights)
+    assert factors.discontinuous(RECORD_LIMITS.discontinuity).tolist() == [3]
+    shown = jitter_of(cube_of(np.array(stored(0, 0.0, 4, steps)), 1e-3), factors)
+    assert (shown is None) == (steps == 40)

@@ -24,13 +24,13 @@ def factors(velocity, measured=None):
 
 
 def cube_of(velocity, std):
-    fields = {name: (("time", "y", "x"), velocity[:, k]) for k, name in enumerate(NAMES)}
+    """A cube of velocities (n, 3, ny, nx) in chunks, all measured, with even standard uncertainties."""
     shape = (len(velocity), *velocity.shape[2:])
-    flags = np.full(shape, int(Quality.MEASURED), np.uint8)
-    cube = xr.Dataset(
-        fields | {"w_std": (("time", "y", "x"), np.full(shape, std)), "quality": (("time", "y", "x"), flags)}
-    )
-    return cube.chunk(time=5)
+    fields = {name: velocity[:, k] for k, name in enumerate(NAMES)}
+    fields |= {f"{name}_std": np.full(shape, std) for name in (*NAMES, "z")}
+    fields["quality"] = np.full(shape, int(Quality.MEASURED), np.uint8)
+    cube = xr.Dataset({name: (("time", "y", "x"), one) for name, one in fields.items()})
+    return cube.assign_attrs(frame_rate=20.0).assign(path_frames=4).chunk(time=5)
 
 
 @pytest.mark.parametrize("rate", [8.0, 12.0, 20.0, 60.0])  # waves turn by up to 2.8 rad from step to step

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wavefield.quality.frame_jitter import FrameJitter, frame_jitter
 from wavefield.quality.quality_limits import RECORD_LIMITS
-from wavefield.quality.step_continuity import StepFactors, patch_means, step_factors
+from wavefield.quality.step_continuity import MIN_STEPS, StepFactors, patch_means, step_factors
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -84,11 +84,13 @@ def step_factors_of(cube: xr.Dataset) -> StepFactors:
 
 def jitter_of(cube: xr.Dataset, factors: StepFactors) -> tuple[FrameJitter, float] | None:
     """Jitter of a cube's frame times, and the largest error by it over its standard uncertainty.
-    Without steps around discontinuous ones; None if no jitter shows.
+    Without steps around discontinuous ones, if others are left; None if no jitter shows.
     """
     broken = factors.discontinuous(RECORD_LIMITS.discontinuity)
-    few = broken.size <= MAX_BROKEN * cube.sizes["time"]
-    jitter = frame_jitter(factors.without(broken) if few else factors, int(cube.path_frames))
+    even = factors.without(broken)
+    if broken.size > MAX_BROKEN * cube.sizes["time"] or np.isfinite(even.factor).sum() < MIN_STEPS:
+        even = factors
+    jitter = frame_jitter(even, int(cube.path_frames))
     if jitter is None:
         return None
     first = max((cube.sizes["time"] - JITTER_STEPS) // 2, 0)
