@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 
 import wavefield as wf
 from benchmarks.options import parser_of
-from benchmarks.results import save_result
 from benchmarks.scenes import Case, inside
 from wavefield.errors import WavefieldError
 from wavefield.images import write_image
@@ -358,28 +357,6 @@ def summary(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-COLUMNS = ("draws", "number", "refused", "with remarks", "more than 1 % wrong", "of these without a warning")
-
-
-def table(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """Rows of the validation page: all draws, those without a fault, those with one."""
-    rows = []
-    for name, some in (
-        ("all", list(outcomes)),
-        ("without a fault", [one for one in outcomes if one.text.endswith("no fault")]),
-        ("with a fault", [one for one in outcomes if not one.text.endswith("no fault")]),
-    ):
-        counts = (
-            len(some),
-            sum(bool(one.refused) for one in some),
-            sum(bool(one.remarks) and not one.refused for one in some),
-            sum(one.wrong > MAX_WRONG for one in some),
-            sum(one.failed for one in some),
-        )
-        rows.append([name, *map(str, counts)])
-    return rows
-
-
 def run_draws(
     seed: int, numbers: Sequence[int], workers: int, show: Callable[[Outcome], None]
 ) -> list[Outcome]:
@@ -399,7 +376,6 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--only", nargs="+", type=int, help="numbers of single draws")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--most", type=int, help="exit status 1 if more draws are wrong without a warning")
-    parser.add_argument("--save", action="store_true", help="write the result for the validation page")
     options = parser.parse_args(words)
     outcomes = run_draws(
         options.seed,
@@ -410,8 +386,6 @@ def main(words: Sequence[str]) -> int:
     print(
         summary(outcomes), f"seed {options.seed}; CPU {sum(one.seconds for one in outcomes):.0f} s", sep="\n"
     )
-    if options.save:
-        save_result("waters", COLUMNS, table(outcomes))
     return int(options.most is not None and sum(one.failed for one in outcomes) > options.most)
 
 
