@@ -43,8 +43,9 @@ def test_jitter_is_found_with_its_size_and_sound_seas_have_none(path_frames, rat
 
 def test_a_few_steps_and_holes_suffice():
     holes = np.random.default_rng(0).random((40, 50)) < 0.8
-    hits = [found(stored(seed, 0.03, 4, 8), 4, holes) for seed in range(6)]
-    assert sum(hit is not None for hit in hits) >= 5
+    hits = [found(stored(seed, 0.03, 4, 8), 4, holes) for seed in range(12)]
+    assert sum(hit is not None for hit in hits) >= 10
+    assert 0.027 < np.median([hit.intervals for hit in hits if hit]) < 0.06, "rather too large than too small"
 
 
 @pytest.mark.parametrize("steps", [8, 40])

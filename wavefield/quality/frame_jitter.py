@@ -51,5 +51,6 @@ def frame_jitter(steps: StepFactors, path_frames: int) -> FrameJitter | None:
         np.convolve(np.append(0.0, steps.weights[k + 1]) - np.append(steps.weights[k], 0.0), velocity)
         for k in both
     ]
-    sigma = np.sqrt((between - within) / (0.5 * np.mean(np.sum(np.square(changes), axis=1))))
+    few = 1.0 + 2.0 / freedom[0]  # a variance from few steps is as likely too small
+    sigma = np.sqrt(few * (between - within) / (0.5 * np.mean(np.sum(np.square(changes), axis=1))))
     return FrameJitter(float(sigma), float(sigma * np.linalg.norm(velocity)))
