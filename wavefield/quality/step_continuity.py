@@ -80,15 +80,19 @@ def step_factors(means: Array) -> StepFactors:
     turned = np.array([_correlations(rest.reshape(2, -1)).item() for _, rest in pairs])
     for k in range(2, steps - 2):
         first, last = max(k - _REACH, 0), min(k + _REACH, steps - 1)
-        of_level, constant = _level_waves(level[first : last + 1])
-        of_rest = _weights(turned[first:last])
+        cosine = _cosine(turned[first:last])
+        of_level, constant = _level_waves(level[first : last + 1], cosine)
+        of_rest = _weights(cosine)
         factor[k], variance[k], weights[k] = _factor(means[k - 2 : k + 3], of_level, constant, of_rest)
     return StepFactors(factor, variance, weights)
 
 
-def _level_waves(level: Array) -> tuple[Array, Array]:
-    """Weights of five steps for the waves in means over the field, (n, 3, 1, 1), and what does not turn."""
-    weights = _weights(_correlations((level - np.median(level, axis=0)).reshape(len(level), -1)))
+def _level_waves(level: Array, cosine: float) -> tuple[Array, Array]:
+    """Weights of five steps for the waves in means over the field, (n, 3, 1, 1), and what does not turn.
+    The cosine of shorter waves is the least: of half a wave, the median is not what does not turn.
+    """
+    turned = _correlations((level - np.median(level, axis=0)).reshape(len(level), -1))
+    weights = _weights(max(_cosine(turned), cosine))
     waves = np.tensordot(sliding_window_view(level, 5, axis=0), weights, 1)
     return weights, np.median(level[2:-2] - waves, axis=0)
 
@@ -109,10 +113,14 @@ def _correlations(values: Array) -> Array:
     return np.asarray(np.divide(product, mean, np.full(mean.size, np.nan), where=mean > 0))
 
 
-def _weights(correlations: Array) -> Array:
-    """Of the steps k - 2 to k + 2, in what waves have at step k; correlations of consecutive steps (n,)."""
+def _cosine(correlations: Array) -> float:
+    """Cosine of the phase by which waves turn, from correlations of consecutive steps (n,)."""
     known = correlations[np.isfinite(correlations)]
-    cosine = float(np.clip(np.median(known), -1.0, 1.0)) if known.size else 1.0
+    return float(np.clip(np.median(known), -1.0, 1.0)) if known.size else 1.0
+
+
+def _weights(cosine: float) -> Array:
+    """Of the steps k - 2 to k + 2, in what waves of this cosine of their phase have at step k."""
     return np.array([-0.5, 2.0 * cosine, 0.0, 2.0 * cosine, -0.5]) / (2.0 * cosine**2 + 1.0)
 
 
