@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from test_step_continuity import cube_of
 from test_stored_values import sea
 
 from wavefield.quality.frame_jitter import frame_jitter
 from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.quality.step_continuity import StepFactors, patch_means, step_factors
-from wavefield.quality.stored_values import jitter_of
+from wavefield.quality.stored_values import jitter_of, step_factors_of
 from wavefield.variables import PATH_WEIGHTS
 
 
@@ -59,3 +60,13 @@ def test_one_bad_step_is_left_out_where_others_can_be_compared(steps):
     assert factors.discontinuous(RECORD_LIMITS.discontinuity).tolist() == [3]
     shown = jitter_of(cube_of(np.array(stored(0, 0.0, 4, steps)), 1e-3), factors)
     assert (shown is None) == (steps == 40)
+
+
+def test_a_record_without_measured_steps_in_its_middle_has_jitter_all_the_same():
+    velocity = np.array(stored(1, 0.05, 4, 100))
+    cube = cube_of(velocity, 1e-3)
+    hidden = (np.arange(100) > 12) & (np.arange(100) < 88)
+    cube["quality"] = cube.quality.where(~xr.DataArray(hidden, dims="time"), 0).astype(np.uint8)
+    shown = jitter_of(cube, step_factors_of(cube))
+    assert shown is not None
+    assert np.isfinite(shown[1])

@@ -83,3 +83,5 @@ def test_fields_with_few_measured_nodes_are_not_compared():
     assert np.isnan(factors(velocity, nothing).factor).all()
     assert np.isnan(factors(velocity[..., :2, :2]).factor).all()
     assert np.isnan(factors(0 * velocity).factor).all(), "still water"
+    for steps in (1, 2, 4):
+        assert np.isnan(step_factors_of(cube_of(velocity[:steps], 0.01)).factor).all()

@@ -73,7 +73,7 @@ def step_factors(means: Array) -> StepFactors:
     steps = len(means)
     factor, variance = np.full((2, steps), np.nan)
     weights = np.full((steps, 5), np.nan)
-    if min(means.shape[-2:]) < _CELLS:
+    if steps < 5 or min(means.shape[-2:]) < _CELLS:
         return StepFactors(factor, variance, weights)
     pairs = [_split(means[k : k + 2]) for k in range(steps - 1)]
     level = np.array([one[0] for one, _ in pairs] + [pairs[-1][0][1]])

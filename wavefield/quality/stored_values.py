@@ -93,7 +93,8 @@ def jitter_of(cube: xr.Dataset, factors: StepFactors) -> tuple[FrameJitter, floa
     jitter = frame_jitter(even, int(cube.path_frames))
     if jitter is None:
         return None
-    first = max((cube.sizes["time"] - JITTER_STEPS) // 2, 0)
+    compared = np.flatnonzero(np.isfinite(even.factor))
+    first = max(int(compared[compared.size // 2]) - JITTER_STEPS // 2, 0)
     part = cube[[*VELOCITY, "z_std", *(f"{name}_std" for name in VELOCITY), "quality"]]
     part = part.isel(time=slice(first, first + JITTER_STEPS)).load()
     velocity = np.stack([part[name].values for name in VELOCITY], axis=1).astype(np.float64)
