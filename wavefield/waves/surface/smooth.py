@@ -31,7 +31,7 @@ MIN_MEASURED_SHARE = 0.25  # of a rectangle's: measured in all steps of those wi
 TILE_NODES = 60  # a side, at most, of a rectangle that is fitted as one
 OVERLAP_NODES = 16  # that it shares with the next
 MISFIT_RADIUS = 3.0  # nodes: standard deviation of the weights with which misfits are averaged
-COMMON_ERROR_SHARE = 0.04  # of the noise's variance: errors that all steps of a window share
+COMMON_ERROR_SHARE = 0.12  # of the noise's variance: errors that all steps of a window share
 MIN_GRID_NODES = 8  # nodes a side
 VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is computed
 
@@ -209,7 +209,7 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     by the factor 1 + q, averaged over the window and 3 nodes, the share q / (1 + q) of the measured value is
     kept: with waves that first-order theory does not follow, steep ones above all, the result is the measured
     field, and so is its standard uncertainty. Of errors that all steps share, and that are alike free waves,
-    4 % of the noise's variance are assumed. Waves shorter than 4.4 nodes are not followed.
+    12 % of the noise's variance are assumed. Waves shorter than 4.4 nodes are not followed.
 
     Examples
     --------
