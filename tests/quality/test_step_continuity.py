@@ -67,6 +67,19 @@ def test_one_wave_is_predicted_whatever_its_phase(turn, length):
         assert factors(fields).factor[2:-2] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize("noise", [0.1, 0.3, 0.4])
+@pytest.mark.parametrize("turn", [0.7, 0.8, 0.9])
+def test_a_lost_frame_shows_among_eight_noisy_steps_whose_paths_contradict_each_other(turn, noise):
+    rng = np.random.default_rng(3)
+    lattice = np.exp(1j * np.cumsum(rng.uniform(0.0, 1.0, (30, 40)), axis=1))
+    w = np.sqrt(2) * np.array([(lattice * np.exp(-1j * turn * k)).real for k in range(9)])
+    velocity = w[:, None] + noise * rng.standard_normal((9, 3, 30, 40))
+    lost = cube_of(np.concatenate([velocity[:3], velocity[3:4] + velocity[4:5], velocity[5:]]), noise)
+    lost["w_std"] = lost.w_std * xr.DataArray(np.where(abs(np.arange(8) - 3) < 2, 3.0, 1.0), dims="time")
+    assert 3 in step_factors_of(lost).discontinuous(LIMIT)
+    assert step_factors_of(cube_of(velocity[:8], noise)).discontinuous(LIMIT).size == 0
+
+
 def test_chunks_of_a_cube_and_noise_change_nothing_but_what_is_compared():
     velocity = velocities(3, noise=0.0)
     size = float(np.sqrt(np.mean(np.square(velocity))))
