@@ -131,42 +131,19 @@ def better_prior(
     if not information > MIN_INFORMATION_SHARE * prior.information:  # nothing was visible
         return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
-    binning = WavenumberRings(kx, ky)
-
-    def estimate(
-        fields: Sequence[Float], noise: Float, mean: Callable[[Float], Float]
-    ) -> tuple[Float, Float]:
-        power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
-        spectrum = np.broadcast_to(prior.spectrum(kx, ky), power.shape)
-        squared_gain = np.square(spectrum / (spectrum + noise))
-        weight = np.maximum(mean(squared_gain), 1e-30)
-        return mean(power) / weight, np.maximum(mean(squared_gain * noise) / weight, 1e-30)
-
-    ring_power, noise_power = estimate(waves, noise, binning.rings)
-    sector_power, sector_noise_power = estimate(waves, noise, binning.sectors)
-    occupied = binning.count > 0
-    shape = np.ones_like(ring_power)
-    if noise_alone:
-        noise_ratios = [
-            np.divide(*estimate([field], 1.0 / (np.square(foot, dtype=np.float64) * own), binning.rings))
-            for field, own in noise_alone
+    spectrum, binning = prior.spectrum(kx, ky), WavenumberRings(kx, ky)
+    measured, of_sectors, noise_power = _signals_and_noise(waves, spectrum, noise, binning, foot, noise_alone)
+    significant = np.array(
+        [
+            binning.significant(one / np.maximum(own, 1e-30), len(waves))
+            for one, own in zip(measured, noise_power)
         ]
-        shape = np.array([binning.level(one) for one in np.mean(noise_ratios, axis=0)])
-    resolved = occupied & (binning.middle < SHORTEST_WAVENUMBER)
-    level = [
-        _plateau(one, binning.count[resolved]) for one in (ring_power / (shape * noise_power))[:, resolved]
-    ]
-    plateau = shape * np.reshape(level, (-1, 1))
-    noise_power, sector_noise_power = plateau * noise_power, plateau[:, None] * sector_noise_power
-    signal = ring_power - noise_power
-    significant = [
-        binning.significant(one / np.maximum(own, 1e-30), len(waves)) for one, own in zip(signal, noise_power)
-    ]
+    )
     lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in significant]
+    occupied = binning.count > 0
     relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
-    limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise_power
-    measured, signal = signal, np.where(significant, signal, limit)
-    least = float(noise.min())
+    limit = np.maximum(measured, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise_power
+    signal, least = np.where(significant, measured, limit), float(noise.min())
     upper_limit = np.where(occupied, np.minimum(limit, DETECTED_SIGNAL_TO_NOISE * noise_power), np.inf)
     rings = np.array(
         [
@@ -175,37 +152,86 @@ def better_prior(
         ]
     )
     weight = binning.sector_count * len(waves) * np.square(rings / (rings + noise_power))[:, None]
-    shapes = _shapes((sector_power - sector_noise_power) / rings[:, None], weight, lasts)
-    power = shapes * rings[:, None]
+    power = _shapes(of_sectors / rings[:, None], weight, lasts) * rings[:, None]
     expected = np.zeros_like(power)
     if common is not None:
         searched = occupied & (binning.middle < SHORTEST_IN_COMMON)
-        alone = (np.array(significant) | ~searched)[:, None]
+        alone = (significant | ~searched)[:, None]
         expected = np.where(alone, 0.0, np.minimum(np.nan_to_num(common), limit[:, None]))
         power = np.maximum(power, expected)
-    # noise hardly changes while the same beads are seen: samples count as one
-    chance = LIMIT_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(binning.count, 1))
-    of_limit, found = rings / noise_power, measured / noise_power
-    seen = ~np.array(significant) & (binning.middle < SHORTEST_IN_LIMITS)
-    # single rings exceed chance by chance, and the level of the noise differs from ring to ring
-    lost = [binning.exceeds(one, LOST_SIGNAL_TO_NOISE) for one in found]
-    weight = binning.count * (seen & (found < of_limit + chance))
-    share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
+    lost, share = _lost_waves(measured / noise_power, rings / noise_power, significant, binning)
     mean = power.mean(axis=1)
     # where few blocks have most of the information, fields show less of short waves than there is
-    more = np.square(_even_over_kept(prior.spectrum(kx, ky), noise, kept, binning))
-    shown = np.where(significant, more, measured * (seen & lost & (found > chance)) / mean)
+    more = np.square(_even_over_kept(spectrum, noise, kept, binning))
     return Prior(
         binning.k,
         tuple(_rounded(directions) for directions in power),
         information,
         prior.noise,
         prior.waves,
-        _rounded(shown),
+        _rounded(np.where(significant, more, measured * lost / mean)),
         share,
         _rounded(expected.mean(axis=1) / mean * more),
         prior.area,
     )
+
+
+def _signals_and_noise(
+    waves: Sequence[Float],
+    spectrum: Float,
+    noise: Float,
+    binning: WavenumberRings,
+    foot: Float,
+    noise_alone: Sequence[tuple[Float, float]],
+) -> tuple[Float, Float, Float]:
+    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains.
+    Fields of noise alone show how it changes from ring to ring; its level is that of rings without waves.
+    """
+    ring_power, noise_power = _over_gain(waves, spectrum, noise, binning.rings)
+    sector_power, sector_noise_power = _over_gain(waves, spectrum, noise, binning.sectors)
+    shape = np.ones_like(ring_power)
+    if noise_alone:
+        noise_ratios = [
+            np.divide(
+                *_over_gain([field], spectrum, 1.0 / (np.square(foot, dtype=np.float64) * own), binning.rings)
+            )
+            for field, own in noise_alone
+        ]
+        shape = np.array([binning.level(one) for one in np.mean(noise_ratios, axis=0)])
+    resolved = (binning.count > 0) & (binning.middle < SHORTEST_WAVENUMBER)
+    level = [
+        _plateau(one, binning.count[resolved]) for one in (ring_power / (shape * noise_power))[:, resolved]
+    ]
+    plateau = shape * np.reshape(level, (-1, 1))
+    noise_power = plateau * noise_power
+    return ring_power - noise_power, sector_power - plateau[:, None] * sector_noise_power, noise_power
+
+
+def _over_gain(
+    fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
+) -> tuple[Float, Float]:
+    """Mean power of MAP fields of a spectrum, and of their noise, over the squared gain."""
+    power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
+    spectrum = np.broadcast_to(spectrum, power.shape)
+    squared_gain = np.square(spectrum / (spectrum + noise))
+    weight = np.maximum(mean(squared_gain), 1e-30)
+    return mean(power) / weight, np.maximum(mean(squared_gain * noise) / weight, 1e-30)
+
+
+def _lost_waves(
+    found: Float, of_limit: Float, significant: NDArray[np.bool_], binning: WavenumberRings
+) -> tuple[NDArray[np.bool_], tuple[float, float]]:
+    """Rings (c, rings) without significant waves that show some, and what all show of their limits.
+    Waves that were found and limits are over noise.
+    """
+    # noise hardly changes while the same beads are seen: samples count as one
+    chance = LIMIT_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(binning.count, 1))
+    seen = ~significant & (binning.middle < SHORTEST_IN_LIMITS)
+    # single rings exceed chance by chance, and the level of the noise differs from ring to ring
+    lost = [binning.exceeds(one, LOST_SIGNAL_TO_NOISE) for one in found]
+    weight = binning.count * (seen & (found < of_limit + chance))
+    share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
+    return seen & lost & (found > chance), share
 
 
 def _even_over_kept(
