@@ -18,6 +18,10 @@ SHAPE = 18, 24
 EVERYWHERE = np.ones(SHAPE, bool)
 
 
+def of_frames(number):
+    return np.full(SHAPE, number, np.uint8)
+
+
 class Waves:
     """Waves of random lengths, directions and phases over a field of 18 cm by 24 cm; per frame."""
 
@@ -73,7 +77,7 @@ def test_elevations_of_steps_with_more_fast_waves_than_the_samples_are_stated_mo
         record = waves.record()
         for t in np.linspace(10.0, 120.0, 8):
             orders = waves.orders(t, frames)
-            stated = elevation_truncation(orders, frames, np.ones(SHAPE), EVERYWHERE, record, 0.0)
+            stated = elevation_truncation(orders, of_frames(frames), np.ones(SHAPE), EVERYWHERE, record, 0.0)
             error = rms(orders[0] - waves.z(t))
             now.append(error / rms(stated))
             record_alone.append(error / record.temporal_truncation.of_z(frames))
@@ -145,7 +149,7 @@ def test_noise_is_not_taken_for_waves_that_turn_fast():
             )
             stated = motion_truncation(motion, orders, EVERYWHERE, EVERYWHERE, record, std)
             assert rms(stated) < 0.5 * std
-            assert rms(elevation_truncation(orders, 6, still, EVERYWHERE, record, std)) < 0.5 * std
+            assert rms(elevation_truncation(orders, of_frames(6), still, EVERYWHERE, record, std)) < 0.5 * std
 
 
 def test_water_at_rest_leaves_nothing_out():
@@ -153,7 +157,7 @@ def test_water_at_rest_leaves_nothing_out():
     record = SimpleNamespace(
         temporal_truncation=temporal_truncation([(still, still)], 0.01), moved=(1e-6,) * 3
     )
-    assert not elevation_truncation((still,) * 3, 6, still, EVERYWHERE, record, 0.0).any()
+    assert not elevation_truncation((still,) * 3, of_frames(6), still, EVERYWHERE, record, 0.0).any()
     motion = SimpleNamespace(
         d=np.stack([still] * 3), chord=np.stack([still] * 3), frames=np.full(SHAPE, 4, np.uint8)
     )

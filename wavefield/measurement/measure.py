@@ -15,7 +15,7 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Instant, measure_instant
 from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.masked import masked_nodes
-from wavefield.measurement.midtime import frames_used, slope
+from wavefield.measurement.midtime import slope
 from wavefield.measurement.model import Model
 from wavefield.measurement.searched import search_widened
 from wavefield.measurement.step_estimate import StepEstimate, Surfaces, estimate_step
@@ -204,6 +204,8 @@ def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
     quality = first.quality | second.quality | estimate.motion.quality
     quality[out_of_range] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
     quality[first.inconsistent | second.inconsistent] |= np.uint16(Quality.REJECTED_EPS | Quality.FILLED)
+    quality[~estimate.mid_time.measured] |= np.uint16(Quality.FILLED)
+    quality[estimate.mid_time.frames < 4] |= np.uint16(Quality.TWO_FRAME_MEAN)
     quality[(quality & Quality.FILLED) != 0] &= ~np.uint16(Quality.MEASURED)
     return quality
 
@@ -221,14 +223,13 @@ def _fields(
     assert first is not None
     assert second is not None
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
-    orders, record = estimate.mid_time.orders, model.record
+    orders, frames, record = estimate.mid_time.orders, estimate.mid_time.frames, model.record
     std = estimate.mid_time.std
-    left_out = motion_truncation(motion, orders, inside, measured, record, std)
+    left_out = motion_truncation(motion, orders, inside, measured & (frames == frames.max()), record, std)
     d, d_std = motion.d.copy(), np.hypot(motion.d_std, left_out)
     tilt, tilt_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     d[:2] -= tilt
     d_std[:2] = np.hypot(d_std[:2], tilt_std)
-    frames = frames_used(estimate.surfaces)
     z_std = np.hypot(std, elevation_truncation(orders, frames, rise, measured, record, std))
     if model.record.unresolved[0]:
         z_short, rise_short = unresolved_std(*model.record.unresolved, frame_rate)

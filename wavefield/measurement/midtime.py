@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.time_weights import ELEVATION_WEIGHTS, uneven_weights
 from wavefield.measurement.velocity import Motion
+from wavefield.variables import AROUND, Quality
 
 Float = NDArray[Any]
+Mask = NDArray[np.bool_]
 Surfaces = Sequence[Surface | None]
 
 
@@ -25,6 +27,8 @@ class MidTime:
     std: Float
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
     orders: tuple[Float, ...]  # (ny, nx): elevation by all frames, by fewer and by the nearest two, metres
+    frames: NDArray[np.uint8]  # (ny, nx): number of frames that z comes from
+    measured: Mask  # (ny, nx): whether the nearest two measured the water that is at the node
 
 
 def z_by_orders(
@@ -42,8 +46,7 @@ def z_by_orders(
     # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
     # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
     # frames are missing; beads repeat their errors in all frames, so these do not average out
-    count = frames_used(surfaces)
-    weights = [ELEVATION_WEIGHTS[n] for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
+    weights = [ELEVATION_WEIGHTS[n] for n in _numbers_of_frames(surfaces)]
     if surfaces[4] is None:
         weights = [one[::-1] for one in weights]
     moments, (dx, dy) = np.arange(6) - 2.5, flow
@@ -62,6 +65,41 @@ def z_by_orders(
                 if np.any(one[n]):
                     total += one[n] * z
     return tuple(out)
+
+
+def where_measured(
+    orders: tuple[Float, ...],
+    surfaces: Surfaces,
+    flow: tuple[float, float],
+    step: float,
+    times: Float | None = None,
+) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
+    """Elevations of `z_by_orders`, by fewer frames where others have not measured a node; their number; and
+    where the nearest two have measured it. Elsewhere all are filled alike, and z stays smooth.
+    """
+    moments = np.arange(6) - 2.5 if times is None else times
+    interval = float(moments[AROUND + 1] - moments[AROUND])
+    rows, columns = np.indices(orders[0].shape)
+    last_row, last_column = (n - 1 for n in orders[0].shape)
+
+    def measured(n: int) -> Mask:
+        surface = surfaces[n]
+        if surface is None:  # z comes from the others
+            return np.ones(orders[0].shape, np.bool_)
+        dx, dy = (round(float(moments[n]) / interval * part / step) for part in flow)
+        known = ((surface.quality & Quality.MEASURED) > 0) & ~surface.inconsistent
+        return np.asarray(known[(rows + dy).clip(0, last_row), (columns + dx).clip(0, last_column)])
+
+    nearest = measured(AROUND) & measured(AROUND + 1)
+    numbers = _numbers_of_frames(surfaces)
+    out, frames = [orders[-1]], np.full(orders[0].shape, numbers[-1], np.uint8)
+    for number, z in reversed(list(zip(numbers, orders))[:-1]):
+        reach = (number + 1) // 2
+        used = range(AROUND + 1 - reach, AROUND + 1 + reach)
+        known = ~nearest | np.logical_and.reduce([measured(n) for n in used])
+        out.insert(0, np.where(known, z, out[0]))
+        frames = np.where(known, np.uint8(number), frames)
+    return tuple(out), frames, nearest
 
 
 def rise_of_water(
@@ -94,6 +132,12 @@ def slope(z: Float, step: float, axis: int) -> Float:
             scale = 2.0 * step * sum(n * weight for n, weight in enumerate(weights, 1))
             out[reach : reach + count] = total / scale
     return np.moveaxis(out, 0, axis)
+
+
+def _numbers_of_frames(surfaces: Surfaces) -> list[int]:
+    """By which z at mid-time is interpolated: by all frames, by fewer, by two."""
+    count = frames_used(surfaces)
+    return [n for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
 
 
 def frames_used(surfaces: Surfaces) -> int:

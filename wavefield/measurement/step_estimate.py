@@ -14,7 +14,7 @@ from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Instant
 from wavefield.measurement.learned_record import LearnedRecord
-from wavefield.measurement.midtime import MidTime, rise_of_water, slope, z_by_orders
+from wavefield.measurement.midtime import MidTime, rise_of_water, slope, where_measured, z_by_orders
 from wavefield.measurement.model import Model
 from wavefield.measurement.rolling_shutter import common_lateness, elevation_errors
 from wavefield.measurement.velocity import Motion, Regions, mean_flow, velocity
@@ -91,6 +91,7 @@ def _estimate(
     if flow is None:
         return None
     orders = z_by_orders(surfaces, flow, geometry.x, geometry.y, times, late)
+    orders, frames, measured = where_measured(orders, surfaces, flow, geometry.grid.step, times)
     z = shown = orders[0]
     motion = velocity(moves, z, geometry, record, regions, jitter_px, times)
     if late is not None and motion is not None:
@@ -105,7 +106,7 @@ def _estimate(
         rise = np.zeros_like(z)
     else:
         rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
-    return StepEstimate(surfaces, motion, MidTime(z, std, rise, orders))
+    return StepEstimate(surfaces, motion, MidTime(z, std, rise, orders, frames, measured))
 
 
 def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:

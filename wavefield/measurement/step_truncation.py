@@ -52,7 +52,7 @@ def convergence(
 
 def elevation_truncation(
     orders: tuple[Float, ...],
-    frames: int,
+    frames: NDArray[np.uint8],
     rise: Float,
     measured: Mask,
     record: LearnedRecord,
@@ -60,16 +60,22 @@ def elevation_truncation(
 ) -> Float:
     """Standard uncertainty of z by the finite time step, (ny, nx), metres; at least that of the record.
     D r / (1 - r), with the departure D of z from that of fewer frames and the ratio r of successive ones.
+    Of nodes that fewer frames measured (their number, (ny, nx)) it is the record's, as much larger.
     """
-    least = np.float32(record.temporal_truncation.of_z(frames))
+    known, most = record.temporal_truncation, int(frames.max())
+    measured = measured & (frames == most)
+    least = np.float32(known.of_z(most))
     size, ratio = convergence(orders, measured, record, std)
-    if not measured.any() or frames == 2:
-        return np.full(rise.shape, least)
-    if frames == 3:
+    out = np.full(rise.shape, least)
+    if measured.any() and most == 3:
         # the error of a parabola is that of the third derivative: large where water rises fast
-        return np.asarray(least * size * typical_size(rise, measured) / max(_rms(rise, measured), 1e-12))
-    departure = _MARGIN * typical_size(orders[0] - orders[1], measured)
-    return np.asarray(np.maximum(least, np.float32(ratio / (1.0 - ratio)) * departure))
+        out *= size * typical_size(rise, measured) / max(_rms(rise, measured), 1e-12)
+    elif measured.any() and most > 2:
+        departure = _MARGIN * typical_size(orders[0] - orders[1], measured)
+        out = np.maximum(least, np.float32(ratio / (1.0 - ratio)) * departure)
+    for fewer in np.unique(frames[frames < most]).tolist():
+        out = np.where(frames == fewer, np.float32(known.of_z(fewer) * size), out)
+    return out
 
 
 def motion_truncation(

@@ -1,0 +1,123 @@
+"""Water that some of the six frames around a step do not show: z of the step comes from the others there."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from wavefield.measurement import GridGeometry, Model, learn, measure
+from wavefield.measurement.elevation import Surface
+from wavefield.measurement.midtime import where_measured, z_by_orders
+from wavefield.measurement.step_truncation import elevation_truncation
+from wavefield.measurement.temporal_truncation import temporal_truncation
+from wavefield.tank import Scene, Tank
+from wavefield.variables import Quality
+
+SHAPE = 24, 30
+STEP = 0.01
+X, Y = np.meshgrid(np.arange(SHAPE[1]) * STEP, np.arange(SHAPE[0]) * STEP)
+TIMES = np.arange(6) - 2.5
+FILLED_ERROR = 0.2  # metres, of what was filled where a frame shows nothing
+
+
+def hidden_disc(rng):
+    """A disc anywhere, (ny, nx)."""
+    x, y = rng.uniform(0, X.max()), rng.uniform(0, Y.max())
+    return np.hypot(X - x, Y - y) < rng.uniform(0.02, 0.1)
+
+
+def drawn_surfaces(seed, flow):
+    """Six surfaces of a wave in water that moves with the flow, where some frames have a filled disc."""
+    rng = np.random.default_rng(seed)
+    turn, k = rng.uniform(0.2, 0.8), rng.uniform(10.0, 40.0, 2)
+
+    def z_at(x, y, t):
+        return 0.01 * np.cos(k[0] * (x - t * flow[0]) + k[1] * (y - t * flow[1]) - turn * t)
+
+    hidden = [hidden_disc(rng) if rng.random() < 0.5 else np.zeros(SHAPE, bool) for _ in TIMES]
+
+    def surface(t, disc):
+        def read(x, y):
+            column, row = (
+                np.rint(v / STEP).astype(int).clip(0, n - 1) for v, n in ((x, SHAPE[1]), (y, SHAPE[0]))
+            )
+            return (z_at(x, y, t) + FILLED_ERROR * disc[row, column]).astype(np.float32)
+
+        quality = np.where(disc, int(Quality.FILLED), int(Quality.MEASURED)).astype(np.uint16)
+        return Surface(X, X, X, quality, np.zeros(SHAPE, bool), read)
+
+    lost = rng.choice([-1, -1, -1, 0, 1, 4, 5])
+    frames = [None if n == lost else surface(t, disc) for n, (t, disc) in enumerate(zip(TIMES, hidden))]
+    return frames, z_at(X, Y, 0.0), hidden
+
+
+@pytest.mark.parametrize("flow", [(0.0, 0.0), (0.021, -0.011), (-0.013, 0.024)])
+def test_frames_that_do_not_show_the_water_change_no_measured_node(flow):
+    with_all = []
+    for seed in range(60):
+        frames, exact, hidden = drawn_surfaces(seed, flow)
+        orders = z_by_orders(frames, flow, X, Y)
+        mended, used, measured = where_measured(orders, frames, flow, STEP)
+        # two frames of a wave of 1 cm that turns by 0.8 rad in a step
+        assert np.abs(mended[0] - exact)[measured].max(initial=0.0) < 1e-3
+        assert set(np.unique(used)) <= {2, 3, 4, 6}
+        np.testing.assert_array_equal(mended[0][~measured], orders[0][~measured])
+        if flow == (0.0, 0.0):
+            np.testing.assert_array_equal(measured, ~(hidden[2] | hidden[3]))
+        with_all.append(np.abs(orders[0] - exact)[measured].max(initial=0.0))
+    assert np.mean(np.array(with_all) > 1e-3) > 0.3
+
+
+def test_nodes_that_fewer_frames_measured_are_stated_more_uncertain():
+    rng = np.random.default_rng(1)
+    turn = 0.9
+    phase = rng.uniform(0, 6) + 30.0 * X + 10.0 * Y
+
+    def z(t):
+        return 0.01 * np.cos(phase - turn * t)
+
+    record = SimpleNamespace(
+        temporal_truncation=temporal_truncation([(z(t), z(t + 1)) for t in (3.0, 8.0)], STEP)
+    )
+    frames = np.full(SHAPE, 6, np.uint8)
+    frames[:, :10], frames[:, 10:20] = 2, 4
+    by_number = {
+        2: 0.5 * (z(-0.5) + z(0.5)),
+        4: (9 * (z(-0.5) + z(0.5)) - z(-1.5) - z(1.5)) / 16,
+        6: (150 * (z(-0.5) + z(0.5)) - 25 * (z(-1.5) + z(1.5)) + 3 * (z(-2.5) + z(2.5))) / 256,
+    }
+    orders = by_number[6], by_number[4], by_number[2]
+    stated = elevation_truncation(orders, frames, z(0.5) - z(-0.5), np.ones(SHAPE, bool), record, 0.0)
+    for number, of_number in by_number.items():
+        here = frames == number
+        error = np.sqrt(np.mean(np.square(of_number - z(0.0))[here]))
+        assert 0.7 * error < np.sqrt(np.mean(np.square(stated[here]))) < 3.0 * error
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_an_object_in_a_single_frame_leaves_the_steps_beside_it_right(seed):
+    """Before, filled elevations of frames up to two steps away were part of z, as certain as any other."""
+    rng = np.random.default_rng(seed)
+    scene = Scene.load("demo").with_(seed=seed, frames=6, surface={"brightness": 110.0})
+    tank = Tank(scene)
+    images = {name: [tank.render(k)[name] for k in range(6)] for name in tank.rig}
+    geometry = GridGeometry(tank.rig, scene.grid)
+    model = Model(
+        geometry,
+        learn([({n: f[2] for n, f in images.items()}, {n: f[3] for n, f in images.items()})], geometry),
+    )
+    place, hidden = rng.uniform(-0.1, 0.1, 2), int(rng.choice([0, 1, 4, 5]))
+    angle = np.linspace(0, 2 * np.pi, 200)
+    for name, frames in images.items():
+        column, row = tank.rig[name].project(
+            place[0] + 0.08 * np.cos(angle), place[1] + 0.08 * np.sin(angle), np.zeros(200)
+        )
+        covered = frames[hidden].copy()
+        covered[int(row.min()) : int(row.max()), int(column.min()) : int(column.max())] = 20
+        frames[hidden] = covered
+    cube = measure(images, geometry, scene.frame_rate, model)
+    exact = tank.truth(2).z
+    measured = (cube["quality"][0] & int(Quality.MEASURED)) > 0
+    assert measured.mean() > 0.9
+    off = np.abs(cube["z"][0] - exact) > 5 * cube["z_std"][0]
+    assert off[measured].mean() < 0.003
