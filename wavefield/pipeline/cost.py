@@ -12,7 +12,7 @@ from wavefield.errors import ExperimentError
 from wavefield.execution.cluster import count_workers
 from wavefield.execution.memory import peak_memory
 from wavefield.pipeline.chunk import Measured, make_chunk, measure_chunk
-from wavefield.pipeline.learning import learn_from
+from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.pipeline.reading_speed import ReadingSpeed, measure_reading_speed
 from wavefield.quality.frame_remarks import complete_steps
@@ -51,8 +51,7 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
     """Measure a few steps in the middle of the run, and extrapolate to all of it; also their fields."""
     start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
-    pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
-    learned = learn_from([pair], prepared.geometry, prepared.experiment.frame_rate)
+    learned = learn_from(samples(prepared.series, [start]), prepared.geometry, prepared.experiment.frame_rate)
     prepared = prepared.with_prior(learned)  # as a run learns; and compiles
     one, step = _measured(prepared, start, stop)
     if (one.frame_status == FrameStatus.FAILED).all() and not one.fields["quality"].any():

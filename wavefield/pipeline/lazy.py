@@ -16,7 +16,7 @@ from dask.delayed import Delayed
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.pipeline.lazy_steps import LazySteps
-from wavefield.pipeline.learning import learn_from, once_per_cube, samples
+from wavefield.pipeline.learning import both_frames, learn_from, once_per_cube, samples
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
@@ -243,11 +243,7 @@ class _Learner:
 
         geometry, learned = self.geometry, self.record
         if learned is None:  # else the ranges are those of the settings, as in the earlier cube
-            frames = [
-                ({n: s.read(0).image for n, s in pair.items()}, {n: s.read(1).image for n, s in pair.items()})
-                for pair in pairs[:SEARCHED_STEPS]
-            ]
-            geometry = search_widened(frames, geometry)
+            geometry = search_widened(list(map(both_frames, pairs[:SEARCHED_STEPS])), geometry)
             learned = learn_from(pairs, geometry, self.frame_rate)
         return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wavefield.execution.worker_settings import one_thread
-from wavefield.pipeline.chunk import Source
+from wavefield.pipeline.chunk import Source, usable_image
 from wavefield.quality.patch_matching import MIN_CORRELATION, PatchMatcher, compare
 from wavefield.sampling import evenly_spaced
 
@@ -35,8 +35,17 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """The two frames of some steps of a record."""
-    return [{n: s.window(k, k + 2) for n, s in sources.items()} for k in steps]
+    """The two frames of some steps of a record, and the one before them if there is one."""
+    return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
+
+
+def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Both frames of a sample step, by camera; None of what is bad or repeats the frame before it."""
+
+    first, second = (
+        {name: usable_image(source, len(source) - back) for name, source in sample.items()} for back in (2, 1)
+    )
+    return first, second
 
 
 def steps_with_waves(
@@ -79,15 +88,14 @@ def learn_from(
     from wavefield.measurement import learn
     from wavefield.quality.stabilized import corrected
 
-    def frames(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
-        images = {name: source.read(k).image for name, source in pair.items()}
+    def still(images: dict[str, Any]) -> dict[str, Any]:
         return corrected(images, geometry)[0] if geometry.settings.vibration == "correct" else images
 
-    def masks(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
-        return {name: source.covered(k) for name, source in pair.items()}
+    def masks(pair: Mapping[str, Source], back: int) -> dict[str, Any]:
+        return {name: source.covered(len(source) - back) for name, source in pair.items()}
 
-    steps = [(frames(pair, 0), frames(pair, 1)) for pair in pairs]
-    covered = [(masks(pair, 0), masks(pair, 1)) for pair in pairs]
+    steps = [(still(first), still(second)) for first, second in map(both_frames, pairs)]
+    covered = [(masks(pair, 2), masks(pair, 1)) for pair in pairs]
     with one_thread():  # each of them
         record = learn(steps, geometry, covered, threads, frame_rate)
     return {} if record is None else record.to_dict()

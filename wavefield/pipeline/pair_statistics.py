@@ -14,6 +14,7 @@ from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, pooled, sample_steps
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
+from wavefield.pipeline.chunk import usable_image
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.rig.resolution import pixel_size
@@ -44,7 +45,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
 
     def diagnosed(step: int) -> Diagnosis | None:
         both = (step, step + 1)
-        frames = {n: [one.read(k).image for k in both] for n, one in prepared.series.items()}
+        frames = {n: [usable_image(one, k) for k in both] for n, one in prepared.series.items()}
         masks = {n: [one.covered(k) for k in both] for n, one in prepared.series.items()}
         try:
             return diagnose(frames, geometry, model, pixel, masks)
