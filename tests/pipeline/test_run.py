@@ -18,6 +18,7 @@ from cube_cases import FRAMES, HERE, different, far_apart
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, RigError, RunStopped, StoreError
 from wavefield.execution.lock import Lock
+from wavefield.measurement import sample_steps
 from wavefield.pipeline import Workflow, chunk_worker, open_cube, run, status
 from wavefield.store import write_cube
 from wavefield.store.layout import PACKING, in_16_bits
@@ -304,6 +305,22 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
     assert "frame 5" in str(state)
     assert "frame 11" in str(state)
     assert "cam2 frame" in (own_tank.parent / "cube.log").read_text()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_they_are(
+    own_tank, reference, seed
+):
+    """Spectra and noise are learned in sample steps: a repeated frame there has neither motion nor noise."""
+    rng = np.random.default_rng(seed)
+    camera, sampled = f"cam{rng.integers(1, 4)}", int(rng.choice(sample_steps(16)))
+    number = sampled + int(rng.integers(2))
+    repeat(own_tank.parent / camera / f"img_{number:05d}.tif")
+    cube, good = open_cube(run(own_tank, workflow=chunks_of(8)).store).load(), open_cube(reference).load()
+    apart = np.abs(np.arange(16) - (number - 0.5)) > 3
+    for name in ("z_std", "u_std", "v_std", "w_std"):
+        ratio = (cube[name] / good[name]).isel(time=apart).where(good.wavefield.flagged("measured"))
+        assert 0.7 < float(ratio.median()) < 1.5, name
 
 
 def test_repeated_frames_of_all_cameras_leave_no_values_whatever_the_chunks(own_tank, tmp_path):
