@@ -80,10 +80,12 @@ def filled(found: matching.Displacement) -> Float:
 
 def harmonics(midway: Float) -> Float:
     """What a displacement (2, ny, nx), px, at places where water is first has beside that where it is midway.
-    u(x) = D(x + u/2), so that the harmonics of a wave are u - D = (D . grad) D / 2, to first order.
+    u(x) = D(x + u/2), so that the harmonics of a wave are u - D = (D . grad) D / 2, to first order. What all
+    water moves alike displaces the waves without changing them, by however much, and is left out of D.
     """
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
+    x, y = x - x.mean(), y - y.mean()
     return np.asarray(np.float32(0.5) * np.stack([x * xx + y * xy, x * yx + y * yy]))
 
 
