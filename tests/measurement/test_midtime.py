@@ -20,13 +20,19 @@ from wavefield.waves.nonlinear.kinematics import slopes
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 
 
+def everywhere(x, y):
+    return np.ones(np.shape(x), bool)
+
+
 def surfaces(field, lost=()):
     """Surfaces z = field(x, t) at the node x = 0 and wherever they are read."""
     out = []
     for n, t in enumerate(TIMES):
         z, places = np.full((1, 1), field(0.0, t), np.float32), np.zeros((1, 1), bool)
         read = lambda x, y, t=t: np.asarray(field(x, t), np.float32) + np.zeros_like(x)  # noqa: E731
-        out.append(None if n in lost else Surface(z, z, z, places.astype(np.uint16), places, read))
+        out.append(
+            None if n in lost else Surface(z, z, z, places.astype(np.uint16), places, read, everywhere)
+        )
     return out
 
 
@@ -111,7 +117,7 @@ def test_surface_and_kinematics_are_exact_to_the_interpolation_on_any_current(cu
     d = np.stack([exact[name] for name in "uvw"]) * dt
     none = np.zeros(x.shape, np.uint16)
     moved = Motion(d, d, d[0], d[0], none, none.astype(np.uint8), chord, bend)
-    frames = [Surface(x, x, x, none, none > 0, lambda x, y, t=t: height(x, y, t)) for t in TIMES]
+    frames = [Surface(x, x, x, none, none > 0, lambda x, y, t=t: height(x, y, t), everywhere) for t in TIMES]
     flow = float(np.median(chord[0])), float(np.median(chord[1]))
     z, rise = z_by_orders(frames, flow, x, y)[0], rise_of_water(*frames[2:4], moved, flow, x, y)
     inside = np.s_[3:-3, 3:-3]

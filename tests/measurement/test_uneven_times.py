@@ -101,7 +101,9 @@ def test_z_at_mid_time_is_that_of_the_polynomial_through_the_frames(times, lost,
     for n, t in enumerate(times):
         z, nowhere = np.zeros((1, 1), np.float32), np.zeros((1, 1), bool)
         read = lambda x, y, t=t: np.asarray((t + 1.0 - (x - speed * t)) ** degree, np.float32)  # noqa: E731
-        surfaces.append(None if n in lost else Surface(z, z, z, nowhere.astype(np.uint16), nowhere, read))
+        surfaces.append(
+            None if n in lost else Surface(z, z, z, nowhere.astype(np.uint16), nowhere, read, np.ones_like)
+        )
     chord = speed * (times[3] - times[2])
     found = z_by_orders(surfaces, (chord, 0.0), AT, AT, times)[0]
     assert float(found[0, 0]) == pytest.approx(1.0, abs=2e-3)

@@ -22,7 +22,7 @@ from wavefield.measurement.map_elevation import (
 from wavefield.measurement.model import Model
 from wavefield.measurement.outlier_detection import inconsistent_pairs
 from wavefield.measurement.pair_surface import PairMatch, match_pair
-from wavefield.measurement.regrid import blocks_below, coefficients, read_surface
+from wavefield.measurement.regrid import blocks_below, coefficients, on_lattice, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -43,8 +43,9 @@ class Surface:
     std: Float
     quality: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: measured or filled, and why it was rejected
     inconsistent: NDArray[np.bool_]  # (ny, nx): where pairs of cameras see different surfaces
-    # From places x, y (ny, nx), metres, one near each node, to the elevation there
+    # From places x, y (ny, nx), metres, one near each node, to z there, and to whether it was measured
     read: Callable[[Float, Float], Float] = field(repr=False)
+    is_measured: Callable[[Float, Float], NDArray[np.bool_]] = field(repr=False)
 
 
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: Model) -> Surface | None:
@@ -80,6 +81,12 @@ def surface_of(
     inconsistent = inconsistent_pairs(matches, geometry.pixel) | estimate.inconsistent
     quality = np.where(blocks.valid, np.uint16(Quality.MEASURED), np.uint16(Quality.FILLED))
     quality |= blocks.rejected
+    measured = ((quality & Quality.MEASURED) > 0) & ~inconsistent
+
+    def is_measured(x: Float, y: Float) -> NDArray[np.bool_]:
+        place = lattice, centre, x, y, read(x, y)
+        return np.asarray(measured.ravel()[blocks_below(*place)] & on_lattice(*place))
+
     return Surface(
         z,
         blocks.eps_y.ravel()[block],
@@ -87,6 +94,7 @@ def surface_of(
         quality.ravel()[block],
         inconsistent.ravel()[block],
         read,
+        is_measured,
     )
 
 
@@ -117,7 +125,7 @@ def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
     z = np.zeros(shape, np.float32)
     unknown, std = np.full_like(z, np.nan), np.full_like(z, 0.25 * thickness)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
-    return Surface(z, unknown, std, quality, inconsistent, lambda x, y: z)
+    return Surface(z, unknown, std, quality, inconsistent, lambda x, y: z, lambda x, y: ~inconsistent)
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:

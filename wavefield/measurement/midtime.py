@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.time_weights import ELEVATION_WEIGHTS, uneven_weights
 from wavefield.measurement.velocity import Motion
-from wavefield.variables import AROUND, Quality
+from wavefield.variables import AROUND
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -49,17 +49,29 @@ def z_by_orders(
     weights = [ELEVATION_WEIGHTS[n] for n in _numbers_of_frames(surfaces)]
     if surfaces[4] is None:
         weights = [one[::-1] for one in weights]
-    moments, (dx, dy) = np.arange(6) - 2.5, flow
-    if times is not None:
-        moments = times
-        dx, dy = dx / float(times[3] - times[2]), dy / float(times[3] - times[2])
+    return _weighted(weights, surfaces, flow, x, y, times, late)
+
+
+def _weighted(
+    weights: Sequence[Float],
+    surfaces: Surfaces,
+    flow: tuple[float, float],
+    x: Float,
+    y: Float,
+    times: Float | None,
+    late: Float | None,
+) -> tuple[Float, ...]:
+    """Sums of the surfaces, in water that moves with the flow, with each of some weights (6,) of even times.
+    Where times are uneven, or nodes are seen late, with those of the polynomial through the same frames.
+    """
+    moments, (dx, dy) = _moments_and_shift(flow, times)
     at: Float | float = 0.0 if late is None else -late
     if late is not None or times is not None:
         used = [np.flatnonzero(one).tolist() for one in weights]
         weights = [uneven_weights(moments, some, at=at)[0].astype(np.float32) for some in used]
     out: list[Float] = [np.zeros(x.shape, np.float32) for _ in weights]
     for n, (t, surface) in enumerate(zip(moments.tolist(), surfaces, strict=True)):
-        if surface is not None and np.any(weights[0][n]):
+        if surface is not None and any(np.any(one[n]) for one in weights):
             z = surface.read(x + (t - at) * dx, y + (t - at) * dy)
             for total, one in zip(out, weights, strict=True):
                 if np.any(one[n]):
@@ -67,38 +79,49 @@ def z_by_orders(
     return tuple(out)
 
 
+def _moments_and_shift(flow: tuple[float, float], times: Float | None) -> tuple[Float, tuple[float, float]]:
+    """Times of the six frames from mid-time, and how far the water moves, metres, in one of their units."""
+    if times is None:
+        return np.arange(6) - 2.5, flow
+    interval = float(times[AROUND + 1] - times[AROUND])
+    return times, (flow[0] / interval, flow[1] / interval)
+
+
 def where_measured(
     orders: tuple[Float, ...],
     surfaces: Surfaces,
     flow: tuple[float, float],
-    step: float,
+    x: Float,
+    y: Float,
     times: Float | None = None,
+    late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
     """Elevations of `z_by_orders`, by fewer frames where others have not measured a node; their number; and
     where the nearest two have measured it. Elsewhere all are filled alike, and z stays smooth.
     """
-    moments = np.arange(6) - 2.5 if times is None else times
-    interval = float(moments[AROUND + 1] - moments[AROUND])
-    rows, columns = np.indices(orders[0].shape)
-    last_row, last_column = (n - 1 for n in orders[0].shape)
-
-    def measured(n: int) -> Mask:
-        surface = surfaces[n]
-        if surface is None:  # z comes from the others
-            return np.ones(orders[0].shape, np.bool_)
-        dx, dy = (round(float(moments[n]) / interval * part / step) for part in flow)
-        known = ((surface.quality & Quality.MEASURED) > 0) & ~surface.inconsistent
-        return np.asarray(known[(rows + dy).clip(0, last_row), (columns + dx).clip(0, last_column)])
-
-    nearest = measured(AROUND) & measured(AROUND + 1)
+    moments, (dx, dy) = _moments_and_shift(flow, times)
+    # z comes from the others where a frame is absent
+    measured = [
+        np.ones(x.shape, np.bool_) if surface is None else surface.is_measured(x + t * dx, y + t * dy)
+        for t, surface in zip(moments.tolist(), surfaces, strict=True)
+    ]
+    nearest = measured[AROUND] & measured[AROUND + 1]
     numbers = _numbers_of_frames(surfaces)
-    out, frames = [orders[-1]], np.full(orders[0].shape, numbers[-1], np.uint8)
+    out, frames = [orders[-1]], np.full(x.shape, numbers[-1], np.uint8)
+    fewer = orders[-1]
+    if numbers[0] >= 4:  # at the edge of the view a current leaves one of the neighbours
+        before, after = (nearest & measured[n] & ~measured[5 - n] for n in (1, 4))
+        if before.any() or after.any():
+            one_sided = ELEVATION_WEIGHTS[3][::-1], ELEVATION_WEIGHTS[3]
+            by_sides = _weighted(one_sided, surfaces, flow, x, y, times, late)
+            fewer = np.where(before, by_sides[0], np.where(after, by_sides[1], fewer))
+            frames = np.where(before | after, np.uint8(3), frames)
     for number, z in reversed(list(zip(numbers, orders))[:-1]):
         reach = (number + 1) // 2
-        used = range(AROUND + 1 - reach, AROUND + 1 + reach)
-        known = ~nearest | np.logical_and.reduce([measured(n) for n in used])
-        out.insert(0, np.where(known, z, out[0]))
+        known = ~nearest | np.logical_and.reduce(measured[AROUND + 1 - reach : AROUND + 1 + reach])
+        fewer = np.where(known, z, fewer)
         frames = np.where(known, np.uint8(number), frames)
+        out.insert(0, fewer)
     return tuple(out), frames, nearest
 
 

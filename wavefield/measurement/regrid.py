@@ -237,10 +237,32 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> NDArray[np.intp]:
-    """Number of the block in which the camera sees each place x, y, z (ny, nx), metres."""
-    shrink = 1.0 / (1.0 - z / centre[2])
+    """Number of the block in which the camera sees each place x, y, z (ny, nx), metres, or of the nearest."""
     row, column = (
-        np.clip(np.rint((c + (at - c) * shrink - first) / lattice.step), 1, n - 2).astype(np.intp)
-        for c, at, first, n in zip(centre[1::-1], (y, x), (lattice.y0, lattice.x0), lattice.shape)
+        np.clip(np.rint(at), 1, n - 2).astype(np.intp)
+        for at, n in zip(_places_below(lattice, centre, x, y, z), lattice.shape)
     )
     return np.asarray(row * lattice.shape[1] + column)
+
+
+def on_lattice(
+    lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
+) -> NDArray[np.bool_]:
+    """Whether the camera sees places x, y, z (ny, nx), metres, in blocks of the lattice."""
+    row, column = _places_below(lattice, centre, x, y, z)
+    return np.asarray(
+        (np.abs(row - 0.5 * (lattice.shape[0] - 1)) <= 0.5 * (lattice.shape[0] - 1))
+        & (np.abs(column - 0.5 * (lattice.shape[1] - 1)) <= 0.5 * (lattice.shape[1] - 1))
+    )
+
+
+def _places_below(
+    lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
+) -> tuple[Float, Float]:
+    """Row and column on the lattice at which the camera sees places x, y, z (ny, nx), metres."""
+    shrink = 1.0 / (1.0 - z / centre[2])
+    row, column = (
+        (c + (at - c) * shrink - first) / lattice.step
+        for c, at, first in zip(centre[1::-1], (y, x), (lattice.y0, lattice.x0))
+    )
+    return row, column

@@ -91,7 +91,7 @@ def _estimate(
     if flow is None:
         return None
     orders = z_by_orders(surfaces, flow, geometry.x, geometry.y, times, late)
-    orders, frames, measured = where_measured(orders, surfaces, flow, geometry.grid.step, times)
+    orders, frames, measured = where_measured(orders, surfaces, flow, geometry.x, geometry.y, times, late)
     z = shown = orders[0]
     motion = velocity(moves, z, geometry, record, regions, jitter_px, times)
     if late is not None and motion is not None:
@@ -157,4 +157,8 @@ def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surfa
     """One surface with another in a part of the field."""
     names = ("z", "eps_y", "std", "quality", "inconsistent")
     parts = {n: np.where(where, getattr(other, n), getattr(surface, n)) for n in names}
-    return Surface(**parts, read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)))
+    return Surface(
+        **parts,
+        read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)),
+        is_measured=lambda x, y: np.where(where, other.is_measured(x, y), surface.is_measured(x, y)),
+    )
