@@ -59,11 +59,11 @@ def test_frames_that_do_not_show_the_water_change_no_measured_node(flow):
     for seed in range(60):
         frames, exact, hidden = drawn_surfaces(seed, flow)
         orders = z_by_orders(frames, flow, X, Y)
-        mended, used, measured = where_measured(orders, frames, flow, X, Y)
+        by_measured, used, measured = where_measured(orders, frames, flow, X, Y)
         # two frames of a wave of 1 cm that turns by 0.8 rad in a step
-        assert np.abs(mended[0] - exact)[measured].max(initial=0.0) < 1e-3
+        assert np.abs(by_measured[0] - exact)[measured].max(initial=0.0) < 1e-3
         assert set(np.unique(used)) <= {2, 3, 4, 6}
-        np.testing.assert_array_equal(mended[0][~measured], orders[0][~measured])
+        np.testing.assert_array_equal(by_measured[0][~measured], orders[0][~measured])
         if flow == (0.0, 0.0):
             np.testing.assert_array_equal(measured, ~(hidden[2] | hidden[3]))
         with_all.append(np.abs(orders[0] - exact)[measured].max(initial=0.0))
