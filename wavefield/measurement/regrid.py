@@ -250,10 +250,8 @@ def on_lattice(
 ) -> NDArray[np.bool_]:
     """Whether the camera sees places x, y, z (ny, nx), metres, in blocks of the lattice."""
     row, column = _places_below(lattice, centre, x, y, z)
-    return np.asarray(
-        (np.abs(row - 0.5 * (lattice.shape[0] - 1)) <= 0.5 * (lattice.shape[0] - 1))
-        & (np.abs(column - 0.5 * (lattice.shape[1] - 1)) <= 0.5 * (lattice.shape[1] - 1))
-    )
+    ny, nx = lattice.shape
+    return np.asarray((row >= 0) & (row <= ny - 1) & (column >= 0) & (column <= nx - 1))
 
 
 def _places_below(

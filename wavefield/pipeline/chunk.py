@@ -107,12 +107,6 @@ def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> 
     return frame
 
 
-def usable_image(source: Source, index: int) -> np.ndarray | None:
-    """The image of a frame; None of one that is bad or repeats the frame before it."""
-    frame = read_frame(source, index)
-    return None if frame.fault else frame.image
-
-
 class ChunkFrames(Sequence[np.ndarray | None]):
     """The n + 5 frames of one camera, read on demand; only the last few are kept in memory."""
 

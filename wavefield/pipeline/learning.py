@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wavefield.execution.worker_settings import one_thread
-from wavefield.pipeline.chunk import Source, usable_image
+from wavefield.pipeline.chunk import Source, read_frame
 from wavefield.quality.patch_matching import MIN_CORRELATION, PatchMatcher, compare
 from wavefield.sampling import evenly_spaced
+from wavefield.series import Frame
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
@@ -41,11 +42,13 @@ def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping
 
 def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Both frames of a sample step, by camera; None of what is bad or repeats the frame before it."""
+    first = {name: read_frame(source, len(source) - 2) for name, source in sample.items()}
+    second = {name: read_frame(source, len(source) - 1, first[name].image) for name, source in sample.items()}
 
-    first, second = (
-        {name: usable_image(source, len(source) - back) for name, source in sample.items()} for back in (2, 1)
-    )
-    return first, second
+    def usable(frames: Mapping[str, Frame]) -> dict[str, Any]:
+        return {name: None if frame.fault else frame.image for name, frame in frames.items()}
+
+    return usable(first), usable(second)
 
 
 def steps_with_waves(

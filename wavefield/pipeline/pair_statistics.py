@@ -14,8 +14,7 @@ from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, pooled, sample_steps
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
-from wavefield.pipeline.chunk import usable_image
-from wavefield.pipeline.learning import learn_from, samples
+from wavefield.pipeline.learning import both_frames, learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.rig.resolution import pixel_size
 from wavefield.sampling import from_first_to_last
@@ -45,7 +44,8 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
 
     def diagnosed(step: int) -> Diagnosis | None:
         both = (step, step + 1)
-        frames = {n: [usable_image(one, k) for k in both] for n, one in prepared.series.items()}
+        first, second = both_frames(samples(prepared.series, [step])[0])
+        frames = {name: [first[name], second[name]] for name in first}
         masks = {n: [one.covered(k) for k in both] for n, one in prepared.series.items()}
         try:
             return diagnose(frames, geometry, model, pixel, masks)
@@ -57,8 +57,8 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
         found = {step: one for step, one in zip(steps, pool.map(diagnosed, steps)) if one is not None}
     if not found:
         return None
-    quantities, cameras, units, samples = zip(*_errors(pooled(list(found.values()))))
-    finite = [values[np.isfinite(values)] for values in samples]
+    quantities, cameras, units, errors = zip(*_errors(pooled(list(found.values()))))
+    finite = [values[np.isfinite(values)] for values in errors]
     rms, beyond = zip(*(rms_within(values) for values in finite))
     return xr.Dataset(
         {
