@@ -56,7 +56,8 @@ def test_one_bad_step_is_left_out_where_others_can_be_compared(steps):
     factor = 1.0 + 1e-3 * rng.standard_normal(steps)
     factor[[0, 1, -2, -1]], factor[3] = np.nan, 1.5
     weights = np.tile([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6], (steps, 1))
-    factors = StepFactors(factor, np.full(steps, 1e-6), weights)
+    even, unknown = np.full(steps, 1e-6), np.full(steps, np.nan)
+    factors = StepFactors(factor, even, weights, unknown, unknown, unknown)
     assert factors.discontinuous(RECORD_LIMITS.discontinuity).tolist() == [3]
     shown = jitter_of(cube_of(np.array(stored(0, 0.0, 4, steps)), 1e-3), factors)
     assert (shown is None) == (steps == 40)

@@ -56,6 +56,22 @@ def test_a_step_without_motion_or_of_two_intervals_is_named(seed, rate):
     assert factors(lost[few]).discontinuous(LIMIT).size
 
 
+@pytest.mark.parametrize("turn", [0.5, 1.0, 1.3, 1.5, 1.7, 2.0])  # where neighbours predict a step badly
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lost_frame_shows_among_eight_steps_whatever_the_phase_of_the_waves(turn, seed):
+    rng = np.random.default_rng([seed, int(10 * turn)])
+    lattice = np.exp(1j * np.cumsum(rng.uniform(0.0, 1.0, (30, 40)), axis=1))
+    slower = 0.6 * np.exp(1j * np.cumsum(rng.uniform(0.0, 0.7, (30, 40)), axis=0))
+    waves = ((lattice, turn), (slower, 0.8 * turn))
+    w = np.array([sum((each * np.exp(-1j * p * k)).real for each, p in waves) for k in range(9)])
+    velocity = w[:, None] + 0.1 * rng.standard_normal((9, 3, 30, 40))
+    assert factors(velocity[:8]).discontinuous(LIMIT).size == 0
+    for step in (2, 3, 4, 5):
+        both = velocity[step : step + 1] + velocity[step + 1 : step + 2]
+        lost = np.concatenate([velocity[:step], both, velocity[step + 2 :]])
+        assert step in factors(lost).discontinuous(LIMIT)
+
+
 @pytest.mark.parametrize("length", [0.35, 0.6, 1.0, 4.0])  # of the field's
 @pytest.mark.parametrize("turn", np.arange(0.1, 2.3, 0.3))
 def test_one_wave_is_predicted_whatever_its_phase(turn, length):

@@ -4,6 +4,11 @@ A wave that turns by the phase p from step to step has v(k) = a (v(k-1) + v(k+1)
 c = cos p, a = 2 c / (2 c^2 + 1) and b = -1 / (2 (2 c^2 + 1)); a wave of another phase p' departs from it by
 2 (cos p' - c)^2 / (2 c^2 + 1) only, and c is the correlation of consecutive steps. The mean over the field
 has a c of its own, for long waves turn less, and beside it a current, which does not turn.
+
+From v(k-1) + v(k+1) = 2 c v(k) every step has a cosine of its own, which hardly varies in a sound record.
+Over a lost frame water moves by 2 cos(p/2) as much and both neighbours are 1.5 intervals away: the cosine of
+such a step is c - 1/2, whatever the phase, so that it shows in few steps and where waves turn fast. Of waves
+longer than the field the cosine is small as well when their slope vanishes in it, but then so is the motion.
 """
 
 from dataclasses import dataclass, replace
@@ -19,22 +24,35 @@ _PATCHES = 12  # along the shorter side of the field: means over them leave long
 _CELLS = 3  # along either side: parts of the field whose factors are compared
 MIN_CELLS = 4  # with fewer the factor of a step is unknown
 _REACH = 8  # steps to either side which the phase is determined from
+_NEAR = 4  # steps to either side which a cosine is compared with
 MIN_STEPS = 3  # with fewer factors none departs
 _SIGNIFICANCE = 4.0  # standard deviations by which a factor has to depart
+_MIN_MOTION = 0.85  # mean square of a step over a lost frame, over that of its neighbours
+_STD_OF_MEDIAN_DEVIATION = 1.48  # of a normal variable
+_MIN_COSINE_DROP = 0.3  # of a step, below those around it: 0.5 over a lost frame, less with noise
 
 
 @dataclass(frozen=True)
 class StepFactors:
     """Factor of each step, (n,), its variance by what differs within the field, and the weights, (n, 5), by
-    which an error of steps k - 2 to k + 2 changes it; NaN where unknown.
+    which an error of steps k - 2 to k + 2 changes it; its cosine, the variance of that, and the mean square
+    of its motion over that of both neighbours; NaN where unknown.
     """
 
     factor: Array
     variance: Array
     weights: Array
+    cosine: Array
+    cosine_variance: Array
+    motion: Array
 
     def discontinuous(self, limit: float) -> NDArray[np.intp]:
-        """Steps whose factor departs from the median around it by more than a part of it, significantly."""
+        """Steps whose factor departs from the median around it by more than a part of it, significantly, or
+        whose cosine is less than those around it.
+        """
+        return np.union1d(self._uneven(limit), self._over_lost_frames())
+
+    def _uneven(self, limit: float) -> NDArray[np.intp]:
         median = np.full(self.factor.size, np.nan)
         for k in np.flatnonzero(np.isfinite(self.factor)):
             near = self.factor[max(k - _REACH, 0) : k + _REACH + 1]
@@ -43,12 +61,27 @@ class StepFactors:
         off = np.abs(self.factor - median)
         return np.flatnonzero((off > limit * np.abs(median)) & (off > _SIGNIFICANCE * np.sqrt(self.variance)))
 
+    def _over_lost_frames(self) -> NDArray[np.intp]:
+        """Steps whose cosine is less than the median around them, significantly, and whose motion is not."""
+        median, spread = np.full((2, self.cosine.size), np.nan)
+        for k in np.flatnonzero(np.isfinite(self.cosine)).tolist():
+            near = self.cosine[max(k - _NEAR, 0) : k + _NEAR + 1].copy()
+            here = min(k, _NEAR)
+            near[max(here - 1, 0) : here + 2] = np.nan  # a lost frame changes these as well
+            if np.isfinite(near).sum() >= MIN_STEPS:
+                median[k] = np.nanmedian(near)
+                spread[k] = np.square(_STD_OF_MEDIAN_DEVIATION * np.nanmedian(np.abs(near - median[k])))
+        drop = median - self.cosine
+        std = np.sqrt(self.cosine_variance + spread)
+        found = (drop > _MIN_COSINE_DROP) & (drop > _SIGNIFICANCE * std) & (self.motion > _MIN_MOTION)
+        return np.flatnonzero(found)
+
     def without(self, steps: NDArray[np.intp], reach: int = 2) -> "StepFactors":
         """Without some steps and those beside them, up to `reach` steps away."""
         apart = np.abs(np.subtract.outer(np.arange(self.factor.size), steps))
-        return replace(
-            self, factor=np.where(apart.min(axis=1, initial=reach + 1) <= reach, np.nan, self.factor)
-        )
+        left = apart.min(axis=1, initial=reach + 1) > reach
+        factor, cosine = (np.where(left, one, np.nan) for one in (self.factor, self.cosine))
+        return replace(self, factor=factor, cosine=cosine)
 
 
 def patch_means(fields: Array, measured: Mask) -> Array:
@@ -71,20 +104,26 @@ def patch_means(fields: Array, measured: Mask) -> Array:
 def step_factors(means: Array) -> StepFactors:
     """Factors of steps from means over patches of their velocities, (n, 3, rows, columns), NaN in holes."""
     steps = len(means)
-    factor, variance = np.full((2, steps), np.nan)
+    factor, variance, own_cosine, cosine_variance, motion = np.full((5, steps), np.nan)
     weights = np.full((steps, 5), np.nan)
     if steps < 5 or min(means.shape[-2:]) < _CELLS:
-        return StepFactors(factor, variance, weights)
+        return StepFactors(factor, variance, weights, own_cosine, cosine_variance, motion)
     pairs = [_split(means[k : k + 2]) for k in range(steps - 1)]
     level = np.array([one[0] for one, _ in pairs] + [pairs[-1][0][1]])
     turned = np.array([_correlations(rest.reshape(2, -1)).item() for _, rest in pairs])
+    for k in range(1, steps - 1):
+        before, here, after = _split(means[k - 1 : k + 2])[1]
+        own_cosine[k], cosine_variance[k] = _slope(0.5 * (before + after), here)
+        beside = 0.5 * float(np.sum(np.square(before) + np.square(after)))
+        if 2 <= k < steps - 2 and beside > 0:  # at either end cosines have neighbours on one side only
+            motion[k] = float(np.sum(np.square(here))) / beside
     for k in range(2, steps - 2):
         first, last = max(k - _REACH, 0), min(k + _REACH, steps - 1)
         cosine = _cosine(turned[first:last])
         of_level, constant = _level_waves(level[first : last + 1], cosine)
         of_rest = _weights(cosine)
         factor[k], variance[k], weights[k] = _factor(means[k - 2 : k + 3], of_level, constant, of_rest)
-    return StepFactors(factor, variance, weights)
+    return StepFactors(factor, variance, weights, own_cosine, cosine_variance, motion)
 
 
 def _level_waves(level: Array, cosine: float) -> tuple[Array, Array]:
@@ -131,15 +170,24 @@ def _factor(means: Array, of_level: Array, constant: Array, of_rest: Array) -> t
     parts = of_level[:, None, None, None] * level + of_rest[:, None, None, None] * rest
     here = np.where(usable, level[2] + rest[2], 0.0)
     expected = np.where(usable, parts.sum(axis=0) + constant, 0.0)
-    rows, columns = (np.linspace(0, n, _CELLS + 1).astype(int)[:-1] for n in usable.shape)
+    factor, spread = _slope(here, expected)
+    square = float(np.sum(np.square(expected)))
+    shares = np.array([float(np.sum(expected * part)) for part in parts])
+    return factor, spread, np.eye(5)[2] - np.divide(shares, square, np.full(5, np.nan), where=square > 0)
+
+
+def _slope(values: Array, on: Array) -> tuple[float, float]:
+    """Slope of values on others, both (3, rows, columns), and its variance by what differs between cells of
+    the field; NaN with few cells.
+    """
+    rows, columns = (np.linspace(0, n, _CELLS + 1).astype(int)[:-1] for n in values.shape[-2:])
     product, square = (
         np.add.reduceat(np.add.reduceat(part.sum(axis=0), rows, 0), columns, 1)
-        for part in (here * expected, np.square(expected))
+        for part in (values * on, np.square(on))
     )
     cells = int((square > 0).sum())
     if cells < MIN_CELLS:
-        return np.nan, np.nan, np.full(5, np.nan)
-    factor = float(product.sum() / square.sum())
-    rest_of_cells = (product - factor * square) / square.sum()
-    shares = np.array([float(np.sum(expected * part)) for part in parts]) / float(square.sum())
-    return factor, cells / (cells - 1) * float(np.sum(np.square(rest_of_cells))), np.eye(5)[2] - shares
+        return np.nan, np.nan
+    slope = float(product.sum() / square.sum())
+    rest = (product - slope * square) / square.sum()
+    return slope, cells / (cells - 1) * float(np.sum(np.square(rest)))
