@@ -26,6 +26,7 @@ _MIN_NODES = 6  # along either side of a field
 _LINES_PER_WAVE = 4.5  # lines of a windowed transform that are not independent
 _MIN_PHASE = 1e-3  # of slower waves nothing is left out
 _MAX_PHASE = 1.5 * np.pi  # beyond that waves are not followed at all
+_WEAK_POWER = 0.01  # of the strongest ring's: phases of weaker rings are of errors rather than of waves
 _HALF_TRUSTED_WAVES = 20.0  # in a ring: its own phase then counts by half
 _MIN_WAVES_OF_SIX_FRAMES = 100.0  # give phases to a tenth, and to half of it what six frames leave out
 _TRUNCATION_MARGIN = 1.5  # on the error of waves along a path
@@ -208,7 +209,8 @@ def _wave_rings(
     waves = np.where(followed, count * len(pairs) / _LINES_PER_WAVE, 0.0)
     hidden = [np.bincount(ring, part) for part in detected(k)] if detected is not None else None
     k = np.bincount(ring, k) / count / step
-    phase = _shrunk_phases(own_phase, waves, dispersion(k))
+    strong = power / (power + _WEAK_POWER * np.max(power * followed, initial=1e-30))
+    phase = _shrunk_phases(own_phase, waves, waves * strong, dispersion(k))
     longer = np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()]
     power[0], phase[0] = 0.25 * longer.sum(), _phase(*longer)
     slowest = float(phase[:2].max()) / np.sqrt(_LEVEL_WAVELENGTH)  # by the relation of deep water
@@ -269,18 +271,19 @@ def _leaked(power: Float) -> Float:
     return np.asarray(reach @ power)
 
 
-def _shrunk_phases(own: Float, waves: Float, shape: Float) -> Float:
-    """Phases of rings, shrunk by their number of waves to a common multiple of a shape.
+def _shrunk_phases(own: Float, waves: Float, weight: Float, shape: Float) -> Float:
+    """Phases of rings, shrunk by their number of waves to a common multiple of a shape, a mean with weights.
     Phases beyond pi were measured as much below it: they are turned back where longer waves predict so.
     """
     if not waves.any():
         return np.zeros_like(own)
-    ratio, total, mean = np.zeros_like(own), 0.0, 0.0
+    ratio, total, weights, mean = np.zeros_like(own), 0.0, 0.0, 0.0
     for ring in np.flatnonzero(waves):
         beyond = total > _HALF_TRUSTED_WAVES and shape[ring] * np.exp(mean) > np.pi
         ratio[ring] = np.log((2.0 * np.pi - own[ring] if beyond else own[ring]) / shape[ring])
         total += waves[ring]
-        mean += (ratio[ring] - mean) * waves[ring] / total
+        weights += weight[ring]
+        mean += (ratio[ring] - mean) * weight[ring] / weights
     share = waves / (waves + _HALF_TRUSTED_WAVES)
     return np.asarray(np.minimum(shape * np.exp(share * ratio + (1.0 - share) * mean), _MAX_PHASE))
 

@@ -7,8 +7,9 @@ has a c of its own, for long waves turn less, and beside it a current, which doe
 
 From v(k-1) + v(k+1) = 2 c v(k) every step has a cosine of its own, which hardly varies in a sound record.
 Over a lost frame water moves by 2 cos(p/2) as much and both neighbours are 1.5 intervals away: the cosine of
-such a step is c - 1/2, whatever the phase, so that it shows in few steps and where waves turn fast. Of waves
-longer than the field the cosine is small as well when their slope vanishes in it, but then so is the motion.
+such a step is c - 1/2, whatever the phase, and that of its neighbours c + c^2 - 1/2, so that it shows in few
+steps and where waves turn fast. Of waves longer than the field the cosine is small as well when their slope
+vanishes in it, but then so is the motion.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +30,8 @@ MIN_STEPS = 3  # with fewer factors none departs
 _SIGNIFICANCE = 4.0  # standard deviations by which a factor has to depart
 _MIN_MOTION = 0.85  # mean square of a step over a lost frame, over that of its neighbours
 _STD_OF_MEDIAN_DEVIATION = 1.48  # of a normal variable
-_MIN_COSINE_DROP = 0.3  # of a step, below those around it: 0.5 over a lost frame, less with noise
+_MIN_NEIGHBOUR_DROP = 0.33  # of what waves of one phase have
+_MIN_COSINE_DROP = 0.2  # of a step, below those around it: 0.5 over a lost frame, less with noise
 
 
 @dataclass(frozen=True)
@@ -62,19 +64,24 @@ class StepFactors:
         return np.flatnonzero((off > limit * np.abs(median)) & (off > _SIGNIFICANCE * np.sqrt(self.variance)))
 
     def _over_lost_frames(self) -> NDArray[np.intp]:
-        """Steps whose cosine is less than the median around them, significantly, and whose motion is not."""
-        median, spread = np.full((2, self.cosine.size), np.nan)
-        for k in np.flatnonzero(np.isfinite(self.cosine)).tolist():
-            near = self.cosine[max(k - _NEAR, 0) : k + _NEAR + 1].copy()
-            here = min(k, _NEAR)
-            near[max(here - 1, 0) : here + 2] = np.nan  # a lost frame changes these as well
-            if np.isfinite(near).sum() >= MIN_STEPS:
-                median[k] = np.nanmedian(near)
-                spread[k] = np.square(_STD_OF_MEDIAN_DEVIATION * np.nanmedian(np.abs(near - median[k])))
-        drop = median - self.cosine
+        """Steps whose cosine is less than those around, significantly, and whose motion is not. Where waves
+        turn by more than an eighth of a circle, the cosines beside them have to be less as well.
+        """
+        around, beside, spread = np.full((3, self.cosine.size), np.nan)
+        for k in range(2, self.cosine.size - 2):
+            apart = abs(np.arange(self.cosine.size) - k)
+            near = self.cosine[(apart > 1) & (apart <= _NEAR) & np.isfinite(self.cosine)]
+            if near.size >= MIN_STEPS:
+                median = np.median(near)
+                spread[k] = np.square(_STD_OF_MEDIAN_DEVIATION * np.median(np.abs(near - median)))
+                around[k] = np.nanmin([median, *self.cosine[apart == 2]])
+                beside[k] = np.mean(self.cosine[apart == 1])
+        drop = around - self.cosine
         std = np.sqrt(self.cosine_variance + spread)
         found = (drop > _MIN_COSINE_DROP) & (drop > _SIGNIFICANCE * std) & (self.motion > _MIN_MOTION)
-        return np.flatnonzero(found)
+        of_neighbours = 0.5 - np.square(around)  # by how much the cosines beside a lost frame are less
+        shown = (of_neighbours < 0) | (around - beside > _MIN_NEIGHBOUR_DROP * of_neighbours)
+        return np.flatnonzero(found & shown)
 
     def without(self, steps: NDArray[np.intp], reach: int = 2) -> "StepFactors":
         """Without some steps and those beside them, up to `reach` steps away."""
