@@ -162,3 +162,24 @@ def test_water_at_rest_leaves_nothing_out():
         d=np.stack([still] * 3), chord=np.stack([still] * 3), frames=np.full(SHAPE, 4, np.uint8)
     )
     assert not motion_truncation(motion, (still,) * 3, EVERYWHERE, EVERYWHERE, record, 0.0).any()
+
+
+def test_errors_that_stay_hardly_change_how_fast_waves_are_taken_to_turn():
+    """Waves of 13 to 25 cm at 10 frames/s, beside errors of 8 cm and a twentieth of their height."""
+    x, y = np.meshgrid(np.arange(SHAPE[1]) * 0.01, np.arange(SHAPE[0]) * 0.01)
+
+    def waves(rng, shortest, longest, height):
+        k, angle = 2 * np.pi / rng.uniform(shortest, longest, 12), rng.uniform(0, 2 * np.pi, 12)
+        phase = k[:, None, None] * (np.multiply.outer(np.cos(angle), x) + np.multiply.outer(np.sin(angle), y))
+        phase += rng.uniform(0, 2 * np.pi, 12)[:, None, None]
+        turn = dispersion(k)[:, None, None] / 10.0
+        return lambda t: height * np.sqrt(2.0 / 12) * np.cos(phase - turn * t).sum(0)
+
+    def stated(seed, error):
+        rng, pairs = np.random.default_rng(seed), []
+        for _ in range(4):
+            sea, stays = waves(rng, 0.13, 0.25, 1e-3), waves(rng, 0.075, 0.085, error)(0.0)
+            pairs.append((sea(-0.5) + stays, sea(0.5) + stays))
+        return temporal_truncation(pairs, 0.01).of_z(6)
+
+    assert np.median([stated(seed, 5e-5) / stated(seed, 0.0) for seed in range(24)]) > 0.87
