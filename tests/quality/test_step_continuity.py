@@ -56,7 +56,7 @@ def test_a_step_without_motion_or_of_two_intervals_is_named(seed, rate):
     assert factors(lost[few]).discontinuous(LIMIT).size
 
 
-@pytest.mark.parametrize("turn", [0.5, 1.0, 1.3, 1.5, 1.7, 2.0])  # where neighbours predict a step badly
+@pytest.mark.parametrize("turn", [1.0, 1.5, 1.8, 2.0, 2.2])  # where neighbours predict a step badly
 @pytest.mark.parametrize("seed", range(4))
 def test_a_lost_frame_shows_among_eight_steps_whatever_the_phase_of_the_waves(turn, seed):
     rng = np.random.default_rng([seed, int(10 * turn)])

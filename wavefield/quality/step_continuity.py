@@ -29,7 +29,6 @@ _NEAR = 4  # steps to either side which a cosine is compared with
 MIN_STEPS = 3  # with fewer factors none departs
 _SIGNIFICANCE = 4.0  # standard deviations by which a factor has to depart
 _MIN_MOTION = 0.85  # mean square of a step over a lost frame, over that of its neighbours
-_STD_OF_MEDIAN_DEVIATION = 1.48  # of a normal variable
 _MIN_NEIGHBOUR_DROP = 0.33  # of what waves of one phase have
 _MIN_COSINE_DROP = 0.2  # of a step, below those around it: 0.5 over a lost frame, less with noise
 
@@ -49,12 +48,11 @@ class StepFactors:
     motion: Array
 
     def discontinuous(self, limit: float) -> NDArray[np.intp]:
-        """Steps whose factor departs from the median around it by more than a part of it, significantly, or
-        whose cosine is less than those around it.
-        """
+        """Steps whose factor departs by more than a part of it, or that have the cosine of a lost frame."""
         return np.union1d(self._uneven(limit), self._over_lost_frames())
 
     def _uneven(self, limit: float) -> NDArray[np.intp]:
+        """Steps whose factor departs from the median around it by more than a part of it, significantly."""
         median = np.full(self.factor.size, np.nan)
         for k in np.flatnonzero(np.isfinite(self.factor)):
             near = self.factor[max(k - _REACH, 0) : k + _REACH + 1]
@@ -64,21 +62,19 @@ class StepFactors:
         return np.flatnonzero((off > limit * np.abs(median)) & (off > _SIGNIFICANCE * np.sqrt(self.variance)))
 
     def _over_lost_frames(self) -> NDArray[np.intp]:
-        """Steps whose cosine is less than those around, significantly, and whose motion is not. Where waves
-        turn by more than an eighth of a circle, the cosines beside them have to be less as well.
+        """Steps whose cosine is less than the median around and those two steps away, significantly, and
+        whose motion is not. Where waves turn by more than an eighth of a circle, the cosines beside them have
+        to be less as well. Of the two steps at either end too few are known.
         """
-        around, beside, spread = np.full((3, self.cosine.size), np.nan)
+        around, beside = np.full((2, self.cosine.size), np.nan)
         for k in range(2, self.cosine.size - 2):
             apart = abs(np.arange(self.cosine.size) - k)
             near = self.cosine[(apart > 1) & (apart <= _NEAR) & np.isfinite(self.cosine)]
             if near.size >= MIN_STEPS:
-                median = np.median(near)
-                spread[k] = np.square(_STD_OF_MEDIAN_DEVIATION * np.median(np.abs(near - median)))
-                around[k] = np.nanmin([median, *self.cosine[apart == 2]])
+                around[k] = np.nanmin([np.median(near), *self.cosine[apart == 2]])
                 beside[k] = np.mean(self.cosine[apart == 1])
-        drop = around - self.cosine
-        std = np.sqrt(self.cosine_variance + spread)
-        found = (drop > _MIN_COSINE_DROP) & (drop > _SIGNIFICANCE * std) & (self.motion > _MIN_MOTION)
+        least = np.maximum(_MIN_COSINE_DROP, _SIGNIFICANCE * np.sqrt(self.cosine_variance))
+        found = (around - self.cosine > least) & (self.motion > _MIN_MOTION)
         of_neighbours = 0.5 - np.square(around)  # by how much the cosines beside a lost frame are less
         shown = (of_neighbours < 0) | (around - beside > _MIN_NEIGHBOUR_DROP * of_neighbours)
         return np.flatnonzero(found & shown)
@@ -122,7 +118,7 @@ def step_factors(means: Array) -> StepFactors:
         before, here, after = _split(means[k - 1 : k + 2])[1]
         own_cosine[k], cosine_variance[k] = _slope(0.5 * (before + after), here)
         beside = 0.5 * float(np.sum(np.square(before) + np.square(after)))
-        if 2 <= k < steps - 2 and beside > 0:  # at either end cosines have neighbours on one side only
+        if beside > 0:
             motion[k] = float(np.sum(np.square(here))) / beside
     for k in range(2, steps - 2):
         first, last = max(k - _REACH, 0), min(k + _REACH, steps - 1)
