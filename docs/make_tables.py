@@ -33,6 +33,7 @@ STATUS = {
     FrameStatus.DONE: "measured",
     FrameStatus.DONE_WITH_FAULTS: "measured, without a frame or with too few nodes",
     FrameStatus.FAILED: "could not be measured; NaN",
+    FrameStatus.DISCONTINUOUS: "over a lost, duplicated or mistimed frame, or beside it; NaN in opened cubes",
 }
 
 

@@ -22,8 +22,10 @@ from wavefield.measurement import sample_steps
 from wavefield.pipeline import Workflow, chunk_worker, open_cube, run, status
 from wavefield.store import write_cube
 from wavefield.store.layout import PACKING, in_16_bits
+from wavefield.store.read import open_as_measured, open_stored
 from wavefield.store.write_cube import write_chunk
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
+from wavefield.waves.estimation.wave_record import find_record
 
 STEPS = FRAMES - 1
 
@@ -321,6 +323,25 @@ def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_the
     for name in ("z_std", "u_std", "v_std", "w_std"):
         ratio = (cube[name] / good[name]).isel(time=apart).where(good.wavefield.flagged("measured"))
         assert 0.7 < float(ratio.median()) < 1.5, name
+
+
+def test_steps_over_a_frame_lost_in_all_cameras_are_left_out_of_the_opened_cube(own_tank):
+    lost, last = 8, FRAMES - 1
+    for images in own_tank.parent.glob("cam*"):
+        files = sorted(images.glob("*.tif"))
+        for name, source in zip(files[lost:last], files[lost + 1 :]):
+            shutil.move(source, name)
+    found = run(own_tank, workflow=chunks_of(3))
+    assert "discontinuous steps" in found.verdict.line
+    cube = open_cube(found.store).load()
+    left_out = np.flatnonzero(cube.frame_status == FrameStatus.DISCONTINUOUS)
+    assert left_out.tolist() == [5, 6, 7, 8, 9], "their six frames lie on both sides"
+    for name in CUBE_FIELDS:
+        missing = cube[name] == 0 if name == "quality" else cube[name].isnull()
+        assert missing.isel(time=left_out).all()
+        assert not missing.drop_isel(time=left_out).all()
+    assert find_record(cube).runs == find_record(open_stored(found.store)).runs == ((0, 5), (10, 15))
+    assert open_as_measured(found.store).z.isel(time=left_out).notnull().any(("y", "x")).all()
 
 
 def test_repeated_frames_of_all_cameras_leave_no_values_whatever_the_chunks(own_tank, tmp_path):

@@ -46,14 +46,14 @@ def test_steps_of_sound_seas_continue_each_other(seed, rate):
 
 @pytest.mark.parametrize("rate", [12.0, 20.0, 60.0])
 @pytest.mark.parametrize("seed", range(6))
-def test_a_step_without_motion_or_of_two_intervals_is_named(seed, rate):
+def test_a_step_without_motion_or_of_two_intervals_is_found_and_those_beside_it_are_not(seed, rate):
     velocity = velocities(seed, 18, 0.001, rate)
     repeated = np.concatenate([velocity[:8], 0 * velocity[:1], velocity[8:-1]])
-    assert 8 in factors(repeated).discontinuous(LIMIT)
+    assert factors(repeated).discontinuous(LIMIT).tolist() == [8]
     lost = np.concatenate([velocity[:7], velocity[7:8] + velocity[8:9], velocity[9:]])
-    assert 7 in factors(lost).discontinuous(LIMIT)
     few = slice(3, 11)  # eight steps
-    assert factors(lost[few]).discontinuous(LIMIT).size
+    for found in (factors(lost).discontinuous(LIMIT), factors(lost[few]).discontinuous(LIMIT) + few.start):
+        assert found.tolist() in ([6], [7], [8]), "one place"
 
 
 @pytest.mark.parametrize("turn", [1.0, 1.5, 1.8, 2.0, 2.2])  # where neighbours predict a step badly

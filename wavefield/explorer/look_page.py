@@ -29,6 +29,7 @@ _DRAG_TABS = {"line": "line", "rectangle": "area", "mask": "mask"}
 _STATUS_WORDS = {
     FrameStatus.NOT_STARTED: " – not measured yet",
     FrameStatus.FAILED: " – this step could not be measured",
+    FrameStatus.DISCONTINUOUS: " – this step does not continue its neighbours, and opened cubes leave it out",
 }
 
 

@@ -96,7 +96,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
     plain_axes(top, **RIGHT)
     bottom.plot(cube.time, cube.frame_status, drawstyle="steps-mid", **LINES[1])
     names = [status.name.lower().replace("_", " ") for status in FrameStatus]
-    bottom.set(yticks=list(FrameStatus), yticklabels=names, xlabel="time (s)", ylim=(-0.5, 3.5))
+    bottom.set(yticks=list(FrameStatus), yticklabels=names, xlabel="time (s)", ylim=(-0.5, len(names) - 0.5))
     plain_axes(bottom)
     return figure
 

@@ -33,7 +33,7 @@ from wavefield.quality.stored_values import COMPARED, remark_on_stored_values
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.ledger import Status
-from wavefield.store.read import open_without_jitter
+from wavefield.store.read import open_as_measured
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -113,7 +113,7 @@ def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
 def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
     """The verdict on a cube whose run has ended."""
     experiment, series = prepared.experiment, prepared.series
-    faults, cube = compare_cameras(prepared), open_without_jitter(status.store)
+    faults, cube = compare_cameras(prepared), open_as_measured(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
     sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
     sheet = prepared.geometry.settings.sheet_thickness is not None

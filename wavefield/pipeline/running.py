@@ -39,7 +39,7 @@ from wavefield.store.metadata import mark_complete, restore_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import measured_rate, open_group, read_layout
 from wavefield.store.recipe import check_recipe
-from wavefield.store.relabel import relabel, state_jitter
+from wavefield.store.relabel import relabel, state_findings
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import VERDICT, read_verdict
 from wavefield.store.verify import suspicious
@@ -179,8 +179,8 @@ def process(
     if found.complete:
         store_pair_statistics(prepared, path)
     verdict = assess_run(prepared, found)
-    jitter = [one.values for one in verdict.remarks if (one.subject, one.kind) == ("record", "jitter")]
-    state_jitter(path, jitter[0] if jitter else {})
+    findings = [dict(one.values) for one in verdict.remarks if one.kind in ("jitter", "discontinuous steps")]
+    state_findings(path, {name: value for one in findings for name, value in one.items()})
     verdict.save(path)
     if found.complete:
         drop_early(path, open_group(path))

@@ -25,6 +25,8 @@ _PATCHES = 12  # along the shorter side of the field: means over them leave long
 _CELLS = 3  # along either side: parts of the field whose factors are compared
 MIN_CELLS = 4  # with fewer the factor of a step is unknown
 _REACH = 8  # steps to either side which the phase is determined from
+_PREDICTING = 2  # steps to either side which a step is predicted from
+_LEAST_RATIO = 1e-6  # of factors: of no motion
 _NEAR = 4  # steps to either side which a cosine is compared with
 MIN_STEPS = 3  # with fewer factors none departs
 _SIGNIFICANCE = 4.0  # standard deviations by which a factor has to depart
@@ -48,18 +50,27 @@ class StepFactors:
     motion: Array
 
     def discontinuous(self, limit: float) -> NDArray[np.intp]:
-        """Steps whose factor departs by more than a part of it, or that have the cosine of a lost frame."""
-        return np.union1d(self._uneven(limit), self._over_lost_frames())
+        """Steps whose factor departs by more than a part of it, or that have the cosine of a lost frame;
+        of those within two steps, which such a step predicts wrongly, the one that departs most.
+        """
+        departure = self._uneven(limit)
+        departure[self._over_lost_frames()] = np.inf
+        around = sliding_window_view(np.pad(departure, _PREDICTING), 2 * _PREDICTING + 1).max(axis=1)
+        return np.flatnonzero((departure > 0) & (departure == around))
 
-    def _uneven(self, limit: float) -> NDArray[np.intp]:
-        """Steps whose factor departs from the median around it by more than a part of it, significantly."""
+    def _uneven(self, limit: float) -> Array:
+        """Logarithm of the factor over the median around it, (n,), where it departs by more than a part of
+        it, significantly; else 0.
+        """
         median = np.full(self.factor.size, np.nan)
         for k in np.flatnonzero(np.isfinite(self.factor)):
             near = self.factor[max(k - _REACH, 0) : k + _REACH + 1]
             if np.isfinite(near).sum() >= MIN_STEPS:
                 median[k] = np.nanmedian(near)
         off = np.abs(self.factor - median)
-        return np.flatnonzero((off > limit * np.abs(median)) & (off > _SIGNIFICANCE * np.sqrt(self.variance)))
+        uneven = (off > limit * np.abs(median)) & (off > _SIGNIFICANCE * np.sqrt(self.variance))
+        ratio = np.maximum(self.factor / median, _LEAST_RATIO, where=uneven, out=np.ones(median.size))
+        return np.abs(np.log(ratio))
 
     def _over_lost_frames(self) -> NDArray[np.intp]:
         """Steps whose cosine is less than the median around and those two steps away, significantly, and
@@ -71,7 +82,7 @@ class StepFactors:
             apart = abs(np.arange(self.cosine.size) - k)
             near = self.cosine[(apart > 1) & (apart <= _NEAR) & np.isfinite(self.cosine)]
             if near.size >= MIN_STEPS:
-                around[k] = np.nanmin([np.median(near), *self.cosine[apart == 2]])
+                around[k] = np.nanmin([1.0, np.median(near), *self.cosine[apart == 2]])
                 beside[k] = np.mean(self.cosine[apart == 1])
         least = np.maximum(_MIN_COSINE_DROP, _SIGNIFICANCE * np.sqrt(self.cosine_variance))
         found = (around - self.cosine > least) & (self.motion > _MIN_MOTION)
@@ -79,7 +90,7 @@ class StepFactors:
         shown = (of_neighbours < 0) | (around - beside > _MIN_NEIGHBOUR_DROP * of_neighbours)
         return np.flatnonzero(found & shown)
 
-    def without(self, steps: NDArray[np.intp], reach: int = 2) -> "StepFactors":
+    def without(self, steps: NDArray[np.intp], reach: int = _PREDICTING) -> "StepFactors":
         """Without some steps and those beside them, up to `reach` steps away."""
         apart = np.abs(np.subtract.outer(np.arange(self.factor.size), steps))
         left = apart.min(axis=1, initial=reach + 1) > reach

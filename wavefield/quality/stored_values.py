@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wavefield.quality.frame_jitter import FrameJitter, frame_jitter
 from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.quality.step_continuity import MIN_STEPS, StepFactors, patch_means, step_factors
+from wavefield.store.read import DISCONTINUOUS
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -29,6 +30,8 @@ VELOCITY = ("u", "v", "w")
 JITTER_STEPS = 64  # read for the size of the errors by jitter
 MAX_NOISE = 0.2  # of the mean square of velocities: with more, they do not predict each other
 MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left out
+FRAME_REACH = 2  # steps to either side of a frame, or a gap, whose six frames contain it
+MAX_LEFT_OUT = 0.5  # of the steps: what is more than one gap and leaves less is everywhere
 CHANGING_NOISE = 0.25  # of the variance of z by noise: beads repeat the rest of it from frame to frame
 ELEVATION_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z
 
@@ -80,6 +83,15 @@ def step_factors_of(cube: xr.Dataset) -> StepFactors:
     near = (sliding_window_view(np.pad(one, 2, constant_values=np.nan), 5) for one in (noise, size))
     least, largest = (of.reduce(one, axis=1) for of, one in zip((np.fmin, np.fmax), near))
     return step_factors(np.array(means)).without(np.flatnonzero(~(least < MAX_NOISE * largest)), reach=0)
+
+
+def steps_left_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
+    """Steps whose frames lie on both sides of a discontinuity; none if these are most of a record, which
+    has more than one.
+    """
+    apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
+    out = np.flatnonzero(apart.min(axis=1, initial=steps) <= FRAME_REACH)
+    return out if discontinuous.size == 1 or out.size <= MAX_LEFT_OUT * steps else out[:0]
 
 
 def jitter_of(cube: xr.Dataset, factors: StepFactors) -> tuple[FrameJitter, float] | None:
@@ -139,15 +151,17 @@ def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Re
     factors = step_factors_of(cube)
     found = factors.discontinuous(RECORD_LIMITS.discontinuity)
     if found.size:
+        without = steps_left_out(found, cube.sizes["time"])
+        done = f"; the {without.size} steps around are NaN in opened cubes" if without.size else ""
         yield Remark(
             "record",
             "discontinuous steps",
             "remark",
             f"{found.size} of {cube.sizes['time']} steps do not continue their neighbours: those from frames"
-            f" {spell_ranges([first + int(k) for k in found], 3)}",
+            f" {spell_ranges([first + int(k) for k in found], 3)}{done}",
             "none",
-            "check whether frames were duplicated or lost in all cameras there, and leave these steps out",
-            {"steps": int(found.size)},
+            "check whether frames were duplicated, lost or late in all cameras there",
+            {"steps": int(found.size), DISCONTINUOUS: without.tolist()},
         )
     shown = jitter_of(cube, factors)
     if shown and shown[1] > RECORD_LIMITS.jitter_noted:

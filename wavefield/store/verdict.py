@@ -29,7 +29,7 @@ class Remark:
     sentence: str  # What was measured
     expected: str = ""  # What was expected
     remedy: str = ""  # What to do
-    values: Mapping[str, float] = field(default_factory=dict)  # The numbers behind it
+    values: Mapping[str, float | list[int]] = field(default_factory=dict)  # The numbers behind it
 
     @property
     def code(self) -> str:
