@@ -70,7 +70,7 @@ class StepFactors:
         off = np.abs(self.factor - median)
         uneven = (off > limit * np.abs(median)) & (off > _SIGNIFICANCE * np.sqrt(self.variance))
         ratio = np.maximum(self.factor / median, _LEAST_RATIO, where=uneven, out=np.ones(median.size))
-        return np.abs(np.log(ratio))
+        return np.asarray(np.abs(np.log(ratio)))
 
     def _over_lost_frames(self) -> NDArray[np.intp]:
         """Steps whose cosine is less than the median around and those two steps away, significantly, and
