@@ -69,8 +69,8 @@ class StepFactors:
                 median[k] = np.nanmedian(near)
         off = np.abs(self.factor - median)
         uneven = (off > limit * np.abs(median)) & (off > _SIGNIFICANCE * np.sqrt(self.variance))
-        ratio = np.maximum(self.factor / median, _LEAST_RATIO, where=uneven, out=np.ones(median.size))
-        return np.asarray(np.abs(np.log(ratio)))
+        ratio = np.divide(self.factor, median, where=uneven, out=np.ones(median.size))
+        return np.asarray(np.abs(np.log(np.maximum(ratio, _LEAST_RATIO))))
 
     def _over_lost_frames(self) -> NDArray[np.intp]:
         """Steps whose cosine is less than the median around and those two steps away, significantly, and
@@ -82,6 +82,7 @@ class StepFactors:
             apart = abs(np.arange(self.cosine.size) - k)
             near = self.cosine[(apart > 1) & (apart <= _NEAR) & np.isfinite(self.cosine)]
             if near.size >= MIN_STEPS:
+                # beside other lost frames cosines exceed 1
                 around[k] = np.nanmin([1.0, np.median(near), *self.cosine[apart == 2]])
                 beside[k] = np.mean(self.cosine[apart == 1])
         least = np.maximum(_MIN_COSINE_DROP, _SIGNIFICANCE * np.sqrt(self.cosine_variance))
