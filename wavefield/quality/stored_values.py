@@ -152,13 +152,19 @@ def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Re
     found = factors.discontinuous(RECORD_LIMITS.discontinuity)
     if found.size:
         without = steps_left_out(found, cube.sizes["time"])
-        done = f"; the {without.size} steps around are NaN in opened cubes" if without.size else ""
+        places = spell_ranges([first + int(k) for k in found], 3)
+        which = (
+            f"the step from frame {places} does not continue its neighbours"
+            if found.size == 1
+            else f"{found.size} of {cube.sizes['time']} steps do not continue their neighbours: those from"
+            f" frames {places}"
+        )
+        done = f"; the {without.size} steps with frames on both sides are NaN in opened cubes"
         yield Remark(
             "record",
             "discontinuous steps",
             "remark",
-            f"{found.size} of {cube.sizes['time']} steps do not continue their neighbours: those from frames"
-            f" {spell_ranges([first + int(k) for k in found], 3)}{done}",
+            which + (done if without.size else ""),
             "none",
             "check whether frames were duplicated, lost or late in all cameras there",
             {"steps": int(found.size), DISCONTINUOUS: without.tolist()},
