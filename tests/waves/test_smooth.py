@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 import wavefield as wf
 from wavefield.errors import CubeError
 from wavefield.tank.sea_models import RandomSea
-from wavefield.variables import Quality
+from wavefield.variables import FrameStatus, Quality
 
 DIMS, STEP = ("time", "y", "x"), 0.02
 SPECTRUM = {"kind": "power", "peak": 1.5, "exponent": 6}
@@ -116,6 +116,24 @@ def test_gaps_and_lost_steps_keep_the_cubes_own_values_and_mislead_no_neighbours
         assert ratio < 0.7, name
         assert one > 0.6, name
         assert two > 0.9, name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_steps_beyond_a_jump_of_time_do_not_mislead(seed):
+    truth = exact(seed, steps=71, rate=100.0).drop_isel(time=52)  # windows have ten steps on either side
+    truth["time"] = np.arange(70) / 100.0
+    cube = measured(truth, seed)
+    status = xr.DataArray(np.ones(70, np.uint8), dims="time")
+    status[50:55] = FrameStatus.DISCONTINUOUS
+    there = status == FrameStatus.DONE
+    cube = cube.where(there).assign(quality=cube.quality.where(there, 0), frame_status=status)
+    beside = {"time": slice(42, 63)}
+    for name, (ratio, one, two) in judge(
+        wf.smooth(cube).isel(beside), cube.isel(beside), truth.isel(beside)
+    ).items():
+        assert ratio < 0.3, name  # 0.7 with the steps beyond
+        assert one > 0.65, name
+        assert two > 0.95, name
 
 
 def test_results_do_not_depend_on_chunks():

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from wavefield.errors import CubeError
 from wavefield.matching.one_thread import one_thread
-from wavefield.variables import CUBE_DIMS, Quality, annotate, validate
+from wavefield.variables import CUBE_DIMS, FrameStatus, Quality, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.wave_record import check_axes
@@ -33,7 +33,16 @@ OVERLAP_NODES = 16  # that it shares with the next
 MISFIT_RADIUS = 3.0  # nodes: standard deviation of the weights with which misfits are averaged
 COMMON_ERROR_SHARE = 0.12  # of the noise's variance: errors that all steps of a window share
 MIN_GRID_NODES = 8  # nodes a side
+DISCONTINUOUS = -1.0  # in place of the quality of a step where time jumps
 VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is computed
+
+
+def beyond_jumps(quality: Array) -> Array:
+    """Steps of a window, quality (times, ny, nx), that a discontinuous step separates from the middle one."""
+    jump = (quality == DISCONTINUOUS).any(axis=(1, 2))
+    middle = jump.size // 2
+    before = np.logical_or.accumulate(jump[middle::-1])[::-1]
+    return np.concatenate([before, np.logical_or.accumulate(jump[middle + 1 :])])
 
 
 class _Smoother:
@@ -116,6 +125,7 @@ class _Smoother:
         own = window[:8, self.steps]
         total, weights = np.zeros(own.shape), np.zeros(own.shape[1:])
         fields, variance, there = self.parts(window)
+        there[beyond_jumps(window[8])] = False
         for number, at in enumerate(self.tiles):
             if self.mask[at].any():
                 part = (slice(None), slice(None), *at)
@@ -178,7 +188,7 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     ----------
     cube : Dataset
         z, u, v, w over (time, y, x), m and m/s, with their standard uncertainties ``z_std``, ``u_std``,
-        ``v_std``, ``w_std``; ``quality`` where present. Up to eight windows of it are read at once to learn
+        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. Up to eight windows of it are read at once to learn
         the spectrum, the noise and the current; lazy input gives a lazy result.
     depth : float, optional
         Depth of the water, m; that of the cube, or deep, if not given.
@@ -198,7 +208,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
 
     Notes
     -----
-    Windows hold the steps within 0.1 s, two on either side at least. Unknowns are the amplitudes a of free
+    Windows hold the steps within 0.1 s, two on either side at least, none beyond a discontinuous step: time
+    jumps there. Unknowns are the amplitudes a of free
     waves of all directions, of eddies (a stream function that the current carries) and constants,
 
         z = sum a e, u = sum (k / |k|) (sigma / tanh |k| h) a e, w - u . grad z = sum -i omega a e,
@@ -247,7 +258,10 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
             f"the grid has {shape[1]} x {shape[0]} nodes: smooth needs {MIN_GRID_NODES} of equal distances"
         )
     quality = cube["quality"].transpose(*CUBE_DIMS) if "quality" in cube else xr.ones_like(fields["z"])
-    arrays = [*(fields[name] for name in INPUTS[:8]), quality]
+    used = quality
+    if "frame_status" in cube:
+        used = quality.where(cube["frame_status"] != FrameStatus.DISCONTINUOUS, DISCONTINUOUS)
+    arrays = [*(fields[name] for name in INPUTS[:8]), used]
     smoother = _Smoother(shape, dx, dt, water_of(cube.attrs, depth), steps)
     reach = smoother.steps
     middles = sorted(
