@@ -188,8 +188,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     ----------
     cube : Dataset
         z, u, v, w over (time, y, x), m and m/s, with their standard uncertainties ``z_std``, ``u_std``,
-        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. Up to eight windows of it are read at once to learn
-        the spectrum, the noise and the current; lazy input gives a lazy result.
+        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. Up to eight windows of it are
+        read at once to learn the spectrum, the noise and the current; lazy input gives a lazy result.
     depth : float, optional
         Depth of the water, m; that of the cube, or deep, if not given.
 
