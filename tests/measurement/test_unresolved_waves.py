@@ -15,6 +15,7 @@ from wavefield.measurement.unresolved_waves import Unresolved, stated_rise, unre
 from wavefield.tank import Scene, Tank
 from wavefield.tank.truth import truth
 from wavefield.variables import Quality
+from wavefield.water import dispersion
 
 GRID = Grid(x=(-0.3, 0.3), y=(-0.23, 0.23), step=0.01)
 X, Y = np.meshgrid(GRID.x_nodes, GRID.y_nodes)
@@ -89,6 +90,17 @@ def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch)
     variance, wavelength, _ = found(1, 1e-3, 0.1, ("cam1", "beside"))
     z, rise = unresolved_std(np.sqrt(variance), wavelength, RATE)
     assert z == 0 < rise
+
+
+@pytest.mark.parametrize("rate", [10.0, 30.0, 60.0, 200.0])
+@pytest.mark.parametrize("shortest", [0.01, 0.03, 0.06])  # of 2.5 blocks
+def test_the_height_of_any_wave_that_blocks_do_not_resolve_is_contained(shortest, rate):
+    for length in shortest * np.linspace(1.0, 1.6, 7):  # up to four blocks
+        phase = dispersion(2.0 * np.pi / length) / rate
+        rise = np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi))))  # of a wave of height 1
+        z, at_mid_time = unresolved_std(rise, shortest, rate)
+        assert 1.0 - 1e-9 < z < 1.6
+        assert at_mid_time > 0.99 * rise
 
 
 def test_standard_uncertainties_contain_them_and_values_do_not_change(series, geometry, model):
