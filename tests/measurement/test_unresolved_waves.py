@@ -99,7 +99,7 @@ def test_the_height_of_any_wave_that_blocks_do_not_resolve_is_contained(shortest
         phase = dispersion(2.0 * np.pi / length) / rate
         rise = np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi))))  # of a wave of height 1
         z, at_mid_time = unresolved_std(rise, shortest, rate)
-        assert 1.0 - 1e-9 < z < 1.6
+        assert 1.0 - 1e-9 < z < 2.1  # capillary waves rise by the length to the power of 1.5
         assert at_mid_time > 0.99 * rise
 
 
