@@ -96,13 +96,32 @@ def test_motion_is_stated_as_uncertain_as_groups_and_the_depth_make_it(places):
             d = chord if places == 2 else (26 * chord - before - after) / 24
             motion = SimpleNamespace(d=d, chord=chord, frames=np.full(SHAPE, places, np.uint8))
             orders = waves.orders(t, 6 if places == 4 else 4)
-            stated = motion_truncation(motion, orders, EVERYWHERE, EVERYWHERE, record, 0.0)
+            stated = motion_truncation(motion, orders, of_frames(6), EVERYWHERE, EVERYWHERE, record, 0.0)
             alone = record.temporal_truncation.of_displacement(places, d, EVERYWHERE)
             error = d - waves.motion(t)
             now.append(rms(error[:2]) / rms(stated[:2]))
             record_alone.append(rms(error[:2]) / rms(alone[:2]))
     assert np.percentile(now, 95) < min(2.2, 0.8 * np.percentile(record_alone, 95))
     assert np.median(now) > 0.3, "not more cautious than that"
+
+
+@pytest.mark.parametrize("places", [4, 2])
+def test_motion_is_stated_where_no_measured_node_has_z_of_six_frames(places):
+    """On a fast current all water of some steps enters or leaves the view."""
+    now, measured = [], np.arange(SHAPE[1]) > 8
+    measured = np.broadcast_to(measured, SHAPE)
+    for seed in range(12):
+        waves = Waves(seed, longest=0.6, depth=0.5)
+        record = waves.record()
+        before, chord, after = (waves.displaced(20.0 + s) for s in (-1, 0, 1))
+        d = chord if places == 2 else (26 * chord - before - after) / 24
+        motion = SimpleNamespace(d=d, chord=chord, frames=of_frames(places))
+        of_z = np.where(measured, of_frames(2), of_frames(6))
+        stated = motion_truncation(motion, waves.orders(20.0, 6), of_z, EVERYWHERE, measured, record, 0.0)
+        error = d - waves.motion(20.0)
+        now.append(rms(error[:, measured]) / rms(stated[:, measured]))
+    assert 0.3 < np.median(now) < 1.3
+    assert np.percentile(now, 90) < 2.0
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -147,7 +166,7 @@ def test_noise_is_not_taken_for_waves_that_turn_fast():
             record = SimpleNamespace(
                 temporal_truncation=temporal_truncation(pairs, 0.01), moved=(std, std, std)
             )
-            stated = motion_truncation(motion, orders, EVERYWHERE, EVERYWHERE, record, std)
+            stated = motion_truncation(motion, orders, of_frames(6), EVERYWHERE, EVERYWHERE, record, std)
             assert rms(stated) < 0.5 * std
             assert rms(elevation_truncation(orders, of_frames(6), still, EVERYWHERE, record, std)) < 0.5 * std
 
@@ -161,7 +180,9 @@ def test_water_at_rest_leaves_nothing_out():
     motion = SimpleNamespace(
         d=np.stack([still] * 3), chord=np.stack([still] * 3), frames=np.full(SHAPE, 4, np.uint8)
     )
-    assert not motion_truncation(motion, (still,) * 3, EVERYWHERE, EVERYWHERE, record, 0.0).any()
+    assert not motion_truncation(
+        motion, (still,) * 3, of_frames(6), EVERYWHERE, EVERYWHERE, record, 0.0
+    ).any()
 
 
 def test_errors_that_stay_hardly_change_how_fast_waves_are_taken_to_turn():

@@ -225,7 +225,7 @@ def _fields(
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
     orders, frames, record = estimate.mid_time.orders, estimate.mid_time.frames, model.record
     std = estimate.mid_time.std
-    left_out = motion_truncation(motion, orders, inside, measured & (frames == frames.max()), record, std)
+    left_out = motion_truncation(motion, orders, frames, inside, measured, record, std)
     d, d_std = motion.d.copy(), np.hypot(motion.d_std, left_out)
     tilt, tilt_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     d[:2] -= tilt

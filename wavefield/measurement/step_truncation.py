@@ -81,16 +81,20 @@ def elevation_truncation(
 def motion_truncation(
     motion: Motion,
     orders: tuple[Float, ...],
+    frames_of_z: NDArray[np.uint8],
     seen: Mask,
     measured: Mask,
     record: LearnedRecord,
     std: Float | float,
 ) -> Float:
     """Standard uncertainty of displacements by the finite time step, (3, ny, nx), metres.
+    Sizes are those of nodes whose z is of the most frames; of all measured ones if none of these is.
     Paths of four places depart from chords by what chords leave out; beyond the record's, more is left out.
     """
     known = record.temporal_truncation
-    size, ratio = convergence(orders, measured, record, std)
+    of_most = measured & (frames_of_z == frames_of_z.max())
+    size, ratio = convergence(orders, of_most, record, std)
+    measured = of_most if of_most.any() else measured
     faster = max(1.0, ratio / max(min(known.of_z(4) / max(known.of_z(2), 1e-12), _MAX_RATIO), 1e-12))
     # where paths are chords, or as smooth as those of six places, elevations show the size, and this how flat
     # orbits are
