@@ -120,8 +120,8 @@ def test_motion_is_stated_where_no_measured_node_has_z_of_six_frames(places):
         stated = motion_truncation(motion, waves.orders(20.0, 6), of_z, EVERYWHERE, measured, record, 0.0)
         error = d - waves.motion(20.0)
         now.append(rms(error[:, measured]) / rms(stated[:, measured]))
-    assert 0.3 < np.median(now) < 1.3
-    assert np.percentile(now, 90) < 2.0
+    assert 0.3 < np.median(now) < 1.5
+    assert np.percentile(now, 90) < 3.0, "by what the record shows alone, not this step"
 
 
 @pytest.mark.parametrize("seed", range(6))
