@@ -179,8 +179,7 @@ def process(
     if found.complete:
         store_pair_statistics(prepared, path)
     verdict = assess_run(prepared, found)
-    findings = [dict(one.values) for one in verdict.remarks if one.kind in ("jitter", "discontinuous steps")]
-    state_findings(path, {name: value for one in findings for name, value in one.items()})
+    state_findings(path, {name: value for one in verdict.remarks for name, value in one.values.items()})
     verdict.save(path)
     if found.complete:
         drop_early(path, open_group(path))

@@ -91,10 +91,9 @@ class StepFactors:
         shown = (of_neighbours < 0) | (around - beside > _MIN_NEIGHBOUR_DROP * of_neighbours)
         return np.flatnonzero(found & shown)
 
-    def without(self, steps: NDArray[np.intp], reach: int = _PREDICTING) -> "StepFactors":
-        """Without some steps and those beside them, up to `reach` steps away."""
-        apart = np.abs(np.subtract.outer(np.arange(self.factor.size), steps))
-        left = apart.min(axis=1, initial=reach + 1) > reach
+    def without(self, steps: NDArray[np.intp]) -> "StepFactors":
+        """Without what is known of some steps."""
+        left = ~np.isin(np.arange(self.factor.size), steps)
         factor, cosine = (np.where(left, one, np.nan) for one in (self.factor, self.cosine))
         return replace(self, factor=factor, cosine=cosine)
 

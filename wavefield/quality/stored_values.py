@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wavefield.quality.frame_jitter import FrameJitter, frame_jitter
 from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.quality.step_continuity import MIN_STEPS, StepFactors, patch_means, step_factors
-from wavefield.store.read import DISCONTINUOUS
+from wavefield.store.read import DISCONTINUOUS_STEPS
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
@@ -29,7 +29,6 @@ MEDIAN_SQUARE = 0.455  # of a standard normal variable
 VELOCITY = ("u", "v", "w")
 JITTER_STEPS = 64  # read for the size of the errors by jitter
 MAX_NOISE = 0.2  # of the mean square of velocities: with more, they do not predict each other
-MAX_BROKEN = 0.2  # of the steps: more discontinuous ones than this are not left out
 FRAME_REACH = 2  # steps to either side of a frame, or a gap, whose six frames contain it
 MAX_LEFT_OUT = 0.5  # of the steps: what is more than one gap and leaves less is everywhere
 CHANGING_NOISE = 0.25  # of the variance of z by noise: beads repeat the rest of it from frame to frame
@@ -82,7 +81,7 @@ def step_factors_of(cube: xr.Dataset) -> StepFactors:
     # the noise of steps beside a lost frame contains the contradiction: the least of five
     near = (sliding_window_view(np.pad(one, 2, constant_values=np.nan), 5) for one in (noise, size))
     least, largest = (of.reduce(one, axis=1) for of, one in zip((np.fmin, np.fmax), near))
-    return step_factors(np.array(means)).without(np.flatnonzero(~(least < MAX_NOISE * largest)), reach=0)
+    return step_factors(np.array(means)).without(np.flatnonzero(~(least < MAX_NOISE * largest)))
 
 
 def steps_left_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
@@ -98,9 +97,9 @@ def jitter_of(cube: xr.Dataset, factors: StepFactors) -> tuple[FrameJitter, floa
     """Jitter of a cube's frame times, and the largest error by it over its standard uncertainty.
     Without steps around discontinuous ones, if others are left; None if no jitter shows.
     """
-    broken = factors.discontinuous(RECORD_LIMITS.discontinuity)
-    even = factors.without(broken)
-    if broken.size > MAX_BROKEN * cube.sizes["time"] or np.isfinite(even.factor).sum() < MIN_STEPS:
+    found = factors.discontinuous(RECORD_LIMITS.discontinuity)
+    even = factors.without(steps_left_out(found, cube.sizes["time"]))
+    if np.isfinite(even.factor).sum() < MIN_STEPS:
         even = factors
     jitter = frame_jitter(even, int(cube.path_frames))
     if jitter is None:
@@ -167,7 +166,7 @@ def remark_on_stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Re
             which + (done if without.size else ""),
             "none",
             "check whether frames were duplicated, lost or late in all cameras there",
-            {"steps": int(found.size), DISCONTINUOUS: without.tolist()},
+            {"steps": int(found.size), DISCONTINUOUS_STEPS: without.tolist()},
         )
     shown = jitter_of(cube, factors)
     if shown and shown[1] > RECORD_LIMITS.jitter_noted:

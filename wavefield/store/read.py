@@ -27,8 +27,8 @@ Chunks = dict[str, int] | int | Literal["auto"] | None
 # frame intervals, and relative error of velocities
 JITTER = ("elevation_jitter", "velocity_jitter")
 # Steps, from 0, that a run found discontinuous when it ended, and those whose six frames lie on both sides
-DISCONTINUOUS = "discontinuous_steps"
-FOUND_AFTER_RUN = (*JITTER, DISCONTINUOUS)
+DISCONTINUOUS_STEPS = "discontinuous_steps"
+FOUND_AFTER_RUN = (*JITTER, DISCONTINUOUS_STEPS)
 
 
 def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
@@ -157,16 +157,16 @@ def with_jitter(cube: "xr.Dataset") -> "xr.Dataset":
     return cube.assign(total)
 
 
-def with_discontinuous(status: NDArray[np.uint8], attributes: Mapping[str, Any]) -> NDArray[np.uint8]:
+def mark_discontinuous(status: NDArray[np.uint8], attributes: Mapping[str, Any]) -> NDArray[np.uint8]:
     """Status of the steps, (n,), where those that the cube's attributes name are discontinuous."""
-    named = np.isin(np.arange(status.size), attributes.get(DISCONTINUOUS, ()))
+    named = np.isin(np.arange(status.size), attributes.get(DISCONTINUOUS_STEPS, ()))
     measured = np.isin(status, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
     return np.where(named & measured, np.uint8(FrameStatus.DISCONTINUOUS), status)
 
 
 def without_discontinuous(cube: "xr.Dataset") -> "xr.Dataset":
     """Leave out the values of discontinuous steps."""
-    if DISCONTINUOUS not in cube.attrs:
+    if DISCONTINUOUS_STEPS not in cube.attrs:
         return cube
     kept = cube["frame_status"] != int(FrameStatus.DISCONTINUOUS)
     fields = {name: cube[name] for name in CUBE_FIELDS if name in cube}
@@ -197,7 +197,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
             "left, remove it and run `wavefield run EXPERIMENT` again"
         ) from None
     out.encoding["source"] = str(path)
-    if DISCONTINUOUS in out.attrs:
-        status = with_discontinuous(out["frame_status"].values, out.attrs)
+    if DISCONTINUOUS_STEPS in out.attrs:
+        status = mark_discontinuous(out["frame_status"].values, out.attrs)
         out["frame_status"] = out["frame_status"].copy(data=status)
     return out

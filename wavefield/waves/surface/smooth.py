@@ -33,13 +33,13 @@ OVERLAP_NODES = 16  # that it shares with the next
 MISFIT_RADIUS = 3.0  # nodes: standard deviation of the weights with which misfits are averaged
 COMMON_ERROR_SHARE = 0.12  # of the noise's variance: errors that all steps of a window share
 MIN_GRID_NODES = 8  # nodes a side
-DISCONTINUOUS = -1.0  # in place of the quality of a step where time jumps
+JUMP_OF_TIME = -1.0  # in place of the quality of a step where time jumps
 VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is computed
 
 
 def beyond_jumps(quality: Array) -> Array:
     """Steps of a window, quality (times, ny, nx), that a discontinuous step separates from the middle one."""
-    jump = (quality == DISCONTINUOUS).any(axis=(1, 2))
+    jump = (quality == JUMP_OF_TIME).any(axis=(1, 2))
     middle = jump.size // 2
     before = np.logical_or.accumulate(jump[middle::-1])[::-1]
     return np.concatenate([before, np.logical_or.accumulate(jump[middle + 1 :])])
@@ -260,7 +260,7 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     quality = cube["quality"].transpose(*CUBE_DIMS) if "quality" in cube else xr.ones_like(fields["z"])
     used = quality
     if "frame_status" in cube:
-        used = quality.where(cube["frame_status"] != FrameStatus.DISCONTINUOUS, DISCONTINUOUS)
+        used = quality.where(cube["frame_status"] != FrameStatus.DISCONTINUOUS, JUMP_OF_TIME)
     arrays = [*(fields[name] for name in INPUTS[:8]), used]
     smoother = _Smoother(shape, dx, dt, water_of(cube.attrs, depth), steps)
     reach = smoother.steps
