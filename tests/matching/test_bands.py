@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from wavefield.matching import Modes, PosteriorVariance, better_prior
+from wavefield.matching import Modes, PosteriorVariance, better_prior, edge_slopes
 from wavefield.matching.matching_gain import footprint
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, Prior
-from wavefield.matching.wavenumber_rings import SHORTEST_WAVENUMBER
+from wavefield.matching.wavenumber_rings import SHORTEST_WAVENUMBER, WavenumberRings
 
 SHAPE = (60, 66)
 BLOCK = 9e-3  # metres: blocks of 5 px of 1.8 mm
@@ -106,3 +106,48 @@ def test_noise_alone_is_no_wave():
         modes = Modes(prior, SHAPE)
         kept = np.std([modes.field(waves) for waves in most_probable(modes, noise)])
         assert kept < 0.12 * NOISE
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_one_wave_is_found_wherever_it_is(seed):
+    """Of its ring it has few modes: the mean over the ring does not exceed what noise has by chance."""
+    rng = np.random.default_rng([seed, 5])
+    k, turn, shift = rng.uniform(0.5, 1.7), rng.uniform(0, 0.5 * np.pi), rng.uniform(0, 2 * np.pi)
+    height = 0.2 * NOISE / float(footprint(np.array(k), np.zeros(1))[0])  # rms: 0.2 of a block's noise
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5
+    wave = np.sqrt(2) * height * np.cos(k * (np.cos(turn) * x + np.sin(turn) * y) + shift)
+    shown = wave * footprint(np.array(k), np.zeros(1))
+    blocks = (shown + NOISE * rng.standard_normal((1, 1, *SHAPE))).astype(np.float32)
+    prior = learned(blocks)
+    modes = Modes(prior, SHAPE)
+    found = modes.field(most_probable(modes, blocks)[0])
+    noise, missing = PosteriorVariance(prior, SHAPE)(np.full(SHAPE, 1 / NOISE**2, np.float32))
+    error = (found - wave)[INSIDE]
+    assert np.std(error) < height
+    assert np.std(error) < 1.5 * np.sqrt(np.mean((noise + missing)[INSIDE]))
+
+
+def test_noise_has_no_line_of_one_wave():
+    rng = np.random.default_rng(8)
+    for _ in range(300):
+        ny, nx = rng.integers(20, 80, 2)
+        kx, ky = (np.pi * np.arange(n) / n for n in (nx, ny))
+        rings = WavenumberRings(kx, ky[:, None])
+        assert not rings.lines(rng.chisquare(1, (ny, nx))).any()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_long_waves_leak_into_shorter_ones_is_no_line(seed):
+    rng = np.random.default_rng([seed, 6])
+    ny, nx = rng.integers(30, 80, 2)
+    y, x = np.mgrid[:ny, :nx]
+    field = rng.standard_normal((ny, nx))
+    for _ in range(rng.integers(1, 6)):
+        k, turn, shift = rng.uniform(0.02, 0.15), *rng.uniform(0, 2 * np.pi, 2)
+        field += 10 ** rng.uniform(0, 2) * np.cos(k * (np.cos(turn) * x + np.sin(turn) * y) + shift)
+    field -= edge_slopes(field[None].astype(np.float32))[0]
+    kx, ky = (np.pi * np.arange(n) / n for n in (nx, ny))
+    rings = WavenumberRings(kx, ky[:, None])
+    power = np.square(scipy.fft.dctn(field, norm="ortho"))
+    found = rings.lines(power) & ~rings.significant(rings.mean(power) - 1.0, 1)
+    assert not found.any(), np.flatnonzero(found)

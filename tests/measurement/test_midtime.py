@@ -146,7 +146,7 @@ def sea(rate, t, waves):
 def test_what_frames_cannot_follow_is_foreseen(rate):
     """Short waves are small, but they turn most in a step: the rms of all shows nothing of what is lost."""
     rng = np.random.default_rng(3)
-    waves = [(length, 0.02 * length, *rng.uniform(0, 6, 2)) for length in (0.7, 0.4, 0.2, 0.13, 0.1)]
+    waves = [(length, 0.002 * length, *rng.uniform(0, 6, 2)) for length in (0.7, 0.4, 0.2, 0.13, 0.1)]
     found = temporal_truncation(
         [(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in (0.0, 7.0, 15.0)], 0.01
     )
@@ -178,7 +178,7 @@ def test_what_frames_cannot_follow_is_foreseen(rate):
 def test_waves_longer_than_the_field_do_not_pass_for_slow_short_ones(seed):
     rng = np.random.default_rng(seed)
     lengths = (1.6, 1.3, 1.1, 0.9, 0.25, 0.2, 0.17, 0.14)
-    waves = [(length, 0.02 * length, *rng.uniform(0, 6, 2)) for length in lengths]
+    waves = [(length, 0.002 * length, *rng.uniform(0, 6, 2)) for length in lengths]
     part, times = np.s_[:29, :37], np.arange(12) * 2.3
     found = temporal_truncation([[sea(20.0, t + s, waves)[0][part] for s in (0, 1)] for t in times], 0.01)
     moved, missed = [], []
@@ -224,9 +224,10 @@ def test_paths_are_as_uncertain_at_the_crests_of_waves_longer_than_the_field(see
         assert (error < 5.0 * stated).all()
 
 
-def carried(rate, t, span, waves):
-    """Displacement over ``span`` frames of the water that is at the nodes at t, (3, n), metres."""
+def carried(rate, t, span, waves, beside=(0.0, 0.0)):
+    """Displacement over ``span`` frames of the water that is beside the nodes at t, (3, n), metres."""
     x, y = (nodes.ravel() for nodes in np.meshgrid(np.arange(0, 1, 0.04), np.arange(0, 0.8, 0.04)))
+    x, y = x + beside[0], y + beside[1]
 
     def velocity(x, y, t):
         out = np.zeros((3, x.size))
@@ -270,6 +271,30 @@ def test_paths_lose_more_of_short_waves_where_long_ones_carry_the_water_fast(rat
     if places == 4:
         chord = found.of_displacement(2, moved, np.ones(moved.shape[1:], bool))
         assert (chord > stated).mean() > 0.99
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_paths_of_steep_short_waves_are_as_uncertain_as_their_harmonics_and_places(seed):
+    rng = np.random.default_rng([seed, 7])
+    count, slope_of_all, phase = rng.integers(1, 4), rng.uniform(0.1, 0.2), rng.uniform(1.1, 1.6)
+    lengths = rng.uniform(0.07, 0.1, count)
+    rate = np.sqrt(2 * np.pi * 9.81 / lengths.mean()) / phase
+    height = slope_of_all / np.sqrt(count) * lengths / (np.sqrt(2) * np.pi)
+    waves = [(*pair, *rng.uniform(0, 6, 2)) for pair in zip(lengths, height)]
+    times = np.arange(8) * 2.3
+    found = temporal_truncation([(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in times], 0.01)
+    error, moved = [], []
+    for t in times:
+        path = np.array([carried(rate, t, s, waves)[:2] for s in TIMES[1:5]])
+        velocity = np.tensordot((1, -27, 27, -1), path, 1) / 24
+        place = np.tensordot((-1, 9, 9, -1), path, 1) / 16
+        moved.append((carried(rate, t, 1e-4, waves) - carried(rate, t, -1e-4, waves)) / 2e-4)
+        there = (carried(rate, t, 1e-4, waves, place) - carried(rate, t, -1e-4, waves, place)) / 2e-4
+        error.append(velocity - there[:2])
+    error, moved = (np.concatenate(part, axis=1)[:, None] for part in (error, moved))
+    stated = found.of_displacement(4, moved, np.ones(moved.shape[1:], bool))[:2]
+    rms = [np.sqrt(np.sum(np.mean(part**2, axis=(1, 2)))) for part in (error, stated)]
+    assert 0.75 < rms[1] / rms[0] < 1.8
 
 
 def test_a_displacement_keeps_what_theory_states():

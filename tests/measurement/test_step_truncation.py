@@ -10,7 +10,7 @@ import pytest
 from wavefield.matching import Prior
 from wavefield.measurement.step_truncation import elevation_truncation, motion_truncation
 from wavefield.measurement.temporal_truncation import detected_waves, temporal_truncation
-from wavefield.measurement.time_weights import ELEVATION_WEIGHTS, path_gain
+from wavefield.measurement.time_weights import ELEVATION_WEIGHTS, path_gain, uneven_weights
 from wavefield.water import dispersion
 
 TIMES = np.arange(6) - 2.5
@@ -122,6 +122,24 @@ def test_motion_is_stated_where_no_measured_node_has_z_of_six_frames(places):
         now.append(rms(error[:, measured]) / rms(stated[:, measured]))
     assert 0.3 < np.median(now) < 1.5
     assert np.percentile(now, 90) < 3.0, "by what the record shows alone, not this step"
+
+
+@pytest.mark.parametrize("places", [4, 2])
+def test_paths_through_frames_at_uneven_times_are_as_uncertain_as_they_err(places):
+    """Four frames, or the parabola of a record's first step; chords are the velocity of another moment."""
+    now = []
+    for seed in range(30):
+        waves, rng = Waves(seed, longest=0.8, depth=np.inf), np.random.default_rng(seed)
+        record, times = waves.record(), TIMES + 0.08 * rng.standard_normal(6)
+        orders = waves.orders(20.0, 6 if places == 4 else 4)
+        parts = [(t / 8) * sum(waves.motion(20.0 + t * (n + 0.5) / 8) for n in range(8)) for t in times]
+        rate = uneven_weights(times, (1, 2, 3, 4) if places == 4 else (2, 3, 4))[1]
+        d, chord = np.tensordot(rate.ravel(), parts, 1), parts[3] - parts[2]
+        motion = SimpleNamespace(d=d, chord=chord, frames=of_frames(places))
+        stated = motion_truncation(motion, orders, of_frames(6), EVERYWHERE, EVERYWHERE, record, 0.0, times)
+        now.append(rms(d - waves.motion(20.0)) / rms(stated))
+    assert 0.3 < np.median(now) < 1.3
+    assert np.percentile(now, 90) < 2.0
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -139,6 +139,7 @@ def better_prior(
             for one, own in zip(measured, noise_power)
         ]
     )
+    significant |= _lines(waves, spectrum, noise, noise_power, binning)
     lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in significant]
     occupied = binning.count > 0
     relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
@@ -205,6 +206,23 @@ def _signals_and_noise(
     plateau = shape * np.reshape(level, (-1, 1))
     noise_power = plateau * noise_power
     return ring_power - noise_power, sector_power - plateau[:, None] * sector_noise_power, noise_power
+
+
+def _lines(
+    waves: Sequence[Float], spectrum: Float, noise: Float, noise_power: Float, binning: WavenumberRings
+) -> NDArray[np.bool_]:
+    """Rings (c, rings) with a wave of one length and direction."""
+    power = np.mean([np.square(f, dtype=np.float64) for f in waves], axis=0)
+    spectrum = np.broadcast_to(spectrum, power.shape)
+    squared_gain = np.square(spectrum / (spectrum + noise))
+    # of every ring the noise of its power over its expected one
+    level = noise_power * binning.rings(squared_gain) / np.maximum(binning.rings(squared_gain * noise), 1e-30)
+    return np.array(
+        [
+            binning.lines(one / (own[binning.of_modes] * expected))
+            for one, own, expected in zip(power, level, squared_gain * noise)
+        ]
+    )
 
 
 def _over_gain(

@@ -173,7 +173,7 @@ def _fill_step(
     if measured.sum() < MIN_MEASURED * inside.sum():  # the step has no values
         out["quality"][measured] ^= np.uint16(Quality.MEASURED | Quality.FILLED)
         return
-    fields = _fields(estimate, inside, measured, geometry, model, frame_rate)
+    fields = _fields(estimate, inside, measured, geometry, model, frame_rate, times)
     for name in ("z", "u", "v", "w"):  # no water is there: the value is as uncertain as it is large
         fields[f"{name}_std"] = np.where(out_of_range, np.abs(fields[name]), fields[f"{name}_std"])
     for name, field in fields.items():
@@ -217,6 +217,7 @@ def _fields(
     geometry: GridGeometry,
     model: Model,
     frame_rate: float,
+    times: Float | None,
 ) -> dict[str, Float]:
     """Fields of a step, (ny, nx), in the cube's units."""
     first, second = estimate.surfaces[AROUND : AROUND + 2]
@@ -225,7 +226,9 @@ def _fields(
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
     orders, frames, record = estimate.mid_time.orders, estimate.mid_time.frames, model.record
     std = estimate.mid_time.std
-    left_out = motion_truncation(motion, orders, frames, inside, measured, record, std)
+    if times is None and geometry.settings.row_delays:  # chords are of another moment than paths as well
+        times = np.arange(6) - 2.5
+    left_out = motion_truncation(motion, orders, frames, inside, measured, record, std, times)
     d, d_std = motion.d.copy(), np.hypot(motion.d_std, left_out)
     tilt, tilt_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     d[:2] -= tilt

@@ -6,6 +6,7 @@ and of waves longer than the field samples show little: a step that departs more
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ Mask = NDArray[np.bool_]
 
 _MAX_RATIO = 0.75  # of successive departures: their series is not summed further
 _MARGIN = 1.25  # on the sum of that series: it falls more slowly further on
+_EVEN_PARABOLA = 0.25  # of three successive frames: t1 t2 + t1 t3 + t2 t3, in intervals squared
 _NOISE_OF_DEPARTURES = 1 / 8, 0.062  # of four frames from two, of six from four, over that of a frame
 
 
@@ -78,6 +80,20 @@ def elevation_truncation(
     return out
 
 
+def uneven_errors(times: Float) -> tuple[float, float]:
+    """Errors of rates through three and through four frames at uneven times, (6,), intervals from mid-time.
+    With the n-th derivative x_n of a place and the sum e_n of the products of n times: e_2 x_3 / 6 over that
+    at even times, at least 1; e_3 x_4 / 24 over the geometric mean of what chords and cubics leave out at
+    even times, x_3 / 24 and 3 x_5 / 640.
+    """
+
+    def products(of: Float, count: int) -> float:
+        return abs(float(sum(np.prod(some) for some in combinations(of, count))))
+
+    parabola = max(products(times[part], 2) for part in (slice(1, 4), slice(2, 5))) / _EVEN_PARABOLA
+    return max(1.0, parabola), products(times[1:5], 3) / float(np.sqrt(24 * 3 / 640))
+
+
 def motion_truncation(
     motion: Motion,
     orders: tuple[Float, ...],
@@ -86,10 +102,12 @@ def motion_truncation(
     measured: Mask,
     record: LearnedRecord,
     std: Float | float,
+    times: Float | None = None,
 ) -> Float:
     """Standard uncertainty of displacements by the finite time step, (3, ny, nx), metres.
     Sizes are those of nodes whose z is of the most frames; of all measured ones if none of these is.
     Paths of four places depart from chords by what chords leave out; beyond the record's, more is left out.
+    At uneven times, of six frames in intervals, they also depart because chords are of another moment.
     """
     known = record.temporal_truncation
     of_most = measured & (frames_of_z == frames_of_z.max())
@@ -106,8 +124,12 @@ def motion_truncation(
         here = motion.frames == frames
         parts = known.of_displacement(int(frames), motion.d, measured)
         more: Float | np.float32 = np.float32(size) if frames == 6 else scale
-        if frames == 4 and (here & measured).any():
-            chords = np.maximum(known.of_displacement(2, motion.d, measured), np.float32(1e-12))
+        chords = np.maximum(known.of_displacement(2, motion.d, measured), np.float32(1e-12))
+        if times is not None and frames < 6:
+            parabola, cubic = uneven_errors(times)
+            of_even = parts * np.float32(parabola)
+            parts = of_even if frames == 2 else np.hypot(parts, np.float32(cubic) * np.sqrt(parts * chords))
+        elif frames == 4 and (here & measured).any():
             square = np.square(motion.chord - motion.d)
             counted = (here & measured).astype(np.float32)
             mean = np.nansum(square * counted, axis=(1, 2)) / counted.sum()

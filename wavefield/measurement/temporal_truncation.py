@@ -16,6 +16,7 @@ from wavefield.measurement.time_weights import elevation_gain, noise_weights, pa
 from wavefield.water import dispersion
 
 Float = NDArray[Any]
+Mask = NDArray[np.bool_]
 Parts = tuple[float, float, float, float]
 
 _DETECTED_SNR = 6.0  # of the power of a ring whose waves are used
@@ -31,6 +32,7 @@ _HALF_TRUSTED_WAVES = 20.0  # in a ring: its own phase then counts by half
 _MIN_WAVES_OF_SIX_FRAMES = 100.0  # give phases to a tenth, and to half of it what six frames leave out
 _TRUNCATION_MARGIN = 1.5  # on the error of waves along a path
 _LEVEL_WAVELENGTH = 1.5  # fields: the mean over the field has a sixth of the variance of such waves, or less
+_MEAN_OF_DIRECTIONS = 0.75  # of what orbits make of velocities: 1/2 in all directions, 1 in one
 _CHORD_FACTOR = 1.1  # a chord is not on the path either, the less so the steeper the waves
 
 
@@ -155,7 +157,7 @@ def temporal_truncation(
         return NOTHING
     # in each ring the power of the difference over that of the sum is tan^2(p/2), p = omega dt; P is both
     # over four
-    k, power, phase, waves = _wave_rings(pairs, step, noise, detected)
+    k, power, phase, shown, waves = _wave_rings(pairs, step, noise, detected)
     # z leaves out sum P (1 - K)^2 (`elevation_gain`), three frames p^3/16
     z = {n: float(np.sqrt(np.sum(power * (1.0 - elevation_gain(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
@@ -167,6 +169,7 @@ def temporal_truncation(
     factors = {2: _CHORD_FACTOR, 4: 1.0} | ({6: 1.0} if waves > _MIN_WAVES_OF_SIX_FRAMES else {})
     for n, factor in factors.items():
         still, moving = (_left_out_of_paths(power, phase, k, far, gains, n) for far in (0.0, np.sqrt(rise)))
+        still[0] += 0.5 * _of_pairs(power * shown, phase, k, n)
         added = np.maximum(moving - still, 0.0)
         across, up = factor * np.sqrt(np.stack([still, added], axis=1) / max(rise, 1e-30))
         d.append((n, (float(across[0]), float(across[1]), float(up[0]), float(up[1]))))
@@ -178,8 +181,10 @@ def _wave_rings(
     step: float,
     noise: Callable[[Float], Float] | None,
     detected: Callable[[Float], tuple[Float, Float, Float]] | None,
-) -> tuple[Float, Float, Float, float]:
-    """Wavenumber, rad/m, power, m^2, and phase per step of the waves in rings; number of all waves."""
+) -> tuple[Float, Float, Float, Mask, float]:
+    """Wavenumber, rad/m, power, m^2, and phase per step of the waves in rings; which are shown; number of all
+    waves.
+    """
     shape = pairs[0][0].shape
     inner = shape[0] - 2, shape[1] - 2
     ring, k, square = _rings(inner)
@@ -206,7 +211,7 @@ def _wave_rings(
     followed = significant & (own_phase > 0)
     peak = 1 + int(np.argmax(power[1:]))  # beyond it, after a ring without waves phases are of noise
     followed[peak:] = np.logical_and.accumulate(followed[peak:])
-    waves = np.where(followed, count * len(pairs) / _LINES_PER_WAVE, 0.0)
+    waves, seen = np.where(followed, count * len(pairs) / _LINES_PER_WAVE, 0.0), followed
     hidden = [np.bincount(ring, part) for part in detected(k)] if detected is not None else None
     k = np.bincount(ring, k) / count / step
     strong = power / (power + _WEAK_POWER * np.max(power * followed, initial=1e-30))
@@ -221,8 +226,9 @@ def _wave_rings(
         alone = ~followed & significant & (shown > 0.5)
         common = ~followed & (variance > power) & (np.arange(count.size) > 0)
         power, phase = np.where(common, variance, power), np.where(alone | common, turned, phase)
+        seen = followed | alone | common
     k, power, phase = (np.append(part, one) for part, one in zip((k, power, phase), (0.0, level, slowest)))
-    return k, power, phase, float(waves.sum())
+    return k, power, phase, np.append(seen, True), float(waves.sum())
 
 
 def _left_out_of_paths(
@@ -241,6 +247,20 @@ def _left_out_of_paths(
     along = 0.5 * np.sum(power * phase**2 * np.maximum(lost, 0.0))
     rise = _rise_error(power, phase, k, moved, raised * gain, frames) - removed * q**2
     return np.array([along, np.sum(power * np.maximum(rise, 0.0))]) / _DIRECTIONS
+
+
+def _of_pairs(power: Float, phase: Float, k: Float, frames: int) -> float:
+    """Variance that paths leave out of what the orbits of waves i make of the velocity of waves j.
+    A particle that is moved by xi meets u + xi u', whose phase is the sum or the difference of both, and
+    frames leave out a part of xi from its place. With the gains K of paths and Q of places, D = 1 - Q(p_i):
+    c sum P_i P_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2), with c from 1/2
+    for waves in all directions to 1 for those in one.
+    """
+    gain = path_gain(phase, frames)
+    of_sum, of_difference = (path_gain(phase[:, None] + one, frames) for one in (phase, -phase))
+    place = 1.0 - elevation_gain(phase, min(frames, 4))[:, None]
+    lost = np.square(of_difference - gain + place) + np.square(gain - of_sum - place)
+    return float(_MEAN_OF_DIRECTIONS * power @ lost @ (power * np.square(k * phase)))
 
 
 def _rise_error(power: Float, phase: Float, k: Float, moved: Float, gain: Float, frames: int) -> Float:
