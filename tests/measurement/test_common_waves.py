@@ -130,7 +130,6 @@ def test_very_weak_waves_that_turn_fast_are_not_still_water(seed):
 def test_without_their_heights_they_are(monkeypatch):
     monkeypatch.setattr(sys.modules["wavefield.measurement.common_waves"], "_LARGEST_PHASE", 2.0)
     ratio, _ = measured(fast_scene(FAST_SEEDS[1]))
-    assert wrong(ratio) > 0.01
     assert np.mean(np.abs(ratio[0]) < 2.0) < 0.8
 
 
