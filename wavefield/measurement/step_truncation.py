@@ -125,10 +125,10 @@ def motion_truncation(
         parts = known.of_displacement(int(frames), motion.d, measured)
         more: Float | np.float32 = np.float32(size) if frames == 6 else scale
         chords = np.maximum(known.of_displacement(2, motion.d, measured), np.float32(1e-12))
-        if times is not None and frames < 6:
-            parabola, cubic = uneven_errors(times)
-            of_even = parts * np.float32(parabola)
-            parts = of_even if frames == 2 else np.hypot(parts, np.float32(cubic) * np.sqrt(parts * chords))
+        if frames == 2 and times is not None:
+            parts = parts * np.float32(uneven_errors(times)[0])
+        elif frames == 4 and times is not None:
+            parts = np.hypot(parts, np.float32(uneven_errors(times)[1]) * np.sqrt(parts * chords))
         elif frames == 4 and (here & measured).any():
             square = np.square(motion.chord - motion.d)
             counted = (here & measured).astype(np.float32)

@@ -157,7 +157,7 @@ def temporal_truncation(
         return NOTHING
     # in each ring the power of the difference over that of the sum is tan^2(p/2), p = omega dt; P is both
     # over four
-    k, power, phase, shown, waves = _wave_rings(pairs, step, noise, detected)
+    k, power, phase, known, waves = _wave_rings(pairs, step, noise, detected)
     # z leaves out sum P (1 - K)^2 (`elevation_gain`), three frames p^3/16
     z = {n: float(np.sqrt(np.sum(power * (1.0 - elevation_gain(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
@@ -169,7 +169,7 @@ def temporal_truncation(
     factors = {2: _CHORD_FACTOR, 4: 1.0} | ({6: 1.0} if waves > _MIN_WAVES_OF_SIX_FRAMES else {})
     for n, factor in factors.items():
         still, moving = (_left_out_of_paths(power, phase, k, far, gains, n) for far in (0.0, np.sqrt(rise)))
-        still[0] += 0.5 * _of_pairs(power * shown, phase, k, n)
+        still[0] += 0.5 * _of_pairs(power * known, phase, k, n)
         added = np.maximum(moving - still, 0.0)
         across, up = factor * np.sqrt(np.stack([still, added], axis=1) / max(rise, 1e-30))
         d.append((n, (float(across[0]), float(across[1]), float(up[0]), float(up[1]))))
@@ -182,8 +182,8 @@ def _wave_rings(
     noise: Callable[[Float], Float] | None,
     detected: Callable[[Float], tuple[Float, Float, Float]] | None,
 ) -> tuple[Float, Float, Float, Mask, float]:
-    """Wavenumber, rad/m, power, m^2, and phase per step of the waves in rings; which are shown; number of all
-    waves.
+    """Wavenumber, rad/m, power, m^2, and phase per step of the waves in rings; of which rings they are known;
+    number of all waves.
     """
     shape = pairs[0][0].shape
     inner = shape[0] - 2, shape[1] - 2
@@ -211,7 +211,7 @@ def _wave_rings(
     followed = significant & (own_phase > 0)
     peak = 1 + int(np.argmax(power[1:]))  # beyond it, after a ring without waves phases are of noise
     followed[peak:] = np.logical_and.accumulate(followed[peak:])
-    waves, seen = np.where(followed, count * len(pairs) / _LINES_PER_WAVE, 0.0), followed
+    waves, known = np.where(followed, count * len(pairs) / _LINES_PER_WAVE, 0.0), followed
     hidden = [np.bincount(ring, part) for part in detected(k)] if detected is not None else None
     k = np.bincount(ring, k) / count / step
     strong = power / (power + _WEAK_POWER * np.max(power * followed, initial=1e-30))
@@ -226,9 +226,9 @@ def _wave_rings(
         alone = ~followed & significant & (shown > 0.5)
         common = ~followed & (variance > power) & (np.arange(count.size) > 0)
         power, phase = np.where(common, variance, power), np.where(alone | common, turned, phase)
-        seen = followed | alone | common
+        known = followed | alone | common
     k, power, phase = (np.append(part, one) for part, one in zip((k, power, phase), (0.0, level, slowest)))
-    return k, power, phase, np.append(seen, True), float(waves.sum())
+    return k, power, phase, np.append(known, True), float(waves.sum())
 
 
 def _left_out_of_paths(
