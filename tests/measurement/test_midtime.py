@@ -275,18 +275,21 @@ def test_paths_lose_more_of_short_waves_where_long_ones_carry_the_water_fast(rat
 
 @pytest.mark.parametrize("seed", range(8))
 def test_paths_of_steep_short_waves_are_as_uncertain_as_their_harmonics_and_places(seed):
+    """Where matching makes up for what paths leave out of the wave itself."""
     rng = np.random.default_rng([seed, 7])
-    count, slope_of_all, phase = rng.integers(1, 4), rng.uniform(0.1, 0.2), rng.uniform(1.1, 1.6)
-    lengths = rng.uniform(0.07, 0.1, count)
-    rate = np.sqrt(2 * np.pi * 9.81 / lengths.mean()) / phase
-    height = slope_of_all / np.sqrt(count) * lengths / (np.sqrt(2) * np.pi)
-    waves = [(*pair, *rng.uniform(0, 6, 2)) for pair in zip(lengths, height)]
-    times = np.arange(8) * 2.3
-    found = temporal_truncation([(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in times], 0.01)
+    length, steepness, phase = rng.uniform(0.07, 0.1), rng.uniform(0.1, 0.2), rng.uniform(1.1, 1.6)
+    rate = np.sqrt(2 * np.pi * 9.81 / length) / phase
+    waves = [(length, steepness * length / (np.sqrt(2) * np.pi), *rng.uniform(0, 6, 2))]
+    times, gain = np.arange(8) * 2.3, float(path_gain(phase, 4))
+    found = temporal_truncation(
+        [(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in times],
+        0.01,
+        matching_gain=lambda k: (np.ones_like(k), np.full_like(k, 1.0 / gain)),
+    )
     error, moved = [], []
     for t in times:
         path = np.array([carried(rate, t, s, waves)[:2] for s in TIMES[1:5]])
-        velocity = np.tensordot((1, -27, 27, -1), path, 1) / 24
+        velocity = np.tensordot((1, -27, 27, -1), path, 1) / 24 / gain
         place = np.tensordot((-1, 9, 9, -1), path, 1) / 16
         moved.append((carried(rate, t, 1e-4, waves) - carried(rate, t, -1e-4, waves)) / 2e-4)
         there = (carried(rate, t, 1e-4, waves, place) - carried(rate, t, -1e-4, waves, place)) / 2e-4
@@ -294,7 +297,7 @@ def test_paths_of_steep_short_waves_are_as_uncertain_as_their_harmonics_and_plac
     error, moved = (np.concatenate(part, axis=1)[:, None] for part in (error, moved))
     stated = found.of_displacement(4, moved, np.ones(moved.shape[1:], bool))[:2]
     rms = [np.sqrt(np.sum(np.mean(part**2, axis=(1, 2)))) for part in (error, stated)]
-    assert 0.75 < rms[1] / rms[0] < 1.8
+    assert 0.75 < rms[1] / rms[0] < 1.3
 
 
 def test_a_displacement_keeps_what_theory_states():

@@ -132,14 +132,16 @@ def better_prior(
         return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
     spectrum, binning = prior.spectrum(kx, ky), WavenumberRings(kx, ky)
-    measured, of_sectors, noise_power = _signals_and_noise(waves, spectrum, noise, binning, foot, noise_alone)
+    measured, of_sectors, noise_power, level = _signals_and_noise(
+        waves, spectrum, noise, binning, foot, noise_alone
+    )
     significant = np.array(
         [
             binning.significant(one / np.maximum(own, 1e-30), len(waves))
             for one, own in zip(measured, noise_power)
         ]
     )
-    significant |= _lines(waves, spectrum, noise, noise_power, binning)
+    significant |= _lines(waves, spectrum, noise, level, binning)
     lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in significant]
     occupied = binning.count > 0
     relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
@@ -184,8 +186,9 @@ def _signals_and_noise(
     binning: WavenumberRings,
     foot: Float,
     noise_alone: Sequence[tuple[Float, float]],
-) -> tuple[Float, Float, Float]:
-    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains.
+) -> tuple[Float, Float, Float, Float]:
+    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains;
+    and the level of the noise, over what is expected of it, in rings.
     Fields of noise alone show how it changes from ring to ring; its level is that of rings without waves.
     """
     ring_power, noise_power = _over_gain(waves, spectrum, noise, binning.rings)
@@ -205,24 +208,18 @@ def _signals_and_noise(
     ]
     plateau = shape * np.reshape(level, (-1, 1))
     noise_power = plateau * noise_power
-    return ring_power - noise_power, sector_power - plateau[:, None] * sector_noise_power, noise_power
+    of_sectors = sector_power - plateau[:, None] * sector_noise_power
+    return ring_power - noise_power, of_sectors, noise_power, plateau
 
 
 def _lines(
-    waves: Sequence[Float], spectrum: Float, noise: Float, noise_power: Float, binning: WavenumberRings
+    waves: Sequence[Float], spectrum: Float, noise: Float, level: Float, binning: WavenumberRings
 ) -> NDArray[np.bool_]:
-    """Rings (c, rings) with a wave of one length and direction."""
+    """Rings (c, rings) with a wave of one length and direction, from the noise and its level in rings."""
     power = np.mean([np.square(f, dtype=np.float64) for f in waves], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
-    squared_gain = np.square(spectrum / (spectrum + noise))
-    # of every ring the noise of its power over its expected one
-    level = noise_power * binning.rings(squared_gain) / np.maximum(binning.rings(squared_gain * noise), 1e-30)
-    return np.array(
-        [
-            binning.lines(one / (own[binning.of_modes] * expected))
-            for one, own, expected in zip(power, level, squared_gain * noise)
-        ]
-    )
+    ratio = power / (np.square(spectrum / (spectrum + noise)) * noise * level[:, binning.of_modes])
+    return np.array([binning.lines(one) for one in ratio])
 
 
 def _over_gain(

@@ -17,7 +17,7 @@ MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed nois
 MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is uncertain
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
-LINE_POWER_TO_NOISE = 45.0  # of four neighbouring modes together, where noise has 25 at most
+LINE_POWER_TO_NOISE = 45.0  # of four neighbouring modes together: of noise one of 250 million has more
 LINE_TO_GAP = 3.0  # of a line over the strongest modes of some longer ring: long waves leak into shorter ones
 LINE_RINGS = 3  # on either side, beside its own and the next ones, that give the noise around a line
 
