@@ -1,5 +1,8 @@
 """The ledger is read file by file, as Zarr would read it."""
 
+import shutil
+from itertools import count
+
 import numpy as np
 import pytest
 import zarr
@@ -8,9 +11,12 @@ from wavefield.errors import StoreError
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import status
-from wavefield.store.ledger_files import read_ledger
-from wavefield.store.metadata import WATCHED
+from wavefield.store.ledger_files import ledger_checksum, read_ledger
+from wavefield.store.metadata import WATCHED, mark_complete
 from wavefield.store.recipe import Recipe
+from wavefield.store.verify import verify
+from wavefield.store.write_cube import write_chunk
+from wavefield.variables import CUBE_FIELDS
 
 LAYOUT = StoreLayout(47, 10, ("a", "b"), 0)
 
@@ -53,3 +59,37 @@ def test_a_file_that_is_too_short_is_damage(store):
         read_ledger(store, group, "frame_status", LAYOUT)
     with pytest.raises(StoreError, match=r"steps 10 to 19 .*`wavefield run EXPERIMENT`"):
         status(store)
+
+
+@pytest.mark.parametrize("read", [status, lambda cube: verify(cube, read=False)], ids=["status", "verify"])
+def test_a_run_that_ends_while_its_cube_is_read_is_no_damage(tmp_path, monkeypatch, read):
+    """Whichever file has just been opened, or found missing, when the last two chunks are written."""
+    layout, axis = StoreLayout(6, 2, ("a", "b"), 0), np.arange(3) * 0.1
+    create_store(tmp_path / "0", Recipe("none", {}, (0, 6), 20.0, {}, {}, {}), axis, axis, layout, {})
+
+    def write(cube, *starts):
+        for start in starts:
+            fields = {name: np.ones((2, 3, 3), np.float32) for name in CUBE_FIELDS}
+            write_chunk(cube, start, fields, np.ones(2, np.uint8), {})
+
+    write(tmp_path / "0", 0)
+    for moment in count():
+        cube = shutil.copytree(tmp_path / "0", tmp_path / f"{moment + 1}")
+        opened = count()
+
+        def open_and_go_on(*arguments, moment=moment, cube=cube, opened=opened, **keywords):
+            try:
+                return open(*arguments, **keywords)
+            finally:
+                if next(opened) == moment:
+                    write(cube, 2, 4)
+                    mark_complete(cube, ledger_checksum(cube, layout))
+
+        monkeypatch.setattr("wavefield.store.checked.open", open_and_go_on, raising=False)
+        found = read(cube)
+        assert found.done in (2, 4, 6)
+        assert getattr(found, "damages", ()) == ()
+        if next(opened) <= moment:
+            break
+        assert read(cube).done == 6
+    assert moment >= 5

@@ -68,14 +68,14 @@ class CheckedStore(LocalStore):
 def _is_done(path: Path, number: int) -> bool:
     """Whether the ledger calls steps of a chunk done; until then it may be being written."""
     with suppress(OSError):
-        return any(read_chunk(str(path), "frame_status", number))
+        return any(read_chunk(str(path), "frame_status", number) or b"")
     return False
 
 
 def description(path: Path, kind: str, number: int) -> list[int] | None:
     """Checksums or sizes of a chunk's files when it was written, by `WATCHED`; None where unreadable."""
     content, size = read_chunk(str(path), kind, number), _NUMBER_BYTES[kind]
-    if len(content) != size * len(WATCHED):
+    if content is None or len(content) != size * len(WATCHED):
         return None
     return [int.from_bytes(content[k : k + size], "little") for k in range(0, len(content), size)]
 
@@ -83,7 +83,7 @@ def description(path: Path, kind: str, number: int) -> list[int] | None:
 def checksum(path: Path, name: str, number: int) -> int:
     """CRC-32 of what is stored of one chunk of a variable; 0 where nothing is."""
     content = read_chunk(str(path), name, number)
-    return (zlib.crc32(content) or 1) if content or chunk_path(path, name, number).exists() else 0
+    return 0 if content is None else zlib.crc32(content) or 1
 
 
 def stored_bytes(path: Path, name: str, number: int) -> int:
@@ -94,13 +94,13 @@ def stored_bytes(path: Path, name: str, number: int) -> int:
         return 0
 
 
-def read_chunk(root: str, name: str, number: int) -> bytes:
-    """All that is stored of one chunk of a variable; many files: text is quicker than paths."""
+def read_chunk(root: str, name: str, number: int) -> bytes | None:
+    """All that is stored of one chunk of a variable, None without a file; text is quicker than paths."""
     try:
         with open(f"{root}/{_chunk_name(name, number)}", "rb", buffering=0) as stream:
             return stream.readall()
     except (FileNotFoundError, NotADirectoryError):
-        return b""
+        return None
 
 
 def chunk_path(path: Path, name: str, number: int) -> Path:

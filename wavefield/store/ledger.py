@@ -179,6 +179,7 @@ def status(store: str | Path) -> Status:
         for code in np.unique(codes[codes > 0]):
             numbers = layout.first_frame + np.flatnonzero(codes == code)
             bad.append(BadFrames(camera, FrameFault(int(code)), tuple(numbers.tolist())))
+    ended = is_complete(path)  # before the verdict, which a run writes before its mark
     verdict = read_verdict(path)
     failed = np.flatnonzero(ledger == FrameStatus.FAILED)
     return Status(
@@ -192,7 +193,7 @@ def status(store: str | Path) -> Status:
         failed_steps=tuple((layout.first_frame + failed).tolist()),
         bad_frames=tuple(bad),
         verdict=verdict,
-        lacks_verdict=verdict is None and is_complete(path),
+        lacks_verdict=verdict is None and ended,
     )
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.store.checked import checksum, chunk_path, damaged_chunk, description, read_chunk, stored_bytes
+from wavefield.store.checked import checksum, damaged_chunk, description, read_chunk, stored_bytes
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import StoreLayout
-from wavefield.store.metadata import DESCRIPTIONS, WATCHED, is_as_completed
+from wavefield.store.metadata import DESCRIPTIONS, WATCHED, completed_ledger, differs_from_completed
 
 LEDGER = ("frame_status", "frame_fault")
 
@@ -23,7 +23,7 @@ def read_ledger(path: Path, group: CubeGroup, name: str, layout: StoreLayout) ->
     chunks, dtype = array.chunks, array.dtype  # Zarr computes these at every access
     for number in range(-(-array.shape[-1] // layout.chunk_steps)):
         stored = read_chunk(str(path), name, number)
-        if stored or chunk_path(path, name, number).exists():
+        if stored is not None:
             part = out[..., number * layout.chunk_steps : (number + 1) * layout.chunk_steps]
             part[...] = np.frombuffer(stored, dtype).reshape(chunks)[..., : part.shape[-1]]
     return out
@@ -33,9 +33,9 @@ def check_chunks(path: Path, group: CubeGroup, layout: StoreLayout, names: Colle
     """Refuse a cube whose ledger changed or of which a finished chunk has another length than it had."""
     if DESCRIPTIONS[1] not in group:
         return  # of version 0.1.0
-    ledger, missing = 0, 0
+    kept, ledger, missing = completed_ledger(path), 0, 0
     for number in reversed(range(len(layout.chunks()))):
-        stored = read_chunk(str(path), "frame_status", number)
+        stored = read_chunk(str(path), "frame_status", number) or b""
         ledger = zlib.crc32(stored, ledger)
         if not any(stored):
             missing = number
@@ -52,7 +52,7 @@ def check_chunks(path: Path, group: CubeGroup, layout: StoreLayout, names: Colle
                 raise damaged_chunk(path, name, number, "cut off or another" if size else "missing")
             if name in LEDGER and checksum(path, name, number) != expected_sum:
                 raise damaged_chunk(path, name, number, "not as it was written")
-    if not is_as_completed(path, ledger):
+    if differs_from_completed(path, kept, ledger):
         raise damaged_chunk(path, "frame_status", missing, "not as it was when the run ended")
 
 
@@ -60,5 +60,5 @@ def ledger_checksum(path: Path, layout: StoreLayout) -> int:
     """CRC-32 of the ledger's files, the last one first."""
     out = 0
     for number in reversed(range(len(layout.chunks()))):
-        out = zlib.crc32(read_chunk(str(path), "frame_status", number), out)
+        out = zlib.crc32(read_chunk(str(path), "frame_status", number) or b"", out)
     return out

@@ -107,7 +107,12 @@ def is_complete(path: Path) -> bool:
     return (path / _COMPLETE).exists()
 
 
-def is_as_completed(path: Path, ledger_checksum: int) -> bool:
-    """Whether a ledger is that of the run that has ended, if one has."""
-    kept = _read(path / _COMPLETE)
-    return kept is None or kept == str(ledger_checksum).encode()
+def completed_ledger(path: Path) -> bytes | None:
+    """What `mark_complete` kept of the ledger of the run that has ended, if one has."""
+    return _read(path / _COMPLETE)
+
+
+def differs_from_completed(path: Path, kept: bytes | None, ledger_checksum: int) -> bool:
+    """Whether a ledger is not that of the run that has ended, by what was kept before the ledger was read."""
+    # a run that began or ended meanwhile has removed or written the mark
+    return kept not in (None, str(ledger_checksum).encode()) and kept == completed_ledger(path)

@@ -7,7 +7,6 @@ from pathlib import Path
 from wavefield.errors import StoreError
 from wavefield.store.checked import (
     checksum,
-    chunk_path,
     description,
     note_damaged,
     noted_damaged,
@@ -15,7 +14,7 @@ from wavefield.store.checked import (
     stored_bytes,
 )
 from wavefield.store.ledger_files import ledger_checksum
-from wavefield.store.metadata import WATCHED, is_as_completed
+from wavefield.store.metadata import WATCHED, completed_ledger, differs_from_completed
 from wavefield.store.read import open_group, read_layout
 from wavefield.text import spell_ranges
 from wavefield.variables import FrameStatus
@@ -126,11 +125,11 @@ def verify(
     group = open_group(path)
     if "stored_bytes" not in group:
         raise StoreError(f"{path} was written by version 0.1.0, without checksums; run the experiment again")
-    layout = read_layout(group)
+    layout, kept = read_layout(group), completed_ledger(path)
     chunks, damages, done = layout.chunks(), list[Damage](), 0
     for number, (start, stop) in enumerate(chunks):
         ledger = read_chunk(str(path), "frame_status", number)
-        if ledger or chunk_path(path, "frame_status", number).exists():
+        if ledger is not None:
             if len(ledger) != layout.chunk_steps:
                 damages.append(Damage("frame_status", start, stop, "unreadable"))
             elif any(ledger):
@@ -138,8 +137,8 @@ def verify(
                 damages += _damages(path, number, (start, stop), read)
         if progress:
             progress(number + 1, len(chunks))
-    if not is_as_completed(path, ledger_checksum(path, layout)):
-        started = [any(read_chunk(str(path), "frame_status", k)) for k in range(len(chunks))]
+    if differs_from_completed(path, kept, ledger_checksum(path, layout)):
+        started = [any(read_chunk(str(path), "frame_status", k) or b"") for k in range(len(chunks))]
         lost = [ends for ends, any_step in zip(chunks, started) if not any_step]
         damages += [Damage("frame_status", *ends, "missing") for ends in lost or chunks]
     out = Verification(path, layout.steps, done, tuple(damages), read)
