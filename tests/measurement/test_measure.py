@@ -64,6 +64,25 @@ def test_sight_lines_that_miss_each_other_make_z_less_certain(series, geometry, 
     assert 0.02 * PIXEL < np.sqrt(np.median(more[series.inside])) < 0.15 * PIXEL
 
 
+def test_where_displacements_contradict_each_other_z_is_less_certain_as_well(
+    series, geometry, model, cube, monkeypatch
+):
+    module = sys.modules["wavefield.measurement.step_estimate"]
+    found = module.velocity
+
+    def contradicting(*arguments, **keywords):
+        motion = found(*arguments, **keywords)
+        assert motion.excess.max() < 30.0
+        return replace(motion, excess=np.where(series.inside, 100.0, motion.excess).astype(np.float32))
+
+    monkeypatch.setattr(module, "velocity", contradicting)
+    out = measure(series.block(1), geometry, RATE, model)
+    ratio = out["z_std"][0] / cube["z_std"][1]
+    np.testing.assert_array_equal(out["z"][0], cube["z"][1])
+    assert ratio[series.inside].min() > 1.5
+    np.testing.assert_allclose(ratio[~series.inside & np.isfinite(ratio)], 1.0, rtol=1e-3)
+
+
 def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_reports_it(series):
     piv = replace(Settings().piv, search_x=(40.0, 48.0), search_y=(40.0, 48.0))
     out = measure(series.block(steps=3), GridGeometry(series.rig, series.grid, Settings(piv=piv)), RATE)

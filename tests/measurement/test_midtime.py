@@ -40,7 +40,7 @@ def moving(chord=(0.0, 0.0, 0.0), bend=(0.0, 0.0, 0.0), d=(0.0, 0.0, 0.0)):
     """Water that moves so."""
     chord, bend, d = (np.array(part, float)[:, None, None] for part in (chord, bend, d))
     one = np.zeros((1, 1), np.uint8)
-    return Motion(d, d, d[0], d[0], one.astype(np.uint16), one, chord, bend)
+    return Motion(d, d, d[0], d[0], d[0], one.astype(np.uint16), one, chord, bend)
 
 
 AT = np.zeros((1, 1))
@@ -116,7 +116,7 @@ def test_surface_and_kinematics_are_exact_to_the_interpolation_on_any_current(cu
     exact = sea.on_grid(x[0], y[:, 0], now, ("z", "z_t", "u", "v", "w"))
     d = np.stack([exact[name] for name in "uvw"]) * dt
     none = np.zeros(x.shape, np.uint16)
-    moved = Motion(d, d, d[0], d[0], none, none.astype(np.uint8), chord, bend)
+    moved = Motion(d, d, d[0], d[0], d[0], none, none.astype(np.uint8), chord, bend)
     frames = [Surface(x, x, x, none, none > 0, lambda x, y, t=t: height(x, y, t), everywhere) for t in TIMES]
     flow = float(np.median(chord[0])), float(np.median(chord[1]))
     z, rise = z_by_orders(frames, flow, x, y)[0], rise_of_water(*frames[2:4], moved, flow, x, y)

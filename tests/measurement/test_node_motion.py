@@ -8,15 +8,25 @@ from wavefield.measurement.node_motion import solve_nodes
 PARTS = np.array([0.5, 0.5, 1.0])
 
 
+def solved(moved, noise, missing=0.0):
+    """Motion, its variance, chi^2 and the factor on noise from cameras in a row; fields (2 N, nodes), px."""
+    moved = np.asarray(moved, np.float32)
+    rows, nodes = moved.shape
+    slopes = np.repeat(np.linspace(-1.0, 1.0, rows // 2), 2)
+    at = [[1.0, 0.0, slope] if i % 2 == 0 else [0.0, 1.0, 0.0] for i, slope in enumerate(slopes)]
+    jacobian = np.repeat(np.float32(at)[:, :, None], nodes, axis=2)
+    noise, removed = (
+        np.ascontiguousarray(np.broadcast_to(np.float32(v), moved.shape)) for v in (noise, missing)
+    )
+    out, none = np.empty((15, nodes), np.float32), np.zeros_like(moved)
+    ones, axes = np.ones(rows), np.zeros((rows // 2, 3))
+    solve_nodes(jacobian, moved, none, none, noise, removed, ones, ones, PARTS, axes, out)
+    return out[:3], out[9:12], out[13], out[14]
+
+
 def variance(missing):
     """Variances of u, v, w from three cameras with little noise and what the prior removed, px^2."""
-    rows = [[1.0, 0.0, slope] if i == 0 else [0.0, 1.0, 0.0] for slope in (-1.0, 0.0, 1.0) for i in (0, 1)]
-    jacobian = np.reshape(np.float32(rows), (6, 3, 1))
-    fields = [np.zeros((6, 1), np.float32) for _ in range(3)]
-    noise, removed = np.full((6, 1), 1e-6, np.float32), np.repeat(np.float32(missing), 2)[:, None]
-    out = np.empty((14, 1), np.float32)
-    solve_nodes(jacobian, *fields, noise, removed, np.ones(6), np.ones(6), PARTS, np.zeros((3, 3)), out)
-    return out[9:12, 0]
+    return solved(np.zeros((6, 1)), 1e-6, np.repeat(missing, 2)[:, None])[1][:, 0]
 
 
 def test_what_all_cameras_miss_does_not_average_out():
@@ -29,3 +39,27 @@ def test_what_all_cameras_miss_does_not_average_out():
 def test_a_camera_that_misses_most_counts_by_its_weight():
     one_blind, none_blind = variance([0.01, 0.01, 1.0]), variance([0.01, 0.01, 0.01])
     assert (one_blind < 1.5 * none_blind).all()
+
+
+@pytest.mark.parametrize("cameras", [2, 3, 4])
+def test_nodes_at_which_cameras_contradict_each_other_are_less_certain(cameras):
+    rng = np.random.default_rng(cameras)
+    noise = rng.normal(0.0, 0.1, (2 * cameras, 50_000))
+    even, of_even, chi2, factor = solved(noise, 0.01)
+    assert chi2.mean() == pytest.approx(1.0, abs=0.03)
+    assert factor.min() == 1.0
+    within = (np.abs(even) < np.sqrt(of_even)).mean()
+    assert 0.68 < within < 0.75, "even noise is stated little larger"
+    # a fifth of the nodes have four times the noise that the record has on the mean
+    found, stated, _, _ = solved(noise * np.where(rng.random(50_000) < 0.2, 4.0, 1.0), 0.01)
+    beyond, without = ((np.abs(found) > 5.0 * np.sqrt(part)).mean() for part in (stated, of_even))
+    assert without > 0.03
+    assert beyond < (0.5 if cameras == 2 else 0.1) * without
+
+
+def test_what_the_prior_removes_does_not_grow_with_the_misfit():
+    moved = np.random.default_rng(0).normal(0.0, 1.0, (6, 1000))
+    _, alone, _, factor = solved(moved, 1e-6)
+    _, both, _, _ = solved(moved, 1e-6, 0.01)
+    assert factor.max() > 1e4
+    np.testing.assert_allclose(both - alone, variance([0.01] * 3)[:, None].repeat(1000, axis=1), rtol=0.6)

@@ -163,7 +163,8 @@ def solve_nodes(
     axes: Float,
     out: Float,
 ) -> None:
-    """Fill out (14, n): d, chord, bend (3 each), variance of d, eps = |J d - moved| / sqrt(2N), chi^2 / dof.
+    """Fill out (15, n): d, chord, bend (3 each), variance of d, eps = |J d - moved| / sqrt(2N), chi^2 / dof,
+    and the factor on the noise where that exceeds 1.
     Float32 (2N, 3, n) jacobian, (2N, n) others; noise factors (2N,); float64 parts (3,) and axes (N, 3).
     """
     rows, n = moved.shape
@@ -211,8 +212,12 @@ def solve_nodes(
                 out[m, at_node] = s[6 + m, k]
             cameras = count[k]
             common = (removed[k] / max(total[k], 1e-30)) ** 2
+            ok = s[6, k] == s[6, k] and cameras > 1.0
+            freedom = 2.0 * cameras - 3.0
+            # what is known of the noise at other nodes counts as one degree of freedom
+            excess = max((1.0 + sums[1][k]) / (1.0 + freedom), 1.0) if ok else np.nan
             for m in range(3):
-                out[9 + m, at_node] = s[17 + m, k] + parts[m] * common
-            ok = s[6, k] == s[6, k]
+                out[9 + m, at_node] = s[17 + m, k] * excess + parts[m] * common
             out[12, at_node] = np.sqrt(sums[0][k] / (2.0 * cameras)) if ok else np.nan
-            out[13, at_node] = sums[1][k] / (2.0 * cameras - 3.0) if ok and cameras > 1.0 else np.nan
+            out[13, at_node] = sums[1][k] / freedom if ok else np.nan
+            out[14, at_node] = excess

@@ -106,6 +106,8 @@ def _estimate(
         rise = np.zeros_like(z)
     else:
         rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
+        # where displacements contradict each other, the cameras show water of another height or other beads
+        std = std * np.sqrt(np.nan_to_num(motion.excess, nan=1.0))
     return StepEstimate(surfaces, motion, MidTime(z, std, rise, orders, frames, measured))
 
 

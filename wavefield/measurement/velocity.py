@@ -46,6 +46,7 @@ class Motion:
     eps_piv: Float  # (ny, nx): misfit of the cameras' displacements, px
     # (ny, nx): chi^2 of the misfit per degree of freedom; NaN where fewer than two cameras see the node
     misfit: Float
+    excess: Float  # (ny, nx): factor on the variance of noise where the misfit is larger, at least 1
     # (ny, nx): bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them
     # were measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places
     quality: NDArray[np.uint16]
@@ -152,7 +153,7 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
     """One motion with another in a part of the field."""
-    names = ("d", "d_std", "eps_piv", "misfit", "quality", "frames", "chord", "bend")
+    names = ("d", "d_std", "eps_piv", "misfit", "excess", "quality", "frames", "chord", "bend")
     return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
@@ -165,10 +166,10 @@ def solve_motion(
     flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
     factors = displacements.along, displacements.along * displacements.own
     shape = displacements.frames.shape
-    out = np.empty((14, displacements.frames.size), np.float32)
+    out = np.empty((15, displacements.frames.size), np.float32)
     solve_nodes(*flat, *factors, parts, displacements.axes, out)  # type: ignore[call-arg]
     d, chord, bend, variance = out[:12].reshape(4, 3, *shape)
-    eps, misfit = out[12:].reshape(2, *shape)
+    eps, misfit, excess = out[12:].reshape(3, *shape)
     along, across = np.maximum(displacements.camera_jitter()[1], record.camera_jitter)
     variance += displacement_variance(
         displacements.jacobian,
@@ -186,6 +187,7 @@ def solve_motion(
         d_std=np.sqrt(variance),
         eps_piv=eps,
         misfit=misfit,
+        excess=excess,
         quality=quality,
         frames=displacements.frames,
         chord=chord,
