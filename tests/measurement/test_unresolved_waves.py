@@ -96,11 +96,25 @@ def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch)
 @pytest.mark.parametrize("shortest", [0.01, 0.03, 0.06])  # of 2.5 blocks
 def test_the_height_of_any_wave_that_blocks_do_not_resolve_is_contained(shortest, rate):
     for length in shortest * np.linspace(1.0, 1.6, 7):  # up to four blocks
-        phase = dispersion(2.0 * np.pi / length) / rate
-        rise = np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi))))  # of a wave of height 1
-        z, at_mid_time = unresolved_std(rise, shortest, rate)
+        rise, _ = of_height_1(length, rate)
+        z, _ = unresolved_std(rise, shortest, rate)
         assert 1.0 - 1e-9 < z < 2.1  # capillary waves rise by the length to the power of 1.5
-        assert at_mid_time > 0.99 * rise
+
+
+@pytest.mark.parametrize("rate", [10.0, 30.0, 60.0, 200.0])
+@pytest.mark.parametrize("typical", [0.01, 0.03, 0.06])  # of 2.5 blocks
+def test_the_velocity_of_any_wave_that_blocks_do_not_resolve_is_contained_at_any_rate(typical, rate):
+    for length in np.linspace(max(0.4 * typical, 0.01), 1.6 * typical, 7):  # of one block to four
+        rise, at_mid_time = of_height_1(length, rate)
+        _, stated = unresolved_std(rise, typical, rate)
+        assert 0.99 * at_mid_time < stated < 8.0 * at_mid_time
+    assert 0.99 * rise < unresolved_std(rise, typical, 1000.0)[1] < 1.1 * rise, "what frames follow shows"
+
+
+def of_height_1(length, rate):
+    """Rise of a wave of height 1 from frame to frame, and per frame at mid-time."""
+    phase = dispersion(2.0 * np.pi / length) / rate
+    return np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi)))), phase
 
 
 def test_standard_uncertainties_contain_them_and_values_do_not_change(series, geometry, model):
@@ -179,7 +193,7 @@ def within(scene):
 @pytest.mark.parametrize("seed", [28, 29])
 def test_standard_uncertainties_hold_in_steep_seas_near_the_limit_of_resolution(seed):
     one, two, five = within(steep_scene(seed))
-    assert 0.6 < one < 0.85
+    assert 0.6 < one < 0.9
     assert two > 0.88
     assert five > 0.99
 

@@ -22,6 +22,8 @@ Blocks = NDArray[np.intp]
 
 WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not resolve
 LONGEST_BLOCKS = 4.0  # of those: they rise slowest, so that the same rise is of the highest waves
+SHORTEST_BLOCKS = 1.0  # of those: they move fastest, so that the same rise from frame to frame is of more
+SHORTEST_RIPPLES = 0.01  # metres
 _COMMON_OF_BEADS = 0.08  # of a block's variance: unsteady, clustered beads without any short waves
 _COMMON_OF_CURVATURE = 0.001  # of a displacement's squared, per block: beads do not fill blocks evenly
 _SEEN_IN_COMMON = 0.11  # of short waves' variance, the least of 0.11 to 0.30: blocks hold different beads
@@ -151,11 +153,12 @@ def _limited(values: Float) -> Float:
 def unresolved_std(rise: float, wavelength: float, frame_rate: float) -> tuple[float, float]:
     """Std of z and of the rise per step at mid-time by unresolved waves, metres, from their rise per frame.
     With the std a and the phase p per frame of waves: 2 a^2 (1 - cos p), or 2 a^2 for even phases; (a p)^2.
-    z is that of the longest ones.
+    z is that of the longest ones, the rise that of the shortest.
     """
     if wavelength == 0:
         return 0.0, rise
-    lengths = wavelength * np.array([LONGEST_BLOCKS / WAVELENGTH_BLOCKS, 1.0])
-    phases = dispersion(2.0 * np.pi / lengths) / frame_rate
+    block = wavelength / WAVELENGTH_BLOCKS
+    shortest = max(SHORTEST_BLOCKS * block, min(wavelength, SHORTEST_RIPPLES))
+    phases = dispersion(2.0 * np.pi / np.array([LONGEST_BLOCKS * block, shortest])) / frame_rate
     z = rise / np.sqrt(2.0 * (1.0 - np.cos(np.minimum(phases, 0.5 * np.pi))))
     return float(z[0]), float(z[1] * phases[1])
