@@ -90,21 +90,26 @@ def _add_rest(
     solution: tuple[Float, ...],
     matrix: tuple[Float, ...],
     noise: tuple[Float, np.float64, np.float64],
+    residual: np.float64,
     sums: tuple[Float, ...],
 ) -> None:
-    """Add one row's squared misfit, that over its noise, and its part of the variance of the solution."""
+    """Add one row's squared misfit, that over its noise, also beside the row's mean residual over the field,
+    and its part of the variance of the solution.
+    """
     x, y, z = jacobian
     dx, dy, dz = solution
     a, b, c, d, e, f = matrix
-    square, chi2, vx, vy, vz = sums
+    square, chi2, beside, vx, vy, vz = sums
     variance, along, own = noise
     for k in range(len(w)):
         p, q, r = np.float64(x[k]), np.float64(y[k]), np.float64(z[k])
         rest = np.float64(moved[k]) - (p * dx[k] + q * dy[k] + r * dz[k])
-        rest = rest * rest if w[k] > 0.0 else 0.0
+        other = rest - residual
+        rest, other = (rest * rest, other * other) if w[k] > 0.0 else (0.0, 0.0)
         n = np.float64(variance[k])
         square[k] += rest
         chi2[k] += rest / (n * along)
+        beside[k] += other / (n * along)
         p, q, r = w[k] * p, w[k] * q, w[k] * r
         q -= b[k] * p
         gz = (r - c[k] * p - e[k] * q) * f[k]
@@ -161,10 +166,11 @@ def solve_nodes(
     own: Float,
     parts: Float,
     axes: Float,
+    residuals: Float,
     out: Float,
 ) -> None:
     """Fill out (15, n): d, chord, bend (3 each), variance of d, eps = |J d - moved| / sqrt(2N), chi^2 / dof,
-    and the factor on the noise where that exceeds 1.
+    and the factor on the noise where chi^2 beside the mean residuals (2N,) over the field exceeds its mean.
     Float32 (2N, 3, n) jacobian, (2N, n) others; noise factors (2N,); float64 parts (3,) and axes (N, 3).
     """
     rows, n = moved.shape
@@ -178,8 +184,8 @@ def solve_nodes(
         s = work[:, :size]
         matrix = s[0], s[1], s[2], s[3], s[4], s[5]
         d, ch, be = (s[6], s[7], s[8]), (s[9], s[10], s[11]), (s[12], s[13], s[14])
-        sums = s[15], s[16], s[17], s[18], s[19]
-        removed, total, count = s[20], s[21], s[22]
+        sums = s[15], s[16], s[17], s[18], s[19], s[20]
+        removed, total, count = s[21], s[22], s[23]
         for c in range(rows // 2):
             i, j = 2 * c, 2 * c + 1
             w = weight[c, :size]
@@ -204,7 +210,7 @@ def solve_nodes(
             _recede(axes[i // 2], ch, bend[i, first:last], chord[i, first:last], at)
             _add_right(row, w, at, be)
             of_row = noise[i, first:last], along[i], own[i]
-            _add_rest(row, w, moved[i, first:last], d, matrix, of_row, sums)
+            _add_rest(row, w, moved[i, first:last], d, matrix, of_row, residuals[i], sums)
         _solve(matrix, be, be)
         for k in range(size):
             at_node = first + k
@@ -215,9 +221,9 @@ def solve_nodes(
             ok = s[6, k] == s[6, k] and cameras > 1.0
             freedom = 2.0 * cameras - 3.0
             # what is known of the noise at other nodes counts as one degree of freedom
-            excess = max((1.0 + sums[1][k]) / (1.0 + freedom), 1.0) if ok else np.nan
+            excess = max((1.0 + sums[2][k]) / (1.0 + freedom), 1.0) if ok else np.nan
             for m in range(3):
-                out[9 + m, at_node] = s[17 + m, k] * excess + parts[m] * common
+                out[9 + m, at_node] = s[18 + m, k] * excess + parts[m] * common
             out[12, at_node] = np.sqrt(sums[0][k] / (2.0 * cameras)) if ok else np.nan
             out[13, at_node] = sums[1][k] / freedom if ok else np.nan
             out[14, at_node] = excess

@@ -46,7 +46,9 @@ class Motion:
     eps_piv: Float  # (ny, nx): misfit of the cameras' displacements, px
     # (ny, nx): chi^2 of the misfit per degree of freedom; NaN where fewer than two cameras see the node
     misfit: Float
-    excess: Float  # (ny, nx): factor on the variance of noise where the misfit is larger, at least 1
+    # (ny, nx): factor on the variance of noise, at least 1, where the misfit beside that of whole images,
+    # which move, is larger
+    excess: Float
     # (ny, nx): bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them
     # were measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places
     quality: NDArray[np.uint16]
@@ -167,10 +169,12 @@ def solve_motion(
     factors = displacements.along, displacements.along * displacements.own
     shape = displacements.frames.shape
     out = np.empty((15, displacements.frames.size), np.float32)
-    solve_nodes(*flat, *factors, parts, displacements.axes, out)  # type: ignore[call-arg]
+    residuals, jitter = displacements.camera_jitter()
+    axes = displacements.axes
+    solve_nodes(*flat, *factors, parts, axes, np.float64(residuals), out)  # type: ignore[call-arg]
     d, chord, bend, variance = out[:12].reshape(4, 3, *shape)
     eps, misfit, excess = out[12:].reshape(3, *shape)
-    along, across = np.maximum(displacements.camera_jitter()[1], record.camera_jitter)
+    along, across = np.maximum(jitter, record.camera_jitter)
     variance += displacement_variance(
         displacements.jacobian,
         1.0 / displacements.variance,
