@@ -72,8 +72,10 @@ def test_where_displacements_contradict_each_other_z_is_less_certain_as_well(
 
     def contradicting(*arguments, **keywords):
         motion = found(*arguments, **keywords)
-        assert motion.excess.max() < 30.0
-        return replace(motion, excess=np.where(series.inside, 100.0, motion.excess).astype(np.float32))
+        assert motion.noise_factor.max() < 30.0
+        return replace(
+            motion, noise_factor=np.where(series.inside, 100.0, motion.noise_factor).astype(np.float32)
+        )
 
     monkeypatch.setattr(module, "velocity", contradicting)
     out = measure(series.block(1), geometry, RATE, model)

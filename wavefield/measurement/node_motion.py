@@ -221,9 +221,9 @@ def solve_nodes(
             ok = s[6, k] == s[6, k] and cameras > 1.0
             freedom = 2.0 * cameras - 3.0
             # what is known of the noise at other nodes counts as one degree of freedom
-            excess = max((1.0 + sums[2][k]) / (1.0 + freedom), 1.0) if ok else np.nan
+            noise_factor = max((1.0 + sums[2][k]) / (1.0 + freedom), 1.0) if ok else np.nan
             for m in range(3):
-                out[9 + m, at_node] = s[18 + m, k] * excess + parts[m] * common
+                out[9 + m, at_node] = s[18 + m, k] * noise_factor + parts[m] * common
             out[12, at_node] = np.sqrt(sums[0][k] / (2.0 * cameras)) if ok else np.nan
             out[13, at_node] = sums[1][k] / freedom if ok else np.nan
-            out[14, at_node] = excess
+            out[14, at_node] = noise_factor

@@ -107,7 +107,7 @@ def _estimate(
     else:
         rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
         # where displacements contradict each other, the cameras show water of another height or other beads
-        std = std * np.sqrt(np.nan_to_num(motion.excess, nan=1.0))
+        std = std * np.sqrt(np.nan_to_num(motion.noise_factor, nan=1.0))
     return StepEstimate(surfaces, motion, MidTime(z, std, rise, orders, frames, measured))
 
 

@@ -46,9 +46,9 @@ class Motion:
     eps_piv: Float  # (ny, nx): misfit of the cameras' displacements, px
     # (ny, nx): chi^2 of the misfit per degree of freedom; NaN where fewer than two cameras see the node
     misfit: Float
-    # (ny, nx): factor on the variance of noise, at least 1, where the misfit beside that of whole images,
-    # which move, is larger
-    excess: Float
+    # (ny, nx): factor on the variance of noise, at least 1, by the misfit beside the motion of whole images;
+    # NaN as the misfit
+    noise_factor: Float
     # (ny, nx): bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them
     # were measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places
     quality: NDArray[np.uint16]
@@ -155,7 +155,7 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
     """One motion with another in a part of the field."""
-    names = ("d", "d_std", "eps_piv", "misfit", "excess", "quality", "frames", "chord", "bend")
+    names = ("d", "d_std", "eps_piv", "misfit", "noise_factor", "quality", "frames", "chord", "bend")
     return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
@@ -173,7 +173,7 @@ def solve_motion(
     axes = displacements.axes
     solve_nodes(*flat, *factors, parts, axes, np.float64(residuals), out)  # type: ignore[call-arg]
     d, chord, bend, variance = out[:12].reshape(4, 3, *shape)
-    eps, misfit, excess = out[12:].reshape(3, *shape)
+    eps, misfit, noise_factor = out[12:].reshape(3, *shape)
     along, across = np.maximum(jitter, record.camera_jitter)
     variance += displacement_variance(
         displacements.jacobian,
@@ -191,7 +191,7 @@ def solve_motion(
         d_std=np.sqrt(variance),
         eps_piv=eps,
         misfit=misfit,
-        excess=excess,
+        noise_factor=noise_factor,
         quality=quality,
         frames=displacements.frames,
         chord=chord,
