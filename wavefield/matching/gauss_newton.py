@@ -23,6 +23,7 @@ from wavefield.matching.block_lattice import (
     window_weights,
 )
 from wavefield.matching.displacement import Displacement, Evaluation, Reason
+from wavefield.matching.matching_gain import DISPLACEMENT_FOOTPRINT
 from wavefield.matching.matching_kernels import (
     BLOCK,
     F,
@@ -283,6 +284,11 @@ class _LevelPair:
         return u, v, outlier
 
 
+def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Slopes within blocks of a displacement whose values represent the blocks' areas."""
+    return slopes(u, v, DISPLACEMENT_FOOTPRINT)
+
+
 def last_sums(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
 ) -> np.ndarray:
@@ -297,7 +303,7 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
     """Steps without weights per pixel: the Hessian is that of a alone."""
     for number in range(count):
         pair.update_weights(u, v)
-        score = pair.windows(_plain_scores(pair, u, v, slopes(u, v)))
+        score = pair.windows(_plain_scores(pair, u, v, _slopes(u, v)))
         u, v, _ = pair.advance(u, v, pair.hessian, score, number)
     return u, v
 
@@ -323,9 +329,9 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
         if settings.robust:
             kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
             sums = np.empty((fields, *u.shape), np.float32)
-            kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, pair.work, sums)
+            kernel(a.padded, b.padded, u, v, _slopes(u, v), c2, c2b2, pair.work, sums)
         else:
-            sums = last_sums(a, b, u, v, slopes(u, v), pair.work)
+            sums = last_sums(a, b, u, v, _slopes(u, v), pair.work)
         sums *= pair.count
         windowed = pair.windows(sums)
         before = u, v
@@ -391,7 +397,7 @@ def reevaluate(
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
-    slope = slopes(u, v)
+    slope = _slopes(u, v)
     sums = last_sums(pair.a, pair.b, u, v, slope, pair.work)
     sums *= pair.count
     subtract_strain(sums[:2], pair.a.strain, slope, pair.count)
@@ -443,7 +449,7 @@ def scores_at(
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
-    slope = slopes(u, v)
+    slope = _slopes(u, v)
     score = _plain_scores(pair, u, v, slope)
     subtract_strain(score, pair.a.strain, slope, pair.count)
     return replace(found, u=u, v=v, score=score, hessian=found.hessian * pair.count)

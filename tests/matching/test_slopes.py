@@ -1,0 +1,70 @@
+"""Slopes of displacements within blocks."""
+
+import numpy as np
+import pytest
+from matching_cases import interior, particle_pair, truth
+
+from wavefield.matching import MatchSettings, match, prepare, reevaluate
+from wavefield.matching.block_lattice import slopes
+from wavefield.matching.matching_kernels import BLOCK
+
+SETTINGS = MatchSettings.piv()
+VARIANCE = 5.0
+
+
+def drawn_wave(seed):
+    """Wavenumber (2,), rad per px, of five to twelve blocks in any direction, and a phase."""
+    rng = np.random.default_rng(seed)
+    length, towards = BLOCK * rng.uniform(5, 12), rng.uniform(0, 2 * np.pi)
+    return 2 * np.pi / length * np.array([np.cos(towards), np.sin(towards)]), rng.uniform(0, 2 * np.pi)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("variance", [0.0, VARIANCE])
+def test_slopes_of_waves_down_to_five_blocks_are_those_before_blocks_average_them(seed, variance):
+    k, phase = drawn_wave(seed)
+    y, x = np.mgrid[:40, :50] * float(BLOCK)
+    phases = k[0] * x + k[1] * y + phase
+    field = np.exp(-0.5 * variance * np.sum(k**2)) * np.sin(phases)
+    found = slopes(field, -2 * field, variance)
+    exact = np.stack([k[0], k[1], -2 * k[0], -2 * k[1]])[:, None, None] * np.cos(phases)
+    inside = np.s_[:, 5:-5, 5:-5]
+    size = np.sqrt(np.mean(np.square(exact[:2]).sum(axis=0)))
+    assert np.abs(found - exact)[:2][inside].max() < 0.07 * np.sqrt(2) * size
+    np.testing.assert_allclose(found[2:], -2 * found[:2], atol=1e-6)
+
+
+@pytest.mark.parametrize("variance", [0.0, VARIANCE])
+def test_slopes_of_a_plane_are_exact_up_to_its_edges(variance):
+    y, x = np.mgrid[:9, :12] * float(BLOCK)
+    found = slopes(0.3 * x - 0.2 * y, 0.1 * y, variance)
+    expected = np.array([0.3, -0.2, 0.0, 0.1])
+    np.testing.assert_allclose(found, np.broadcast_to(expected[:, None, None], found.shape), atol=1e-5)
+
+
+def by_neighbours(u, v, variance):
+    rows_and_columns = [np.gradient(field, BLOCK) for field in (u, v)]
+    return np.array([part for y, x in rows_and_columns for part in (x, y)], np.float32)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_beads_anywhere_in_blocks_agree_on_short_waves(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    length, towards = BLOCK * rng.uniform(5, 6), rng.uniform(0, 2 * np.pi)
+    k = 2 * np.pi / length * np.array([np.cos(towards), np.sin(towards)])
+
+    def move(x, y):
+        return np.cos(k[0] * x + k[1] * y), 0.5 * np.sin(k[0] * x + k[1] * y)
+
+    a, b = (prepare(image, SETTINGS) for image in particle_pair(move, density=0.02, seed=seed))
+    d = match(a, b, SETTINGS)
+    u, v = (np.exp(-0.5 * VARIANCE * np.sum(k**2)) * part for part in truth(d, move))
+    inside = interior(d, a.shape)
+
+    def scatter():
+        score = reevaluate(a, b, u, v, SETTINGS).score
+        return float(np.sqrt(np.mean(np.square(score[:, inside]))))
+
+    now = scatter()
+    monkeypatch.setattr("wavefield.matching.gauss_newton.slopes", by_neighbours)
+    assert now < 0.9 * scatter()
