@@ -11,7 +11,7 @@ from measurement_cases import RATE
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.unresolved_waves import Unresolved, stated_rise, unresolved_rise, unresolved_std
+from wavefield.measurement.unresolved_waves import InCommon, in_common, stated_rise, unresolved_std
 from wavefield.tank import Scene, Tank
 from wavefield.tank.truth import truth
 from wavefield.variables import Quality
@@ -28,8 +28,8 @@ SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
 }
 
 
-def found(seed, waves, noise, cameras, removed=0.0):
-    """Rise found where beads move by short waves with this std of the rise, m, and by noise, px.
+def in_one_step(seed, waves, noise, cameras, removed=0.0):
+    """What is in common where beads move by short waves with this std of the rise, m, and by noise, px.
     The prior removes waves whose rise has the std removed, m.
     """
     rng = np.random.default_rng(seed)
@@ -53,19 +53,24 @@ def found(seed, waves, noise, cameras, removed=0.0):
         sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
     curvature = dict.fromkeys(cameras, 0.0)
     geometry = SimpleNamespace(sights=sights)
-    return unresolved_rise(estimates, missing, curvature, np.zeros((SIDE, SIDE)), geometry, False)
+    return in_common(estimates, missing, curvature, np.zeros((SIDE, SIDE)), geometry)
+
+
+def found(*conditions):
+    """Standard deviation of the rise that is stated, and the wavelength, metres."""
+    return stated_rise((), in_one_step(*conditions))
 
 
 @pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])
 def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_not(cameras):
     for seed in range(6):
         noise = float(np.random.default_rng(seed).uniform(0.01, 0.3))
-        assert found(seed, 0.0, noise, cameras)[0] < 0.0
+        assert found(seed, 0.0, noise, cameras)[0] == 0.0
         size = 2.0 * noise / 500.0
-        variance, wavelength, _ = found(seed, size, noise, cameras)
-        twice, *_ = found(seed, 2.0 * size, 2.0 * noise, cameras)
-        assert 0.8 < np.sqrt(variance) / size < 2.7  # of two cameras' blocks not all beads are the same
-        assert twice == pytest.approx(4.0 * variance)
+        rise, wavelength = found(seed, size, noise, cameras)
+        twice, _ = found(seed, 2.0 * size, 2.0 * noise, cameras)
+        assert 0.8 < rise / size < 2.7  # of two cameras' blocks not all beads are the same
+        assert twice == pytest.approx(2.0 * rise)
         assert wavelength == pytest.approx(2.5 * 5.0 / 540.0, rel=0.1)
 
 
@@ -73,22 +78,22 @@ def test_waves_that_the_prior_removes_are_not_stated_twice():
     for seed in range(3):
         noise = float(np.random.default_rng(seed).uniform(0.01, 0.1))
         size = noise / 500.0
-        shares = [found(seed, size, noise, tuple(SIGHTS), part * size)[0] for part in (0.0, 0.3, 1.0, 3.0)]
+        rises = [found(seed, size, noise, tuple(SIGHTS), part * size)[0] for part in (0.0, 0.3, 1.0, 3.0)]
+        shares = np.square(rises).tolist()
         assert shares == sorted(shares, reverse=True)
         assert shares[1] > 0.6 * shares[0], "waves beside them are"
         assert shares[3] < 0.25 * shares[0]
 
 
 def test_without_blocks_in_common_no_waves_are_found():
-    assert found(1, 1e-3, 0.1, ("cam1",)) == Unresolved()
+    assert found(1, 1e-3, 0.1, ("cam1",)) == (0.0, 0.0)
 
 
 def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch):
     """Two cameras at sea see the same reflections change: nothing shows that water rises."""
     turned = np.array(SIGHTS["cam1"]) @ [[1, 0, 0], [0, 1, 0.05], [0, 0, 1]]
     monkeypatch.setitem(SIGHTS, "beside", turned.tolist())
-    variance, wavelength, _ = found(1, 1e-3, 0.1, ("cam1", "beside"))
-    z, rise = unresolved_std(np.sqrt(variance), wavelength, RATE)
+    z, rise = unresolved_std(*found(1, 1e-3, 0.1, ("cam1", "beside")), RATE)
     assert z == 0 < rise
 
 
@@ -149,14 +154,39 @@ def test_short_waves_that_blocks_resolve_are_not_found_as_unresolved_ones(seed):
 
 
 def test_the_first_estimate_counts_where_blocks_have_much_in_common_beside_the_last_fields():
-    first, hidden, resolved = (
-        Unresolved(4.0, 0.05, 0.5),
-        Unresolved(1.0, 0.05, 0.4),
-        Unresolved(1.0, 0.05, 0.1),
-    )
-    assert stated_rise(first, hidden) == (2.0, 0.05)
-    assert stated_rise(first, resolved) == (1.0, 0.05)
-    assert stated_rise(Unresolved(-1.0, 0.05, 0.4), Unresolved(-1.0, 0.05, 0.4)) == (0.0, 0.05)
+    first = [one_pair(0.9, 4.0)]
+    hidden, resolved, none = ([one_pair(share)] for share in (0.4, 0.1, -0.1))
+    rise, wavelength = stated_rise(first, hidden)
+    assert (rise, wavelength) == (pytest.approx(np.sqrt(4.0 * 4.0 * (0.9 - 0.3))), 0.05)
+    assert rise > stated_rise(none, hidden)[0] > 0
+    assert stated_rise(first, resolved) == stated_rise(none, resolved)
+    assert stated_rise(none, none) == (0.0, 0.05)
+
+
+def one_pair(share, total=1.0, blocks=2000):
+    return InCommon(share * total, total, 0.0, 0.0, 0.05, blocks)
+
+
+def test_ripples_that_the_brightest_frames_alone_show_are_found():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        totals = np.where(rng.random(12) < 0.6, rng.uniform(5.0, 20.0, 12), 1.0)
+        ripples = rng.uniform(0.08, 0.2)
+        chance = totals * rng.normal(0, np.sqrt(1 / 4000), 12)
+        steps = [one_pair((ripples + by_chance) / total, total) for total, by_chance in zip(totals, chance)]
+        assert stated_rise((), steps)[0] > 0.5 * np.sqrt(ripples / 0.11)
+
+
+@pytest.mark.parametrize("blocks", [60, 500, 4000])
+def test_what_noise_has_in_common_by_chance_is_no_wave(blocks):
+    rng = np.random.default_rng(5)
+    stated = []
+    for _ in range(200):
+        totals = rng.lognormal(0.0, rng.uniform(0.0, 1.0), 12)
+        shares = rng.normal(0.01, np.sqrt(0.5 / blocks), 12)
+        steps = [one_pair(share, total, blocks) for share, total in zip(shares, totals)]
+        stated.append(stated_rise((), steps)[0] > 0)
+    assert np.mean(stated) < 0.05
 
 
 def steep_scene(seed):

@@ -15,7 +15,7 @@ from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import Model
-from wavefield.measurement.unresolved_waves import Unresolved
+from wavefield.measurement.unresolved_waves import InCommon
 from wavefield.measurement.velocity import image_variance, shares, solve_motion, velocity
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
@@ -40,7 +40,7 @@ class Differences:
     )  # std of the water's motion from frame to frame, metres
     waves: float = 1.0  # fraction of the displacements' spectra that all cameras share (`Prior.waves`)
     noise_variance: float = 0.0  # of dx, dy and dz of the water together, square metres
-    unresolved: Unresolved = field(default_factory=Unresolved)
+    in_common: tuple[InCommon, ...] = ()
 
 
 def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) -> Differences | None:
@@ -115,6 +115,6 @@ def typical_differences(steps: Sequence[Differences], pixel: float) -> Differenc
         float(np.median(part)) for part in zip(*((one.noise, one.waves, one.noise_variance) for one in steps))
     )
     own = own_noise([one.own for one in steps])
-    unresolved = Unresolved(*map(float, np.mean([one.unresolved for one in steps], axis=0)))
+    in_common = tuple(part for one in steps for part in one.in_common)
     moved_by_water = float(x), float(y), float(z)
-    return Differences(camera_jitter, True, noise, own, moved_by_water, waves, noise_variance, unresolved)
+    return Differences(camera_jitter, True, noise, own, moved_by_water, waves, noise_variance, in_common)

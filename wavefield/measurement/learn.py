@@ -39,7 +39,7 @@ from wavefield.measurement.temporal_truncation import (
     detected_waves,
     temporal_truncation,
 )
-from wavefield.measurement.unresolved_waves import stated_rise, unresolved_rise
+from wavefield.measurement.unresolved_waves import in_common, stated_rise
 
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
@@ -170,9 +170,9 @@ def _learned(
     for number in range(2):
         if number:
             model = Model(geometry, record, model)
-        each = pool.map(partial(_differences, geometry, model, number == 0), samples, surfaces)
+        each = pool.map(partial(_differences, geometry, model), samples, surfaces)
         found = typical_differences([one for one in each if one is not None], geometry.pixel)
-        unresolved.append(found.unresolved)
+        unresolved.append(found.in_common)
         record, common = _better_displacement(record, found, measured, samples, surfaces, geometry)
     if common is not None and heights is not None and frame_rate:
         z, block = record.elevation, BLOCK * geometry.pixel
@@ -403,7 +403,6 @@ def _mean_flow(step: _SampleStep, geometry: GridGeometry) -> tuple[float, float]
 def _differences(
     geometry: GridGeometry,
     model: Model,
-    first: bool,
     step: _SampleStep,
     surfaces: tuple[Float, Float, Float] | None,
 ) -> Differences | None:
@@ -424,4 +423,4 @@ def _differences(
     curvature = {
         name: one.mean_square_curvature(model.displacement[name].modes) for name, one in found.items()
     }
-    return replace(shown, unresolved=unresolved_rise(found, missing, curvature, surfaces[0], geometry, first))
+    return replace(shown, in_common=in_common(found, missing, curvature, surfaces[0], geometry))

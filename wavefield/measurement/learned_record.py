@@ -35,7 +35,7 @@ class LearnedRecord:
         Frames of velocities and of the rate of rise: 6 where that has the smaller error, else 4.
     unresolved : (float, float)
         Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and their
-        wavelength, metres (`unresolved_rise`); 0 where cameras side by side share changes of light as well.
+        wavelength, metres (`stated_rise`); 0 where cameras side by side share changes of light as well.
     motion : tuple of (str, float)
         Largest variance over the field of each camera's matched displacement in the sample steps, px^2.
     shown : tuple of (str, (float, float))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -24,7 +24,9 @@ WAVELENGTH_BLOCKS = 2.5  # of waves that are taken for all that blocks do not re
 LONGEST_BLOCKS = 4.0  # of those: they rise slowest, so that the same rise is of the highest waves
 SHORTEST_BLOCKS = 1.0  # of those: they move fastest, so that the same rise from frame to frame is of more
 SHORTEST_RIPPLES = 0.01  # metres: blocks may be smaller, but shorter ripples are damped fast
-_COMMON_OF_BEADS = 0.08  # of a block's variance: unsteady, clustered beads without any short waves
+_COMMON_OF_BEADS = 0.05  # of a block's variance: clustered beads without any short waves
+_COMMON_IN_LITTLE_NOISE = 0.03  # the same, of the steps with the least noise
+_BY_CHANCE = 2.0  # standard deviations of what noise alone has in common
 _COMMON_OF_CURVATURE = 0.001  # of a displacement's squared, per block: beads do not fill blocks evenly
 _SEEN_IN_COMMON = 0.11  # of short waves' variance, the least of 0.11 to 0.30: blocks hold different beads
 _COMMON_AT_FIRST = 0.3  # of a block's variance beside fields of the first spectra: waves resolved later
@@ -38,32 +40,31 @@ MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light
 _MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
-class Unresolved(NamedTuple):
-    """Variance of the rise per frame by waves that blocks do not resolve, m^2, their wavelength, metres,
-    and the part of the blocks' variance that cameras have in common.
-    """
+class InCommon(NamedTuple):
+    """What blocks of two cameras have in common in one step, beside the fields, as variance of the rise."""
 
-    variance: float = 0.0
-    wavelength: float = 0.0
-    in_common: float = 0.0
+    shared: float  # m^2 per frame; by chance it may be negative
+    total: float  # variance of the blocks, m^2
+    curvature: float  # part that is due to it, m^2
+    removed: float  # part that waves account for which the prior removes, m^2
+    wavelength: float  # of unresolved waves, metres; 0 where cameras share changes of light as well
+    blocks: int
 
 
-def unresolved_rise(
+def in_common(
     found: Mapping[str, FlowEstimate],
     missing: Mapping[str, Float],
     curvature: Mapping[str, float],
     z: Float,
     geometry: GridGeometry,
-    first: bool,
-) -> Unresolved:
-    """Waves that blocks do not resolve, from what they move beside the fields of the first or later spectra.
-    By chance the variance may be negative; steps are averaged. Cameras that look from the same side share
-    changes of light as well, which are an error of velocities and no wave: their wavelength is 0.
+) -> tuple[InCommon, ...]:
+    """What the blocks of every pair of cameras have in common beside the fields of one step.
+    Cameras that look from the same side share changes of light as well, which are an error of velocities and
+    no wave: only where all do are they compared.
     Short waves of variance c give the blocks of two cameras the covariance J_a diag(1/2, 1/2, 1) J_b^T c.
-    So do waves that the prior removes, whose variance per block, px^2, is missing (1 or 2, ny, nx): what is
-    in common is shared among both by their sizes. So do resolved waves, of which the beads of a block do not
-    show the mean: as the mean square curvature of the displacement, px^2 per block to the fourth power.
-    Beside fields of the first spectra blocks also have waves that later fields resolve.
+    So do waves that the prior removes, whose variance per block, px^2, is missing (1 or 2, ny, nx), and
+    resolved waves, of which the beads of a block do not show the mean: as the mean square curvature of the
+    displacement, px^2 per block to the fourth power.
     """
     motions, jacobians, removed, bent, scales = {}, {}, {}, {}, []
     for name, one in found.items():
@@ -76,8 +77,9 @@ def unresolved_rise(
         removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
         bent[name] = curvature[name] / float(np.mean(np.einsum("iin->n", _covariance(J, J))))
         scales.append(np.median(np.linalg.norm(jacobians[name][:, :2], axis=(0, 1))) / np.sqrt(2.0))
-    common, shares, pairs = [], [], list(combinations(motions, 2))
+    parts, pairs = [], list(combinations(motions, 2))
     apart = [(a, b) for a, b in pairs if sine_between(jacobians[a], jacobians[b]) > MIN_SINE]
+    wavelength = float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
     for a, b in apart or pairs:
         both = np.isfinite(motions[a]).all(axis=0) & np.isfinite(motions[b]).all(axis=0)
         if both.sum() < _MIN_BLOCKS:
@@ -86,29 +88,38 @@ def unresolved_rise(
         expected = _covariance(J, K)
         own = [np.sum(np.square(r)) / np.einsum("iin->", _covariance(M, M)) for r, M in ((p, J), (q, K))]
         shared = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
-        total = float(np.sqrt(own[0] * own[1]))
-        shares.append(shared / max(total, 1e-30))
-        if first:
-            common.append(_FIRST_FACTOR * (shared - _COMMON_AT_FIRST * total))
-            continue
-        shared -= _COMMON_OF_BEADS * total
-        shared -= _COMMON_OF_CURVATURE * float(np.sqrt(bent[a] * bent[b]))
+        total = max(float(np.sqrt(own[0] * own[1])), 1e-30)
+        of_curvature = _COMMON_OF_CURVATURE * float(np.sqrt(bent[a] * bent[b]))
         known = _SEEN_OF_REMOVED * min(removed[a], removed[b])
-        unstated = shared * shared / (shared + known) if shared > 0 else shared
-        common.append(unstated / ((1.0 - _COMMON_OF_BEADS) * _SEEN_IN_COMMON))
-    if not common:
-        return Unresolved()
-    wavelength = float(WAVELENGTH_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
-    return Unresolved(float(np.mean(common)), wavelength, float(np.mean(shares)))
+        parts.append(InCommon(shared, total, of_curvature, known, wavelength, int(both.sum())))
+    return tuple(parts)
 
 
-def stated_rise(first: Unresolved, last: Unresolved) -> tuple[float, float]:
+def stated_rise(first: Sequence[InCommon], last: Sequence[InCommon]) -> tuple[float, float]:
     """Standard deviation of the rise per frame by unresolved waves, and their wavelength, metres.
+    From what all pairs and steps have in common beside the fields of the first and of the last spectra: the
+    larger of their mean and of that weighted by their noise, as some ripples show in the brightest frames
+    alone. It is shared among unresolved waves and those that the prior removes, by their sizes.
     Fields that follow much noise hide steep waves from the last estimate, but not from the first, which
-    counts where blocks still have much in common beside the last fields.
+    counts where blocks still have much in common beside the last fields: beside the first fields they also
+    have waves that later ones resolve.
     """
-    hidden = np.clip((last.in_common - _LEAST_IN_COMMON) / _LEAST_IN_COMMON, 0.0, 1.0)
-    return float(np.sqrt(max(0.0, last.variance, hidden * first.variance))), last.wavelength
+    if not last:
+        return 0.0, 0.0
+    shared, total, curvature, removed, wavelength, blocks = np.array(last).T
+    chance = np.square(total) / (2.0 * blocks)
+    variance = 0.0
+    for beads, weight in ((_COMMON_OF_BEADS, np.ones_like(total)), (_COMMON_IN_LITTLE_NOISE, 1.0 / chance)):
+        weight /= weight.sum()
+        excess = weight @ (shared - beads * total - curvature) - _BY_CHANCE * np.sqrt(weight**2 @ chance)
+        if excess > 0:
+            unstated = excess * excess / (excess + weight @ removed)
+            variance = max(variance, unstated / ((1.0 - beads) * _SEEN_IN_COMMON))
+    hidden = np.clip((np.mean(shared / total) - _LEAST_IN_COMMON) / _LEAST_IN_COMMON, 0.0, 1.0)
+    if first:
+        at_first = np.mean([one.shared - _COMMON_AT_FIRST * one.total for one in first])
+        variance = max(variance, hidden * _FIRST_FACTOR * at_first)
+    return float(np.sqrt(variance)), float(wavelength.mean())
 
 
 def sine_between(J: Float, K: Float) -> float:
