@@ -74,8 +74,9 @@ def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.n
 
 
 def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.ndarray:
-    """(4, ny, nx) float32: du/dx, du/dy, dv/dx, dv/dy per px, before blocks average over a variance, px^2.
-    Differences of sixth order: those of neighbours alone are a quarter too small for waves of five blocks.
+    """(4, ny, nx) float32: du/dx, du/dy, dv/dx, dv/dy per px, where u and v are averages over areas of a
+    variance, px^2, of the displacement before this average. Differences are of sixth order: those of
+    neighbours alone are a quarter too small for waves of five blocks.
     """
     side = 0.5 * averaged_variance / BLOCK**2
     sharpened = np.array([-side, 1.0 + 2.0 * side, -side])
