@@ -7,7 +7,7 @@ level of the noise. The noise of two cameras is independent: in products it aver
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -24,6 +24,7 @@ from wavefield.matching.wavenumber_rings import RINGS, SECTOR_ANGLES, SHORTEST_W
 from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.sight import Sight
+from wavefield.measurement.temporal_truncation import detected_rings
 from wavefield.measurement.unresolved_waves import MIN_SINE, sine_between
 from wavefield.water import dispersion
 
@@ -105,6 +106,15 @@ class CommonWaves:
         """Density at wavenumbers k, rad/m; NaN where it was not measured."""
         known = np.isfinite(self.density)
         return np.asarray(np.interp(k, self.k[known], self.density[known], np.nan, np.nan))
+
+    def with_elevation(self, elevation: Prior, block: float, frame_rate: float) -> CommonWaves:
+        """With the rise of waves that the elevation on blocks of this side, metres, shows by itself."""
+        k = np.array(elevation.k) / block
+        shown, _ = detected_rings(elevation)
+        phase = dispersion(k) / frame_rate
+        power = np.mean(elevation.power, axis=(0, 1)) * np.square(2.0 * np.sin(0.5 * phase) * block)
+        rise = np.interp(self.k, k, shown * power * (phase < _LARGEST_PHASE), 0.0, 0.0)
+        return replace(self, density=np.fmax(self.density, rise))
 
     def in_camera(self, sight: Sight, k: Array) -> Array:
         """Power of the cosines of a displacement, (2, directions, rings), px^2, at k, rad per block."""

@@ -173,7 +173,9 @@ def _learned(
         each = pool.map(partial(_differences, geometry, model), samples, surfaces)
         found = typical_differences([one for one in each if one is not None], geometry.pixel)
         unresolved.append(found.in_common)
-        record, common = _better_displacement(record, found, measured, samples, surfaces, geometry)
+        record, common = _better_displacement(
+            record, found, measured, samples, surfaces, geometry, frame_rate
+        )
     if common is not None and heights is not None and frame_rate:
         z, block = record.elevation, BLOCK * geometry.pixel
         better = heights.better(heights.opened, common.of_elevation(block, np.array(z.k), frame_rate))
@@ -218,9 +220,10 @@ def _better_displacement(
     samples: Sequence[_SampleStep],
     surfaces: Sequence[tuple[Float, Float, Float] | None],
     geometry: GridGeometry,
+    frame_rate: float | None,
 ) -> tuple[LearnedRecord, CommonWaves | None]:
     """The record with spectra and noise of the displacements as the cameras' differences have them, and what
-    the cameras have in common.
+    the cameras have in common. Waves that the elevation shows by itself move the images as well.
     """
     usual = {
         name: replace(
@@ -229,11 +232,13 @@ def _better_displacement(
         for name, prior in record.displacement
     }
     opened = {name: fields.open(usual[name]) for name, fields in measured.items()}
-    common = _common_waves(opened, measured, samples, surfaces, geometry)
+    moving = common = _common_waves(opened, measured, samples, surfaces, geometry)
+    if common is not None and frame_rate:
+        moving = common.with_elevation(record.elevation, BLOCK * geometry.pixel, frame_rate)
     priors = dict(usual)
     for name, fields in measured.items():
         k = np.array(priors[name].k)
-        power = None if common is None else common.in_camera(geometry.sights[name], k)
+        power = None if moving is None else moving.in_camera(geometry.sights[name], k)
         priors[name] = fields.better(opened[name], power)
     share = matching.pooled_share([prior.share for prior in priors.values()])
     priors = {name: replace(prior, share=share) for name, prior in priors.items()}

@@ -105,7 +105,7 @@ def detected_waves(
     only several cameras in common do, m^2, and their phase per step. The pixel and the step are in metres.
     """
     block = BLOCK * pixel
-    shown, common = _detected(elevation)
+    shown, common = detected_rings(elevation)
     power = np.mean(elevation.power, axis=(0, 1)) * common * np.square(block / step)
     of_rings = (np.interp(k * block / step, elevation.k, one) for one in (shown, power))
     return *of_rings, dispersion(k / step) / frame_rate
@@ -117,14 +117,14 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
     """
     k, block = np.array(elevation.k), BLOCK * pixel
     phase = dispersion(k / block) / frame_rate
-    rise = np.mean(elevation.power, axis=(0, 1)) * k * np.square(phase) * _detected(elevation)[0]
+    rise = np.mean(elevation.power, axis=(0, 1)) * k * np.square(phase) * detected_rings(elevation)[0]
     fast = (phase > np.pi) & (rise > 0)
     if not fast.any():
         return 0.0, 0.0
     return float(rise[fast].sum() / rise.sum()), float(2.0 * np.pi * block / k[fast][0])
 
 
-def _detected(elevation: Prior) -> tuple[Float, Float]:
+def detected_rings(elevation: Prior) -> tuple[Float, Float]:
     """Rings in which the elevation shows waves, and what part of the power several cameras have in common."""
     shown = np.array(elevation.shown or [[0.0]]).min(axis=0) >= 1.0
     common = np.array(elevation.in_common or [[0.0]]).min(axis=0)
