@@ -44,7 +44,7 @@ water: {{depth: 0.7}}
 
 
 def far_apart(a, b, steps=slice(None), most=0.6) -> list[str]:
-    """Fields in which two cubes differ by over so much of their uncertainty (rms), or 2.2 times it anywhere.
+    """Fields in which two cubes differ by over so much of their uncertainty (rms), or 2.5 times it anywhere.
 
     Cubes of different frames are weighed by spectra and noise of different samples.
     """
@@ -54,7 +54,7 @@ def far_apart(a, b, steps=slice(None), most=0.6) -> list[str]:
             np.asarray(c[q].isel(time=steps)) for c, q in ((a, name), (b, name), (b, f"{name}_std"))
         )
         apart = np.abs(one - other) / std
-        alike = np.sqrt(np.nanmean(apart**2)) < most and np.nanmax(apart) < 2.2
+        alike = np.sqrt(np.nanmean(apart**2)) < most and np.nanmax(apart) < 2.5
         if not (alike and np.array_equal(np.isnan(one), np.isnan(other))):
             out.append(name)
     return out
