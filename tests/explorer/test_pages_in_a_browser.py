@@ -126,7 +126,6 @@ def test_folded_parts_open_by_a_link_by_the_button_and_for_printing(chrome, repo
     assert window.evaluate(opened_parts) == parts.count()
     window.evaluate("dispatchEvent(new Event('afterprint'))")
     assert window.evaluate(opened_parts) == 1
-    unfold.scroll_into_view_if_needed()  # what was folded again has moved it
     unfold.click()
     window.wait_for_function("() => document.getElementById('unfold').textContent == 'Fold all'")
     assert window.evaluate(opened_parts) == parts.count()

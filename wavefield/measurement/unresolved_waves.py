@@ -45,8 +45,8 @@ class InCommon(NamedTuple):
 
     shared: float  # m^2 per frame; by chance it may be negative
     total: float  # variance of the blocks, m^2
-    curvature: float  # part that is due to it, m^2
-    removed: float  # part that waves account for which the prior removes, m^2
+    curvature: float  # part of what is shared that resolved waves cause where they curve, m^2
+    removed: float  # part of it by waves that the prior removes, m^2
     wavelength: float  # of unresolved waves, metres; 0 where cameras share changes of light as well
     blocks: int
 
