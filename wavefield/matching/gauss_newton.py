@@ -30,6 +30,7 @@ from wavefield.matching.matching_kernels import (
     WorkSpace,
     final_sums,
     plain_sums,
+    residual_image,
     robust_sums,
     unweighted_sums,
     work_space,
@@ -410,14 +411,15 @@ def reevaluate(
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """Scores of the usable blocks at a displacement near the one that was found.
+    """Scores of the usable blocks at a displacement near the one that was found, for images of two cameras.
 
-    Half of the cost of `reevaluate`; blocks that the match has rejected stay rejected.
+    They do not depend on how bright each bead is in the one and in the other image. Blocks that the match has
+    rejected stay rejected.
 
     Parameters
     ----------
     found : Displacement
-        The match: its Hessians and valid blocks are used again.
+        The match: the share of its Hessians that both images have in common is used again.
     a, b : PreparedImage
         Its two images.
     u, v : (ny, nx) array
@@ -426,13 +428,20 @@ def scores_at(
     Returns
     -------
     Displacement
-        The match at the given displacement, with the blocks' scores there and a Hessian of 0 where a block is
-        not usable; the rest is unchanged.
+        The match at the given displacement, with the blocks' scores there and their Hessians, 0 where a block
+        is not usable; the rest is unchanged.
 
     Raises
     ------
     FrameError, ValueError
         As for `match`.
+
+    Notes
+    -----
+    With a the light of the first image above its background and <.> a Gaussian mean, P r = r - a <a r> /
+    (<a a> + e) removes from the residual r what a local factor of the brightness makes of it. Score and
+    Hessian are those of least squares of P r: sums of P g P r and P g P g, with g the gradient of a. Where
+    images of beads overlap, beads that are brighter in one image than in the other else seem to move.
 
     Examples
     --------
@@ -449,7 +458,18 @@ def scores_at(
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
+    beads = pair.a.bead_brightness
+    residual = np.empty(beads.light.shape, np.float32)
     slope = _slopes(u, v)
-    score = _plain_scores(pair, u, v, slope)
-    subtract_strain(score, pair.a.strain, slope, pair.count)
-    return replace(found, u=u, v=v, score=score, hessian=found.hessian * pair.count)
+    residual_image(pair.a.padded, pair.b.padded, u, v, slope, pair.work, residual)
+    score = beads.scores(residual) * pair.count
+    subtract_strain(score, beads.strain, slope, pair.count)
+    xx, _, yy = pair.a.moments[:3]
+    shared = (found.hessian[0] + found.hessian[2]) / np.maximum(xx + yy, F(1e-12))
+    return replace(
+        found,
+        u=u,
+        v=v,
+        score=score,
+        hessian=beads.hessian * (shared * pair.count),
+    )

@@ -195,7 +195,7 @@ class _PairScores:
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
-        self.here, self.found = z, matching.scores_at(self.found, a, b, u, v)
+        self.here, self.found = z, matching.scores_at(self.match.found, a, b, u, v)
         self._weigh()
 
     def score(self, z: Float) -> Float:
