@@ -16,9 +16,7 @@ from wavefield.matching.matching_kernels import BLOCK, F
 
 Array = np.ndarray
 
-SIGMA = (
-    2.2  # px: of the surroundings in which brightness changes by one factor; beads have images of about 1.2
-)
+SIGMA = 2.2  # px: of the surroundings in which the light changes by one factor, about twice that of a bead
 MIN_POWER_FRACTION = F(0.1)  # of the mean power of the light: where there is less, brightness is not fitted
 BACKGROUND_PERCENTILE = 10.0
 

@@ -466,10 +466,4 @@ def scores_at(
     subtract_strain(score, beads.strain, slope, pair.count)
     xx, _, yy = pair.a.moments[:3]
     shared = (found.hessian[0] + found.hessian[2]) / np.maximum(xx + yy, F(1e-12))
-    return replace(
-        found,
-        u=u,
-        v=v,
-        score=score,
-        hessian=beads.hessian * (shared * pair.count),
-    )
+    return replace(found, u=u, v=v, score=score, hessian=beads.hessian * (shared * pair.count))
