@@ -16,8 +16,8 @@ MAX_USEFUL_EPS_PIV = 0.5  # px: a larger one makes values useless
 MAX_UNRESOLVED = 0.3  # of the variance of w by waves that images do not resolve: more is remarked upon
 MAX_FAST = 0.3  # of the variance of w by waves that frames do not follow: more is remarked upon
 NOTED_FAST = 0.003  # more is noted
-LEAST_HEIGHT_MOMENT = -0.6  # third moment of single blocks over noise: sound seas have -0.25 and more
-MAX_HEIGHT_SCATTER = 2.2  # of single blocks over noise, variance: sound seas have 0.4 to 2.1
+LEAST_HEIGHT_MOMENT = -0.6  # third moment of single blocks over noise: sound seas have -0.45 and more
+MAX_HEIGHT_SCATTER = 3.3  # of single blocks over noise, variance: sound seas have 0.4 to 2.9
 UNRESOLVED_STD = 2.0  # standard uncertainties of w with them over those without: more is noted
 
 
