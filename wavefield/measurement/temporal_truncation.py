@@ -216,7 +216,8 @@ def _wave_rings(
     k = np.bincount(ring, k) / count / step
     strong = power / (power + _WEAK_POWER * np.max(power * followed, initial=1e-30))
     phase = _shrunk_phases(own_phase, waves, waves * strong, dispersion(k))
-    longer = np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()]
+    # rounding makes less than nothing of a difference in which no wave is left
+    longer = np.maximum(np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()], 0.0)
     power[0], phase[0] = 0.25 * longer.sum(), _phase(*longer)
     slowest = float(phase[:2].max()) / np.sqrt(_LEVEL_WAVELENGTH)  # by the relation of deep water
     rise = float(np.mean([np.square(np.mean(b - a)) for a, b in pairs]))
