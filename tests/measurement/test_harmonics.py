@@ -8,7 +8,7 @@ import pytest
 from tests.matching.matching_cases import particle_pair
 from wavefield import matching
 from wavefield.matching import MatchSettings, Modes, Prior
-from wavefield.matching.matching_gain import DISPLACEMENT_FOOTPRINT
+from wavefield.matching.matching_gain import displacement_area
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement.flow import harmonics, map_displacement
 
@@ -63,7 +63,7 @@ def test_steep_short_waves_keep_their_harmonics(seed):
     images = [matching.prepare(image, MatchSettings.piv()) for image in images]
     k = np.linspace(0.04, 3.1, 40)
     power = 40.0 * np.exp(-np.square((k - 0.85) / 0.2)) + 1e-4
-    modes = Modes(Prior.isotropic(k, power, 100.0, DISPLACEMENT_FOOTPRINT), (SIZE // BLOCK,) * 2)
+    modes = Modes(Prior.isotropic(k, power, 100.0, displacement_area(1.5)), (SIZE // BLOCK,) * 2)
     found = matching.match(*images)
     true = water.first(*blocks())
     with_them, without = (map_displacement(found, *images, modes, on) for on in (True, False))
@@ -78,7 +78,7 @@ def test_a_current_however_fast_leaves_the_waves_as_exact_as_they_are(seed):
     speed, towards = rng.uniform(15.0, 50.0), rng.uniform(0, 2 * np.pi)
     k = np.append(0.0, np.linspace(0.04, 3.1, 40))
     power = 40.0 * np.exp(-np.square((k - 0.85) / 0.2)) + np.where(k > 0, 1e-4, 1e7)
-    modes = Modes(Prior.isotropic(k, power, 100.0, DISPLACEMENT_FOOTPRINT), (SIZE // BLOCK,) * 2)
+    modes = Modes(Prior.isotropic(k, power, 100.0, displacement_area(1.5)), (SIZE // BLOCK,) * 2)
     margin = int(np.ceil(speed / BLOCK)) + 6
     inside = np.s_[:, margin:-margin, margin:-margin]
     errors = []

@@ -5,7 +5,8 @@ import pytest
 
 from wavefield.measurement.paths import read_path
 from wavefield.measurement.regrid import BlockLattice, coefficients
-from wavefield.measurement.time_weights import noise_weights
+from wavefield.measurement.time_weights import noise_weights, place_weights
+from wavefield.variables import EXACT_SIX, PATH_WEIGHTS
 
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (60, 60))
 MIDDLE = 150.0
@@ -18,11 +19,16 @@ def turned(angle):
     return coefficients(np.stack([c * x - s * y, s * x + c * y], axis=-1).astype(np.float32))
 
 
-def error(angle, *there):
+def error(angle, *there, frames=6):
     spline, all_of_it = turned(angle), np.ones(LATTICE.shape, bool)
     X, Y = np.meshgrid(np.linspace(110.0, 190.0, 7), np.linspace(110.0, 190.0, 7))
     d, _ = read_path(
-        [spline if q else None for q in there], [all_of_it if q else None for q in there], LATTICE, X, Y
+        [spline if q else None for q in there],
+        [all_of_it if q else None for q in there],
+        LATTICE,
+        X,
+        Y,
+        frames,
     )
     exact = angle * np.stack([-(Y - MIDDLE), X - MIDDLE])
     return float(np.abs(d[:2] - exact).max() / np.abs(exact).max())
@@ -35,6 +41,18 @@ def test_a_turning_body_keeps_third_order_in_time():
         there = [True] * (places - 1)
         assert error(0.2, *there) < 0.2**4
         assert error(0.1, *there) < 0.1 * error(0.2, *there)
+
+
+def test_weights_of_paths_are_exact_to_their_degree():
+    """Of a place t^n its displacements give the rate at mid-time, 0 but for n = 1."""
+    for frames, degree in {2: 2, 4: 4, 6: 4, EXACT_SIX: 6}.items():
+        t, weights = place_weights(frames)
+        off = [abs(weights @ t**n - (n == 1)) for n in range(degree + 2)]
+        assert max(off[: degree + 1]) < 1e-12
+        assert off[degree + 1] > 1e-3
+    beside = (True,) * 5
+    assert error(0.4, *beside, frames=EXACT_SIX) < 0.7 * error(0.4, *beside)  # places are those of a cubic
+    assert error(0.4, *beside[:3], frames=EXACT_SIX) == error(0.4, *beside[:3])
 
 
 @pytest.mark.parametrize("there", [(False, True), (True, False)])
@@ -81,15 +99,14 @@ def test_water_that_was_not_in_the_image_was_not_measured():
     assert 0 < inside[1].sum() < inside[2].sum() < 400
 
 
-@pytest.mark.parametrize("places", [2, 4, 6])
+@pytest.mark.parametrize("places", PATH_WEIGHTS)
 def test_noise_passes_a_path_as_its_weights_state(places):
     # a fifth of the variance comes from frames, which two displacements share with opposite signs, twice that
     rng = np.random.default_rng(places)
     own = rng.normal(size=(5, 400_000)) * np.sqrt(0.6)
     d = own + np.diff(rng.normal(size=(6, own.shape[1])) * np.sqrt(0.2), axis=0)
     weights = np.zeros(5)
-    half = {2: (1,), 4: (26 / 24, -1 / 24), 6: (34 / 48, 10 / 48, -3 / 48)}[places]
-    for n, weight in enumerate(half):
+    for n, weight in enumerate(PATH_WEIGHTS[places]):
         weights[[2 - n, 2 + n]] = weight
     here, *beside = noise_weights(places)
     assert here + 2 * sum(beside) == pytest.approx(np.var(weights @ d), rel=0.01)

@@ -1,4 +1,4 @@
-"""Paths of six frames, where the frame rate is high beside the waves."""
+"""Paths of six frames: smooth where the frame rate is high beside the waves, else exact."""
 
 from dataclasses import replace
 
@@ -9,16 +9,18 @@ import pytest
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
 from wavefield.tank import Scene, Tank
-from wavefield.variables import Quality
+from wavefield.variables import EXACT_SIX, Quality
 
 RATE = 40.0
 STEPS = 3
+WAVE = {"kind": "single", "wavelength": 0.08, "amplitude": 0.0018, "direction": 20.0}
 NAMES = ("u", "v", "w", "z_t")
 
 
-def taken(rate, frames):
+def taken(rate, frames, **more):
     grid = {"x": (-0.18, 0.18), "y": (-0.14, 0.14), "step": 0.01}
-    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.22}, grid=grid, frames=frames, frame_rate=rate))
+    scene = Scene.load("demo").with_(rig={"crop": 0.22}, grid=grid, frames=frames, frame_rate=rate)
+    tank = Tank(scene.with_(**more))
     images = [tank.render(k) for k in range(frames)]
     geometry = GridGeometry(tank.rig, Grid(**grid))
     record = learn([(images[k], images[k + 1]) for k in range(4)], geometry)
@@ -52,7 +54,7 @@ def errors(cube, tank):
     return {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in off.items()}
 
 
-def test_six_frames_are_taken_where_waves_turn_slowly_only(fast, cube):
+def test_smooth_paths_are_taken_where_waves_turn_slowly(fast, cube):
     tank, frames, geometry, model = fast
     assert model.record.path_frames == 6
     assert LearnedRecord.from_dict(model.record.to_dict()) == model.record
@@ -62,7 +64,19 @@ def test_six_frames_are_taken_where_waves_turn_slowly_only(fast, cube):
         assert six[name] < 0.85 * other[name], name
         assert np.median(cube[f"{name}_std"]) < 0.97 * np.median(four[f"{name}_std"]), name
     np.testing.assert_allclose(cube["z"], four["z"], atol=1e-7)
-    assert taken(20.0, 5)[3].record.path_frames == 4
+
+
+def test_exact_paths_are_taken_where_waves_turn_fast():
+    """Waves of 8 cm, of whose velocity paths of four frames leave out 2 % at 20 frames/s."""
+    tank, frames, geometry, model = taken(20.0, STEPS + 5, sea=WAVE)
+    assert model.record.path_frames == EXACT_SIX
+    left_out = model.record.temporal_truncation
+    assert left_out.total(EXACT_SIX) < 0.5 * left_out.total(4)
+    exact = errors(measure(frames, geometry, 20.0, model), tank)
+    record = replace(model.record, path_frames=4)
+    four = errors(measure(frames, geometry, 20.0, Model(geometry, record)), tank)
+    assert exact["u"] < 0.9 * four["u"]
+    assert exact["w"] < four["w"]
 
 
 def test_paths_of_six_frames_are_the_same_whatever_the_block(fast, cube):

@@ -4,7 +4,7 @@ from wavefield.matching.displacement import Displacement, Evaluation, Reason
 from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import match, reevaluate, scores_at
 from wavefield.matching.learned_spectrum import better_prior, first_prior, pooled_share, shrinkage
-from wavefield.matching.matching_gain import footprint, footprint_excess, transfer_function
+from wavefield.matching.matching_gain import displacement_area, footprint, transfer_function
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.noise import (
     component_variance_factors,
@@ -29,10 +29,10 @@ __all__ = [
     "Slopes",
     "better_prior",
     "component_variance_factors",
+    "displacement_area",
     "edge_slopes",
     "first_prior",
     "footprint",
-    "footprint_excess",
     "match",
     "noise_factor_near_holes",
     "noise_of_scores",

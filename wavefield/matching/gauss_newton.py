@@ -23,7 +23,7 @@ from wavefield.matching.block_lattice import (
     window_weights,
 )
 from wavefield.matching.displacement import Displacement, Evaluation, Reason
-from wavefield.matching.matching_gain import DISPLACEMENT_FOOTPRINT
+from wavefield.matching.matching_gain import RESTORED_VARIANCE, displacement_area
 from wavefield.matching.matching_kernels import (
     BLOCK,
     F,
@@ -45,6 +45,7 @@ RIDGE_FRACTION = 0.01
 MAX_STEP = 1.5  # px
 MIN_VALID_FRACTION = 0.5  # of the blocks: below, larger windows are tried
 MIN_VALID_RATIO = 2.0  # valid blocks of larger windows over those of the usual ones, to use them
+_TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE  # px^2: slopes within blocks depend little on it
 WIDE_WINDOWS = {
     "window": 64.0,
     "search_window": 40.0,
@@ -287,7 +288,7 @@ class _LevelPair:
 
 def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Slopes within blocks of a displacement whose values represent the blocks' areas."""
-    return slopes(u, v, DISPLACEMENT_FOOTPRINT)
+    return slopes(u, v, _TYPICAL_AREA)
 
 
 def last_sums(

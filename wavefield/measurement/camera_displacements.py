@@ -112,7 +112,9 @@ def displacements_at_nodes(
         delay = row_delay(name, geometry)
         when = times if times is not None or not delay else np.arange(6) - 2.5
         late: Float | float = delay * (Y - middle_row(sight)) if delay else 0.0
-        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, when, -late)
+        found, block, noise[rows], missing[rows] = _along_path(
+            path, sight, X, Y, record.path_frames, when, -late
+        )
         if delay:  # what moves down is seen later in the next frame
             found[:2] /= 1.0 + delay * found[1]
         moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
@@ -133,6 +135,7 @@ def _along_path(
     sight: Sight,
     X: Float,
     Y: Float,
+    frames: int,
     times: Float | None,
     at_time: Float | float = 0.0,
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
@@ -142,13 +145,13 @@ def _along_path(
     splines = [None if f is None else f.spline for f in path]
     valid = [None if f is None else f.valid for f in path]
     if times is None:
-        d, block = read_path(splines, valid, sight.lattice, X, Y)
+        d, block = read_path(splines, valid, sight.lattice, X, Y, frames)
     else:
         at_time = np.nan_to_num(at_time)
-        d, block = read_uneven_path(splines, valid, sight.lattice, X, Y, times, at_time)
+        d, block = read_uneven_path(splines, valid, sight.lattice, X, Y, times, at_time, frames)
     noises = [None if f is None else f.noise.reshape(len(f.noise), -1) for f in five(path)]
     if times is not None:
-        weights = noise_of_displacements(displacement_weights(times, block, at_time)[1])
+        weights = noise_of_displacements(displacement_weights(times, block, at_time, frames)[1])
         parts = (
             w * np.take(one, np.maximum(at, 0), axis=1)
             for w, one, at in zip(weights, noises, block)
@@ -158,7 +161,7 @@ def _along_path(
     else:
         noise = np.empty((len(here.noise), block[0].size), np.float32)
         own, near, _ = (*noise_weights(4), 0.0)
-        weights = np.array([[1.0, 0.0, 0.0], [own, near, 0.0], noise_weights(6)], np.float32)
+        weights = np.array([[1.0, 0.0, 0.0], [own, near, 0.0], noise_weights(max(frames, 6))], np.float32)
         some = [noises[2] if one is None else one for one in noises]
         _noise_along(tuple(map(np.ascontiguousarray, some)), block.reshape(5, -1), weights, noise)
         noise = noise.reshape(-1, *block.shape[1:])

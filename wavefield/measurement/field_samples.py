@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes, Prior
-from wavefield.matching.matching_gain import DISPLACEMENT_FOOTPRINT, FOOTPRINT_VARIANCE
+from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE
 from wavefield.matching.noise import hole_mask
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement.flow import FlowEstimate, filled, map_displacement
@@ -101,16 +101,15 @@ class ElevationSample:
 class DisplacementSample:
     """Displacement of one camera's image between two frames."""
 
-    area = DISPLACEMENT_FOOTPRINT
-
     def __init__(
         self,
         found: matching.Displacement,
         one: matching.PreparedImage,
         other: matching.PreparedImage,
         bare: float,
+        area: float,
     ) -> None:
-        self.match, self._images, self.bare = found, (one, other), bare
+        self.match, self._images, self.bare, self.area = found, (one, other), bare, area
         self.field = filled(found)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]

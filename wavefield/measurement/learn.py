@@ -151,7 +151,8 @@ def _learned(
     samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
     heights = _learn_elevation(samples, geometry, pool)
     by_camera = {
-        name: _learn_displacement(name, samples, geometry, pool) for name in geometry.velocity_cameras
+        name: _learn_displacement(name, samples, beads.get(name, 0.0), geometry, pool)
+        for name in geometry.velocity_cameras
     }
     measured = {name: fields for name, fields in by_camera.items() if fields is not None}
     prior = _elevation_prior(heights) if heights else _FLAT
@@ -346,12 +347,18 @@ def _elevation_prior(heights: FieldSamples) -> Prior:
 
 
 def _learn_displacement(
-    name: str, steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor
+    name: str,
+    steps: Sequence[_SampleStep],
+    bead_width: float,
+    geometry: GridGeometry,
+    pool: ThreadPoolExecutor,
 ) -> FieldSamples | None:
+    area = matching.displacement_area(bead_width / geometry.sights[name].binning)
+
     def sample_of(step: _SampleStep) -> DisplacementSample:
         bare = bare_of_camera([step.first.covered.get(name), step.second.covered.get(name)])
         images = step.first.raw[name], step.second.raw[name]
-        return DisplacementSample(step.displacements[name], *images, bare)
+        return DisplacementSample(step.displacements[name], *images, bare, area)
 
     samples = list(pool.map(sample_of, [step for step in steps if name in step.displacements]))
     samples = [sample for sample in samples if sample.information > _MIN_INFORMATION]
@@ -366,11 +373,10 @@ def _node_noise(prior: Prior, geometry: GridGeometry, k: Float) -> Float:
     return np.asarray(prior.noise_power(k * blocks) * blocks**2 / np.prod(geometry.grid.shape))
 
 
-def _matching_gain(record: LearnedRecord, geometry: GridGeometry, k: Float) -> tuple[Float, Float]:
-    """What priors leave of waves' displacements, and by how much these are raised; k in rad per node."""
+def _matching_gain(record: LearnedRecord, geometry: GridGeometry, k: Float) -> Float:
+    """What priors leave of waves' displacements; k in rad per node."""
     blocks = k * BLOCK * geometry.pixel / geometry.grid.step
-    gain = np.mean([prior.mean_gain(blocks) for _, prior in record.displacement], axis=0)
-    return gain, matching.footprint_excess(blocks)
+    return np.asarray(np.mean([prior.mean_gain(blocks) for _, prior in record.displacement], axis=0))
 
 
 def _elevations(

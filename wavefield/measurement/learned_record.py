@@ -32,7 +32,8 @@ class LearnedRecord:
         Rms motion of the cameras' pictures from frame to frame, along the row of cameras and across it, px of
         the binned image.
     path_frames : int
-        Frames of velocities and of the rate of rise: 6 where that has the smaller error, else 4.
+        Of the paths of velocities and of the rate of rise, the kind with the smallest error: 4, 6 or 7
+        (`PATH_WEIGHTS`).
     unresolved : (float, float)
         Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and their
         wavelength, metres (`stated_rise`); 0 where cameras side by side share changes of light as well.

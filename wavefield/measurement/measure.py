@@ -22,7 +22,7 @@ from wavefield.measurement.step_estimate import StepEstimate, Surfaces, estimate
 from wavefield.measurement.step_truncation import elevation_truncation, motion_truncation
 from wavefield.measurement.unresolved_waves import unresolved_std
 from wavefield.measurement.velocity import SHORT_WAVE_VARIANCES
-from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
+from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality, frames_of_path
 
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 Float = NDArray[np.floating]
@@ -95,7 +95,8 @@ def measure(
         if record is None:
             return out
         model = Model(geometry, record)
-    neighbours = model.record.path_frames // 2 - 1  # steps either way whose displacements are needed
+    # steps either way whose displacements are needed
+    neighbours = frames_of_path(model.record.path_frames) // 2 - 1
     window: list[Instant] = []
     moves: list[Flows] = []
     for number in range(steps + 2 * AROUND + 1):

@@ -17,7 +17,7 @@ from wavefield.measurement.regrid import (
     spline_slopes,
     spline_weights,
 )
-from wavefield.variables import PATH_WEIGHTS
+from wavefield.variables import EXACT_SIX, PATH_WEIGHTS
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -199,6 +199,7 @@ def read_path(
     lattice: BlockLattice,
     X: Float,
     Y: Float,
+    frames: int = 6,
 ) -> tuple[Float, NDArray[np.int64]]:
     """dX/dt dt at mid-time at pixels X, Y, displacement over the step, and bend, px, (6,) + the shape of X.
     Splines (ny, nx, 2), px, of an odd number of steps. Also returns the blocks read, 5 per X, or -1.
@@ -213,9 +214,10 @@ def read_path(
     has = [nothing if f is None else np.ascontiguousarray(f).ravel() for f in five(valid)]
     place = F(lattice.x0), F(lattice.y0), F(lattice.step)
     # X0 = X - d01/2 + (d12 - d-10)/16, the bend being (d12 - d-10)/16; dX/dt dt = (26 d01 - d-10 - d12)/24 of
-    # four frames, (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48 of six, with 0.4 of the variance by noise;
-    # paths are parabolas if one end is missing, straight if both are
-    near, far = (F(weight) for weight in PATH_WEIGHTS[6][1:])
+    # four frames; of six (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48, with 0.4 of the variance by noise,
+    # or (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920, exact to the fifth degree; paths are parabolas
+    # if one end is missing, straight if both are
+    near, far = (F(weight) for weight in PATH_WEIGHTS[EXACT_SIX if frames == EXACT_SIX else 6][1:])
     measured = has[0], has[1], has[3], has[4]
     _read_path((bb, b, c, a, aa), measured, lattice.shape, place, xs, ys, (near, far), out, block)
     return out.reshape(6, *nodes), block.reshape(5, *nodes)

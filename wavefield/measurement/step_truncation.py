@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.temporal_truncation import typical_size
 from wavefield.measurement.velocity import Motion
+from wavefield.variables import EXACT_SIX
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -122,14 +123,15 @@ def motion_truncation(
     out = np.zeros_like(motion.d)
     for frames in np.unique(motion.frames[seen]):
         here = motion.frames == frames
-        parts = known.of_displacement(int(frames), motion.d, measured)
-        more: Float | np.float32 = np.float32(size) if frames == 6 else scale
+        kind = max(int(frames), record.path_frames) if frames == 6 else int(frames)
+        parts = known.of_displacement(kind, motion.d, measured)
+        more: Float | np.float32 = np.float32(size) if kind == 6 else scale
         chords = np.maximum(known.of_displacement(2, motion.d, measured), np.float32(1e-12))
         if frames == 2 and times is not None:
             parts = parts * np.float32(uneven_errors(times)[0])
         elif frames == 4 and times is not None:
             parts = np.hypot(parts, np.float32(uneven_errors(times)[1]) * np.sqrt(parts * chords))
-        elif frames == 4 and (here & measured).any():
+        elif kind in (4, EXACT_SIX) and times is None and (here & measured).any():
             square = np.square(motion.chord - motion.d)
             counted = (here & measured).astype(np.float32)
             mean = np.nansum(square * counted, axis=(1, 2)) / counted.sum()

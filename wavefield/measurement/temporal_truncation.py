@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wavefield.matching import Prior
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement.time_weights import elevation_gain, noise_weights, path_gain, place_weights
+from wavefield.variables import EXACT_SIX
 from wavefield.water import dispersion
 
 Float = NDArray[Any]
@@ -29,7 +30,7 @@ _MIN_PHASE = 1e-3  # of slower waves nothing is left out
 _MAX_PHASE = 1.5 * np.pi  # beyond that waves are not followed at all
 _WEAK_POWER = 0.01  # of the strongest ring's: phases of weaker rings are of errors rather than of waves
 _HALF_TRUSTED_WAVES = 20.0  # in a ring: its own phase then counts by half
-_MIN_WAVES_OF_SIX_FRAMES = 100.0  # give phases to a tenth, and to half of it what six frames leave out
+_MIN_WAVES_OF_SMOOTH_PATHS = 100.0  # give phases to a tenth, and to half of it what smooth paths leave out
 _TRUNCATION_MARGIN = 1.5  # on the error of waves along a path
 _LEVEL_WAVELENGTH = 1.5  # fields: the mean over the field has a sixth of the variance of such waves, or less
 _MEAN_OF_DIRECTIONS = 0.75  # of what orbits make of velocities: 1/2 in all directions, 1 in one
@@ -41,7 +42,7 @@ class TemporalTruncation:
     """Standard deviation over the field of what the finite time step leaves out; pairs are hashable."""
 
     z: tuple[tuple[int, float], ...]  # of z at mid-time by number of frames (2, 3, 4, 6), metres
-    # Of the displacement per step by number of frames (2, 4 and, with enough waves, 6), over the rms of its
+    # Of the displacement per step by `path_frames` (2, 4, 7 and, with enough waves, 6), over the rms of its
     # rise: along either axis in water without mean motion, and in addition where it moves as far as on
     # average (squares add); then the same of its rise.
     d: tuple[tuple[int, Parts], ...]
@@ -52,7 +53,7 @@ class TemporalTruncation:
         return dict(self.z)[frames]
 
     def of_displacement(self, frames: int, d: Float, measured: NDArray[np.bool_]) -> Float:
-        """Of displacements per step from so many frames, (3, ny, nx), metres, as d.
+        """Of displacements per step by `path_frames`, (3, ny, nx), metres, as d.
         Half of the error along the axes is shared as the motion, half evenly: short waves spread more.
         """
         still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
@@ -69,13 +70,13 @@ class TemporalTruncation:
         return np.asarray(rise * np.sqrt(np.stack([share[0] * along, share[1] * along, up])))
 
     def total(self, frames: int) -> float:
-        """Variance of the displacement per step from so many frames, over that of the rise."""
+        """Variance of the displacement per step by `path_frames`, over that of the rise."""
         still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
         return float(2.0 * (still + moving) + still_up + moving_up)
 
     def best_frames(self, rise: float, noise_variance: float) -> int:
-        """Number of frames, 4 or 6, with the smallest error, for the rms rise and the noise of displacements.
-        Four where few waves determine the phase; six have to be better by more than its uncertainty.
+        """The `path_frames` with the smallest error, for the rms rise and the noise of displacements.
+        Smooth paths of six where many waves determine the phase, and by more than its uncertainty.
         """
 
         def error(frames: int) -> float:
@@ -83,7 +84,7 @@ class TemporalTruncation:
             lost = _TRUNCATION_MARGIN**2 * (rise**2 * self.total(frames))
             return noise_variance * (own + 2.0 * sum(neighbours)) + lost
 
-        return 6 if 6 in dict(self.d) and error(6) < error(4) else 4
+        return min((kind for kind, _ in self.d if kind > 2), key=error)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe."""
@@ -138,7 +139,7 @@ def _parts(values: Sequence[float]) -> Parts:
 
 
 NOTHING = TemporalTruncation(
-    tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, (0.0, 0.0, 0.0, 0.0)) for n in (2, 4))
+    tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, (0.0, 0.0, 0.0, 0.0)) for n in (2, 4, EXACT_SIX))
 )
 
 
@@ -146,11 +147,11 @@ def temporal_truncation(
     pairs: Sequence[tuple[Float, Float]],
     step: float,
     noise: Callable[[Float], Float] | None = None,
-    matching_gain: Callable[[Float], tuple[Float, Float]] | None = None,
+    matching_gain: Callable[[Float], Float] | None = None,
     detected: Callable[[Float], tuple[Float, Float, Float]] | None = None,
 ) -> TemporalTruncation:
     """Error of the finite time step, metres, from elevations at two consecutive frames (ny, nx).
-    Noise variance, matching_gain (G, B) and `detected_waves`, whose phase counts where that of these
+    Noise variance, the gain G of matching and `detected_waves`, whose phase counts where that of these
     elevations does not show, are functions of wavenumber, rad per node; step is in metres.
     """
     if not pairs or min(pairs[0][0].shape) < _MIN_NODES:
@@ -161,14 +162,16 @@ def temporal_truncation(
     # z leaves out sum P (1 - K)^2 (`elevation_gain`), three frames p^3/16
     z = {n: float(np.sqrt(np.sum(power * (1.0 - elevation_gain(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
-    gains = (np.ones_like(k), np.ones_like(k)) if matching_gain is None else matching_gain(k * step)
+    gain = np.ones_like(k) if matching_gain is None else matching_gain(k * step)
     rise = float(np.mean([np.mean(np.square(b - a)) for a, b in pairs]))
     if detected is not None:  # elevations have less of these waves
         rise = max(rise, float(np.sum(power * np.square(2.0 * np.sin(0.5 * phase)))))
     d = []
-    factors = {2: _CHORD_FACTOR, 4: 1.0} | ({6: 1.0} if waves > _MIN_WAVES_OF_SIX_FRAMES else {})
+    factors = {2: _CHORD_FACTOR, 4: 1.0, EXACT_SIX: 1.0}
+    if waves > _MIN_WAVES_OF_SMOOTH_PATHS:
+        factors[6] = 1.0
     for n, factor in factors.items():
-        still, moving = (_left_out_of_paths(power, phase, k, far, gains, n) for far in (0.0, np.sqrt(rise)))
+        still, moving = (_left_out_of_paths(power, phase, k, far, gain, n) for far in (0.0, np.sqrt(rise)))
         still[0] += 0.5 * _of_pairs(power * known, phase, k, n)
         added = np.maximum(moving - still, 0.0)
         across, up = factor * np.sqrt(np.stack([still, added], axis=1) / max(rise, 1e-30))
@@ -232,21 +235,18 @@ def _wave_rings(
     return k, power, phase, np.append(known, True), float(waves.sum())
 
 
-def _left_out_of_paths(
-    power: Float, phase: Float, k: Float, far: float, gains: tuple[Float, Float], frames: int
-) -> Float:
+def _left_out_of_paths(power: Float, phase: Float, k: Float, far: float, gain: Float, frames: int) -> Float:
     """Variance that paths leave out along either axis and of the rise, (2,), where water moves so far."""
     theta = np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
     moved = far * k * np.cos(theta)[:, None]
-    gain, raised = gains
-    # a wave along theta has phase q = p - k d cos(theta) where the water moves by d; matching leaves B G, the
+    # a wave along theta has phase q = p - k d cos(theta) where the water moves by d; matching leaves G, the
     # path K(q)
     q = phase - moved
     # what the prior removes of displacements, (1 - G)^2, is stated separately
     removed = np.square((1.0 - gain) * np.sinc(q / (2.0 * np.pi)))
-    lost = np.square(1.0 - raised * gain * path_gain(q, frames)) - removed
+    lost = np.square(1.0 - gain * path_gain(q, frames)) - removed
     along = 0.5 * np.sum(power * phase**2 * np.maximum(lost, 0.0))
-    rise = _rise_error(power, phase, k, moved, raised * gain, frames) - removed * q**2
+    rise = _rise_error(power, phase, k, moved, gain, frames) - removed * q**2
     return np.array([along, np.sum(power * np.maximum(rise, 0.0))]) / _DIRECTIONS
 
 

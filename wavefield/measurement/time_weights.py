@@ -30,7 +30,7 @@ def elevation_gain(phase: Float, frames: int) -> Float:
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Fraction of a wave's velocity that paths of 2, 4 or 6 places give at mid-time; phase per step, rad."""
+    """Fraction of a wave's velocity that paths give at mid-time, by `path_frames`; phase per step, rad."""
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
@@ -72,6 +72,6 @@ def noise_of_displacements(weights: Float) -> Float:
 
 def place_weights(frames: int) -> tuple[Float, Float]:
     """Times of a path's places, steps from mid-time, and their weights in the displacement at mid-time."""
-    t = np.arange(frames) - 0.5 * (frames - 1)
     later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
+    t = np.arange(2 * len(later)) - len(later) + 0.5
     return t, np.concatenate([-later[::-1], later])

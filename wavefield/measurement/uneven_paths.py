@@ -20,7 +20,7 @@ _ITERATIONS = 6  # each leaves the gradient of the displacement, at most a third
 
 
 def displacement_weights(
-    times: Float, block: NDArray[np.int64], at: Float | float = 0.0
+    times: Float, block: NDArray[np.int64], at: Float | float = 0.0, frames: int = 6
 ) -> tuple[Float, Float]:
     """Weights of five displacements, (5, ...), in the way from the step's first frame to the place at a time,
     and in the displacement per interval then; times (6,) and at: intervals from mid-time, block (5, ...).
@@ -29,13 +29,13 @@ def displacement_weights(
     case = before + 2 * after + ((block[0] >= 0) & (block[4] >= 0))
     used = [(2, 3), (1, 2, 3), (2, 3, 4), (1, 2, 3, 4), (0, 1, 2, 3, 4, 5)]
     way, moved = np.empty((2, 5, *case.shape))
-    for n, frames in enumerate(used):
+    for n, some in enumerate(used):
         here = case == n
         if not here.any():
             continue
         when = at if np.ndim(at) == 0 else np.asarray(at)[here]
-        value, rate = uneven_weights(times, frames, len(frames) == 6, when)
-        if len(frames) == 6:  # the place is that of a cubic, as at even times
+        value, rate = uneven_weights(times, some, len(some) == frames == 6, when)
+        if len(some) == 6:  # the place is that of a cubic, as at even times
             value = uneven_weights(times, used[3], at=when)[0]
         later = [np.cumsum(weights[::-1], axis=0)[::-1][1:].reshape(5, -1) for weights in (value, rate)]
         way[:, here], moved[:, here] = later[0] - [[1], [1], [0], [0], [0]], later[1]
@@ -50,12 +50,13 @@ def read_uneven_path(
     Y: Float,
     times: Float,
     at_time: Float | float = 0.0,
+    frames: int = 6,
 ) -> tuple[Float, NDArray[np.int64]]:
     """As `read_path`, by the polynomial through the same places, with times (6,) and at_time in intervals.
     Displacements are per interval, that over the step is the step's own; X, Y are places at at_time.
     """
     first, block = read_path(splines, valid, lattice, X, Y)
-    way, weights = displacement_weights(times, block, at_time)
+    way, weights = displacement_weights(times, block, at_time, frames)
     at = np.stack([X, Y]).astype(np.float64)
     seen = np.isfinite(first[0])
     fields = five(splines)

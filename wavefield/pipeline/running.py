@@ -45,7 +45,7 @@ from wavefield.store.verdict import VERDICT, read_verdict
 from wavefield.store.verify import suspicious
 from wavefield.store.write_cube import discard_chunks, reset_chunks
 from wavefield.text import spell_time
-from wavefield.variables import AROUND, FrameFault, FrameStatus
+from wavefield.variables import AROUND, FrameFault, FrameStatus, frames_of_path
 
 log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
@@ -228,7 +228,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
     )
     prepared = prepared.with_prior(learned)
     if prepared.recipe.record:
-        log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
+        log.info("velocities along paths of %d frames", frames_of_path(prepared.recipe.record["path_frames"]))
     grid = prepared.grid
     cameras = tuple(prepared.series)
     layout = StoreLayout(prepared.steps, prepared.chunk_steps, cameras, prepared.first_frame)

@@ -13,7 +13,7 @@ from wavefield.reports.number_text import number, rms_of, without_folders
 from wavefield.reports.run_data import in_light_sheet
 from wavefield.reports.run_numbers import RunNumbers
 from wavefield.rig.pairs import pairs_of
-from wavefield.variables import Quality
+from wavefield.variables import Quality, frames_of_path
 
 _UNITS = {"frame_rate": "Hz", "measured_frame_rate": "Hz", "pixel_size": "m", "water_depth": "m"}
 _LONG = 300  # letters: longer attributes are not in the table of metadata
@@ -30,7 +30,7 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
     if "path_frames" in cube.coords:
         frames = int(cube.path_frames)
         stated = {1: "instantaneous", 2: "displacements over one step"}
-        rows.append(("velocities", stated.get(frames, f"along paths of {frames} frames")))
+        rows.append(("velocities", stated.get(frames, f"along paths of {frames_of_path(frames)} frames")))
     if "z_level_std" in cube:
         level = number(1e3 * float(cube.z_level_std), "mm")
         rows.append(("uncertainty of z = 0, common to all nodes", level))

@@ -1,7 +1,14 @@
 """Every variable of every dataset: one table that gives attributes, checks and documentation."""
 
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
-from wavefield.variables.cube import AROUND, CUBE_FIELDS, INSTANTANEOUS, PATH_WEIGHTS
+from wavefield.variables.cube import (
+    AROUND,
+    CUBE_FIELDS,
+    EXACT_SIX,
+    INSTANTANEOUS,
+    PATH_WEIGHTS,
+    frames_of_path,
+)
 from wavefield.variables.spectra_table import (
     FIELD_TEXTS,
     FIELD_UNITS,
@@ -18,6 +25,7 @@ __all__ = [
     "AROUND",
     "CUBE_DIMS",
     "CUBE_FIELDS",
+    "EXACT_SIX",
     "FIELD_TEXTS",
     "FIELD_UNITS",
     "GROUPS",
@@ -35,6 +43,7 @@ __all__ = [
     "density_units",
     "factor",
     "find",
+    "frames_of_path",
     "product",
     "register",
     "rows_of",

@@ -8,15 +8,22 @@ from wavefield.variables.codes import FrameFault, FrameStatus, Quality
 from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
 
 AROUND = 2  # frames before and after those of a step that enter it
-# by frames: what the displacement from frame to frame weighs in that at mid-time, and those beside it either
-# way; exact for a cubic in time. Those of six frames let less noise pass than those of four, and leave 1/6 of
-# the displacement of the fastest waves that frames show: the weights of least noise would leave none of some
+# by `path_frames`: what the displacement from frame to frame weighs in that at mid-time, and those beside it
+# either way; exact for a cubic in time. Those of 6 let less noise pass than those of 4, and leave 1/6 of the
+# displacement of the fastest waves that frames show: the weights of least noise would leave none of some
+EXACT_SIX = 7  # code for six frames as well, with the displacement of the quintic through them
 PATH_WEIGHTS: dict[int, tuple[float, ...]] = {
     2: (1.0,),
     4: (26 / 24, -1 / 24),
     6: (34 / 48, 10 / 48, -3 / 48),
+    EXACT_SIX: (2134 / 1920, -116 / 1920, 9 / 1920),
 }
 INSTANTANEOUS = 1  # frames: of velocities at an instant, as a model has them, no displacements over dt
+
+
+def frames_of_path(code: int) -> int:
+    """Number of frames that a path passes through, from `path_frames`."""
+    return 6 if code == EXACT_SIX else code
 
 
 def _cube(name: str, units: str, long_name: str, **more: Any) -> Variable:
@@ -41,8 +48,13 @@ register(
         "1",
         "frames that velocity and rate of rise come from",
         dtype="uint8",
-        meaning="6 where the frame rate is high beside the waves, else 4; fewer beside lost frames and ends;"
-        " 2 of displacements over one step, 1 of instantaneous velocities",
+        meaning="6 where the frame rate is high beside the waves; else 7, which also stands for six frames,"
+        " by weights exact to the fifth degree in time; fewer beside lost frames and ends; 4 of paths through"
+        " four frames, 2 of displacements over one step, 1 of instantaneous velocities",
+        extra={
+            "flag_values": [1, 2, 4, 6, EXACT_SIX],
+            "flag_meanings": "instantaneous one_step four_frames six_frames_smooth six_frames_exact",
+        },
     ),
     _cube(
         "z",

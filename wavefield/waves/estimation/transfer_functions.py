@@ -116,8 +116,7 @@ def gain_displacement(omega: Values, dt: float, frames: int = 2) -> Values:
     dt : float
         Time between frames, s.
     frames : int
-        Frames that the velocity comes from: 2 of a displacement, 4 or 6 along a path, 1 of an instantaneous
-        velocity.
+        The cube's `path_frames`: 2 of a displacement, 4, 6 or 7 along a path, 1 of an instantaneous velocity.
 
     Returns
     -------
@@ -139,8 +138,7 @@ def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
     dt : float
         Time between frames, s.
     frames : int
-        Frames that the velocity comes from: 2 of a displacement, 4 or 6 along a path, 1 of an instantaneous
-        velocity.
+        The cube's `path_frames`: 2 of a displacement, 4, 6 or 7 along a path, 1 of an instantaneous velocity.
 
     Returns
     -------

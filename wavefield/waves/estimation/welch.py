@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from wavefield.errors import CubeError
-from wavefield.variables import INSTANTANEOUS
+from wavefield.variables import INSTANTANEOUS, frames_of_path
 from wavefield.water import water_of
 from wavefield.waves.estimation import rings, segments
 from wavefield.waves.estimation.wave_record import Record, find_record
@@ -166,7 +166,7 @@ class Welch:
 
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
-    """Frames that the velocities of a cube come from: 6 or 4 along paths, 1 of an instant, else 2."""
+    """`path_frames` of a cube: 4, 6 or 7 of velocities along paths, 1 of those of an instant, else 2."""
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
     arrays = (
@@ -204,8 +204,8 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
     frames = frames_of_meaning(meaning)
     if stated and frames_of(cube) != frames:
         raise CubeError(
-            f"velocity is {meaning!r}, but the cube states that its velocities come from {frames_of(cube)}"
-            " frames: leave velocity out"
+            f"velocity is {meaning!r}, but the cube states that its velocities come from"
+            f" {frames_of_path(frames_of(cube))} frames: leave velocity out"
         )
     return cube.assign_coords(path_frames=np.uint8(frames)), ""
 
