@@ -17,7 +17,7 @@ from wavefield.measurement.regrid import (
     spline_slopes,
     spline_weights,
 )
-from wavefield.variables import EXACT_SIX, PATH_WEIGHTS
+from wavefield.variables import PATH_WEIGHTS
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -217,7 +217,7 @@ def read_path(
     # four frames; of six (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48, with 0.4 of the variance by noise,
     # or (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920, exact to the fifth degree; paths are parabolas
     # if one end is missing, straight if both are
-    near, far = (F(weight) for weight in PATH_WEIGHTS[EXACT_SIX if frames == EXACT_SIX else 6][1:])
+    near, far = (F(weight) for weight in PATH_WEIGHTS[max(frames, 6)][1:])
     measured = has[0], has[1], has[3], has[4]
     _read_path((bb, b, c, a, aa), measured, lattice.shape, place, xs, ys, (near, far), out, block)
     return out.reshape(6, *nodes), block.reshape(5, *nodes)

@@ -8,10 +8,10 @@ from wavefield.variables.codes import FrameFault, FrameStatus, Quality
 from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
 
 AROUND = 2  # frames before and after those of a step that enter it
+EXACT_SIX = 7  # code for six frames as well, with the displacement of the quintic through them
 # by `path_frames`: what the displacement from frame to frame weighs in that at mid-time, and those beside it
 # either way; exact for a cubic in time. Those of 6 let less noise pass than those of 4, and leave 1/6 of the
 # displacement of the fastest waves that frames show: the weights of least noise would leave none of some
-EXACT_SIX = 7  # code for six frames as well, with the displacement of the quintic through them
 PATH_WEIGHTS: dict[int, tuple[float, ...]] = {
     2: (1.0,),
     4: (26 / 24, -1 / 24),

@@ -45,7 +45,7 @@ class Welch:
     segment: int  # Steps of a segment
     # Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle
     dk: float | None = None
-    frames: int = 2  # Frames that velocities and z_t come from (`transfer.path_factor`)
+    frames: int = 2  # `path_frames` of velocities and z_t (`transfer.path_factor`)
     z_frames: int = 4  # Frames that z comes from (`transfer.to_frame_time`)
     moving: bool = False  # Whether z is interpolated in time in a frame that moves with the mean flow
     # Mean current along x and y that nonlinear quantities are relative to, m/s
