@@ -1,6 +1,6 @@
 """Conditions drawn at random: are measured nodes wrong by five standard uncertainties without a warning?
 
-    python -m benchmarks.waters [--draws 40] [--seed 0] [--only NUMBER ...] [--workers 1]
+    python -m benchmarks.waters [--draws 40] [--seed 0] [--only NUMBER ...] [--fault NAME] [--workers 1]
 
 Every draw is a record of nine frames of a part of every sensor, with exact cameras: a sea (peak from 4 cm to
 3 m; band, slope, direction and spread; no higher than 0.6 of the depth), a current to 0.8 m/s, the depth, the
@@ -9,7 +9,8 @@ the frames' times, of the beads or of the view. It is checked and measured as a 
 `wavefield.check` and `wavefield.run`. Counted are the nodes 4 cm (20 pixels where these are small) inside the
 edge of the common view, of all steps; those that are flagged as measured and wrong by more than five standard
 uncertainties in z, u, v or w; and whether `check` or the verdict of the run has a remark. A draw fails if
-more than 1 % of its nodes are wrong and there is no remark. ``--only`` repeats single draws.
+more than 1 % of its nodes are wrong and there is no remark. ``--only`` repeats single draws; ``--fault``
+gives every draw the same fault.
 """
 
 import shutil
@@ -20,6 +21,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -49,6 +51,7 @@ FAULTS = (
     "duplicated", "lost", "duplicated in one", "lost in one", "jitter", "jitter, with stamps",
     "late", "rolling shutter", "ripples", "submerged beads", "floating object", "blurred camera",
 )  # fmt: skip
+ONLY_ASKED_FOR = ("duplicated in two", "lost in two")  # not among those drawn
 
 Images = dict[str, list[NDArray[Any] | None]]
 
@@ -124,8 +127,8 @@ def draw_sea(rng: np.random.Generator, period: float) -> tuple[dict[str, Any], s
     return sea, f"{kind} sea at {100 * peak:.1f} cm, slope {slope:.3f}, spread {sea['spread']:.0f}"
 
 
-def draw_conditions(seed: int, number: int) -> Conditions:
-    """Conditions of one number of a seed."""
+def draw_conditions(seed: int, number: int, asked: str | None = None) -> Conditions:
+    """Conditions of one number of a seed, with the fault asked for or one that is drawn."""
     rng = np.random.default_rng([seed, number])
     scale = log_uniform(rng, 0.4, 2.0)  # of the image: a pixel of 0.9 to 4.5 mm
     crop = min(CROP / scale, 0.9)
@@ -138,7 +141,8 @@ def draw_conditions(seed: int, number: int) -> Conditions:
         if sea.get(size, 0.0) > part * MAX_HEIGHT * sea["depth"]:
             sea[size], text = part * MAX_HEIGHT * sea["depth"], f"{text}, as high as depth allows"
     rate = log_uniform(rng, 10.0, 100.0)
-    fault = str(rng.choice(FAULTS)) if rng.random() < 0.5 else ""
+    drawn = str(rng.choice(FAULTS)) if rng.random() < 0.5 else ""
+    fault = drawn if asked is None else asked
     beads = {
         "density": log_uniform(rng, 0.4, 1.6) * 1.1e4 * scale**2, "brightness": log_uniform(rng, 50, 200),
         "clustered": float(rng.choice([0.0, 0.0, 0.3])), "one_camera": float(rng.choice([0.0, 0.0, 0.1])),
@@ -184,12 +188,18 @@ def draw_conditions(seed: int, number: int) -> Conditions:
     return Conditions(number, made, fault, frame, camera, text)
 
 
+def faulty_cameras(conditions: Conditions, names: Sequence[str]) -> set[str]:
+    """The cameras whose frames are repeated or lost: the drawn one, it and the next, or all."""
+    count = {"one": 1, "two": 2}.get(conditions.fault.rpartition(" in ")[2], len(names))
+    first = names.index(conditions.camera)
+    return {names[(first + k) % len(names)] for k in range(count)}
+
+
 def take_images(conditions: Conditions, tank: Tank) -> Images:
     """Frames as they are stored: with frames repeated, lost or covered."""
     taken = [tank.render(frame) for frame in range(conditions.scene.frames)]
     order = {name: list(range(FRAMES)) for name in tank.rig}
-    one = [conditions.camera]
-    concerned = one if conditions.fault.endswith("in one") else list(tank.rig)
+    concerned = faulty_cameras(conditions, list(tank.rig))
     images: Images = {}
     for name, numbers in order.items():
         if name in concerned and conditions.fault.startswith("duplicated"):
@@ -256,8 +266,11 @@ def compare(
     clock = float(np.mean(late)) if conditions.fault == "jitter, with stamps" else 0.0
     ratios: dict[str, list[NDArray[np.float64]]] = {name: [] for name in NAMES}
     margin = min(0.04, 20 * 1.8e-3 / scene.rig.scale)
+    # the time of a step is that of most cameras
+    ahead = faulty_cameras(conditions, list(tank.rig)) if conditions.fault.startswith("lost") else ()
+    most_ahead = 2 * len(ahead) > len(tank.rig)
     for step in range(cube.sizes["time"]):
-        shown = step + (conditions.fault == "lost" and step >= conditions.frame)
+        shown = step + (most_ahead and step >= conditions.frame)
         when = (
             float(cube.time[step])
             - float(cube.time[0])
@@ -287,9 +300,9 @@ def compare(
     return wrong / max(nodes, 1), measured / max(nodes, 1), shares
 
 
-def one_draw(seed: int, number: int) -> Outcome:
+def one_draw(seed: int, number: int, fault: str | None = None) -> Outcome:
     """Simulate, check, measure and compare one draw."""
-    conditions, began = draw_conditions(seed, number), time.process_time()
+    conditions, began = draw_conditions(seed, number, fault), time.process_time()
     outcome = Outcome(f"{number:4d}  {conditions.text}")
     folder = Path(tempfile.mkdtemp(prefix="waters-"))
     try:
@@ -358,12 +371,12 @@ def summary(outcomes: Sequence[Outcome]) -> str:
 
 
 def run_draws(
-    seed: int, numbers: Sequence[int], workers: int, show: Callable[[Outcome], None]
+    seed: int, numbers: Sequence[int], workers: int, show: Callable[[Outcome], None], fault: str | None = None
 ) -> list[Outcome]:
     """Outcomes of some draws, in order."""
     outcomes = []
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for outcome in pool.map(one_draw, [seed] * len(numbers), numbers):
+        for outcome in pool.map(partial(one_draw, seed, fault=fault), numbers):
             show(outcome)
             outcomes.append(outcome)
     return outcomes
@@ -374,6 +387,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", type=int, help="numbers of single draws")
+    parser.add_argument("--fault", choices=(*FAULTS, *ONLY_ASKED_FOR), help="of every draw")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--most", type=int, help="exit status 1 if more draws are wrong without a warning")
     options = parser.parse_args(words)
@@ -382,6 +396,7 @@ def main(words: Sequence[str]) -> int:
         options.only or range(options.draws),
         options.workers,
         lambda one: print(report(one), flush=True),
+        options.fault,
     )
     print(
         summary(outcomes), f"seed {options.seed}; CPU {sum(one.seconds for one in outcomes):.0f} s", sep="\n"

@@ -325,22 +325,23 @@ def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_the
         assert 0.7 < float(ratio.median()) < 1.5, name
 
 
-def test_steps_over_a_frame_lost_in_all_cameras_are_left_out_of_the_opened_cube(own_tank):
-    lost, last = 8, FRAMES - 1
-    for images in own_tank.parent.glob("cam*"):
-        files = sorted(images.glob("*.tif"))
+@pytest.mark.parametrize("cameras", [("cam1", "cam2", "cam3"), ("cam1", "cam3")], ids=["all", "two"])
+def test_steps_over_a_frame_lost_in_most_cameras_are_left_out_of_the_opened_cube(own_tank, cameras):
+    lost, last = 5, FRAMES - 1  # few steps have only good frames around them
+    for camera in cameras:
+        files = sorted((own_tank.parent / camera).glob("*.tif"))
         for name, source in zip(files[lost:last], files[lost + 1 :]):
             shutil.move(source, name)
     found = run(own_tank, workflow=chunks_of(3))
     assert "discontinuous steps" in found.verdict.line
     cube = open_cube(found.store).load()
     left_out = np.flatnonzero(cube.frame_status == FrameStatus.DISCONTINUOUS)
-    assert left_out.tolist() == [5, 6, 7, 8, 9], "their six frames lie on both sides"
+    assert left_out.tolist() == [2, 3, 4, 5, 6], "their six frames lie on both sides"
     for name in CUBE_FIELDS:
         missing = cube[name] == 0 if name == "quality" else cube[name].isnull()
         assert missing.isel(time=left_out).all()
         assert not missing.drop_isel(time=left_out).all()
-    assert find_record(cube).runs == find_record(open_stored(found.store)).runs == ((0, 5), (10, 15))
+    assert find_record(cube).runs == find_record(open_stored(found.store)).runs == ((0, 2), (7, 15))
     assert open_as_measured(found.store).z.isel(time=left_out).notnull().any(("y", "x")).all()
 
 

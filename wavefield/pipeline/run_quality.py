@@ -117,7 +117,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
     sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
     sheet = prepared.geometry.settings.sheet_thickness is not None
-    comparable = status.done >= LIMITS.steps_compared and not sheet
+    comparable = status.done + status.faulty >= LIMITS.steps_compared and not sheet
     grave = any(one.weight == "grave" for one in faults.remarks)
     remarks = [
         *faults.remarks,
