@@ -45,8 +45,8 @@ MIN_PATCHES = 12  # of an instant
 MIN_BLOCKS = 4  # matched ones of a patch
 NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
+_CELLS = 3  # along either side: parts of the field whose errors are independent
 SIGNIFICANCE = 4.0  # standard deviations
-ROW_SIGNIFICANCE = 5.0  # of a row time: cameras show a place in nearly the same row
 MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
 MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined,
 MAX_INTERVALS = 1.5  # nor a longer one: water does not keep its velocity for so long,
@@ -184,27 +184,38 @@ def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequ
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
     """The delay of the second camera behind the first and its standard uncertainty, in frames.
-    Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own.
+    Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own. The uncertainty
+    is from leaving out one part of the field after the other, at all instants: near patches depend on each
+    other, instants may show the same beads, and a single place may determine the delay.
     """
     if len(samples) < 2:
         return None
     weights = [np.ones(len(s.miss)) for s in samples]
-    delay = 0.0
     for _ in range(8):
-        cleared = [_cleared(s, w) for s, w in zip(samples, weights)]
-        power = sum(float((w * v * v).sum()) for (_, v), w in zip(cleared, weights))
-        if power <= 0:
+        fitted = _fit(samples, weights)
+        if fitted is None:
             return None
-        delay = sum(float((w * v * y).sum()) for (y, v), w in zip(cleared, weights)) / power
-        left = [y - delay * v for y, v in cleared]
+        delay, left = fitted
         scale = PER_MEDIAN * float(np.median(np.abs(np.concatenate(left)))) + 1e-9
         weights = [np.minimum(1.0, 2.5 * scale / np.maximum(np.abs(r), 1e-12)) for r in left]
-    # the uncertainty is that of quarters of the field at each instant: near patches depend on each other
-    scores = np.concatenate(
-        [np.bincount(_quarters(s), w * v * r, 4) for s, w, (_, v), r in zip(samples, weights, cleared, left)]
-    )
-    count = len(scores)
-    return delay, float(np.sqrt((scores**2).sum() * count / (count - 1))) / power
+    cells = [_cells(s) for s in samples]
+    changes = []
+    for cell in np.unique(np.concatenate(cells)):
+        others = _fit(samples, [w * (c != cell) for w, c in zip(weights, cells)])
+        if others is None:
+            return None
+        changes.append(others[0] - delay)
+    return delay, float(np.sqrt((len(changes) - 1) / len(changes) * np.sum(np.square(changes))))
+
+
+def _fit(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]] | None:
+    """The delay, in frames, and what it leaves of the misses; None where nothing moves."""
+    cleared = [_cleared(s, w) for s, w in zip(samples, weights)]
+    power = sum(float((w * v * v).sum()) for (_, v), w in zip(cleared, weights))
+    if power <= 0:
+        return None
+    delay = sum(float((w * v * y).sum()) for (y, v), w in zip(cleared, weights)) / power
+    return delay, [y - delay * v for y, v in cleared]
 
 
 def is_determined(samples: Sequence[Sample], delay: float, std: float) -> bool:
@@ -224,8 +235,10 @@ def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
     return regress(other)
 
 
-def _quarters(one: Sample) -> NDArray[np.intp]:
-    return np.asarray((one.low[:, 1] > 0) + 2 * (one.low[:, 2] > 0), np.intp)
+def _cells(one: Sample) -> NDArray[np.intp]:
+    """Which part of the field each patch is in."""
+    column, row = np.clip((one.low[:, 1:3].T + 1) * (0.5 * _CELLS), 0, _CELLS - 1).astype(np.intp)
+    return np.asarray(row * _CELLS + column)
 
 
 def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
@@ -317,7 +330,7 @@ def remarks(found: Synchrony) -> Iterator[Remark]:
     """Remarks on delays and rolling shutters."""
     yield from _on_delays(found.delays, found.speed)
     one = found.row_time
-    if one is None or abs(one.seconds) < ROW_SIGNIFICANCE * one.std:
+    if one is None or abs(one.seconds) < SIGNIFICANCE * one.std:
         return
     late = abs(one.seconds) * found.rows
     off = 0.5 * late * found.speed
