@@ -128,3 +128,10 @@ def test_waves_that_turn_by_more_than_half_a_turn_between_frames_are_remarked_up
     assert fast_waves(none, pixel, 0.5 * half_a_turn) == (0.0, 0.0)
     for share, weights in ((0.0, []), (0.01, ["note"]), (0.4, ["remark"])):
         assert [one.weight for one in remark_on_fast_waves(share, length, half_a_turn)] == weights
+
+
+def test_remarks_on_waves_give_numbers_of_any_size_without_exponents():
+    for length, share in ((0.046, 0.999), (3.2, 1.0)):
+        (fast,) = remark_on_fast_waves(share, length, 1.0)
+        (short,) = remark_on_unresolved_waves(0.15, length, 1e-3, 0.15)
+        assert "e+" not in str(fast) + str(short)

@@ -28,7 +28,7 @@ def remark_on_coverage(seen: float) -> Iterator[Remark]:
             "grid",
             "coverage",
             "grave" if seen < MIN_USEFUL_COVERAGE else "remark",
-            f"the cameras have {100 * seen:.2g} % of the grid's nodes in common view",
+            f"the cameras have {100 * seen:.3g} % of the grid's nodes in common view",
             f"{100 * MIN_COVERAGE:.0f} % at least",
             "check the extent of the grid, which is in metres, or leave it out: `grid: auto`",
             {"fraction": seen},
@@ -78,9 +78,9 @@ def remark_on_unresolved_waves(
             "surface",
             "short waves",
             "remark" if share > MAX_UNRESOLVED else "note",
-            f"waves of about {100 * wavelength:.2g} cm and less, which the images do not resolve, have"
-            f" {100 * share:.2g} % of the variance of w: w of single nodes is uncertain by"
-            f" {1e3 * unresolved:.2g} mm/s for them, which the standard uncertainties contain",
+            f"waves of about {100 * wavelength:.3g} cm and less, which the images do not resolve, have"
+            f" {100 * share:.3g} % of the variance of w: w of single nodes is uncertain by"
+            f" {1e3 * unresolved:.3g} mm/s for them, which the standard uncertainties contain",
             f"less than {100 * MAX_UNRESOLVED:.0f} %",
             "for these waves take images with smaller pixels; means over nodes and longer waves are sound",
             {"fraction": share, "w_std": unresolved},
@@ -96,8 +96,8 @@ def remark_on_fast_waves(share: float, wavelength: float, frame_rate: float) -> 
             "record",
             "fast waves",
             "remark" if share > MAX_FAST else "note",
-            f"waves of {100 * wavelength:.2g} cm and less turn by more than half a turn from frame to frame"
-            f" at {frame_rate:.3g} Hz and have {100 * share:.2g} % of the detected variance of w: velocities"
+            f"waves of {100 * wavelength:.3g} cm and less turn by more than half a turn from frame to frame"
+            f" at {frame_rate:.3g} Hz and have {100 * share:.3g} % of the detected variance of w: velocities"
             " of these and of shorter waves are not measured, which standard uncertainties may not contain",
             f"at most {100 * MAX_FAST:.0f} %",
             "take images at twice the frame rate or more; longer waves are sound",
