@@ -188,8 +188,9 @@ def draw_conditions(seed: int, number: int, asked: str | None = None) -> Conditi
     return Conditions(number, made, fault, frame, camera, text)
 
 
-def faulty_cameras(conditions: Conditions, names: Sequence[str]) -> set[str]:
+def faulty_cameras(conditions: Conditions, tank: Tank) -> set[str]:
     """The cameras whose frames are repeated or lost: the drawn one, it and the next, or all."""
+    names = list(tank.rig)
     count = {"one": 1, "two": 2}.get(conditions.fault.rpartition(" in ")[2], len(names))
     first = names.index(conditions.camera)
     return {names[(first + k) % len(names)] for k in range(count)}
@@ -199,7 +200,7 @@ def take_images(conditions: Conditions, tank: Tank) -> Images:
     """Frames as they are stored: with frames repeated, lost or covered."""
     taken = [tank.render(frame) for frame in range(conditions.scene.frames)]
     order = {name: list(range(FRAMES)) for name in tank.rig}
-    concerned = faulty_cameras(conditions, list(tank.rig))
+    concerned = faulty_cameras(conditions, tank)
     images: Images = {}
     for name, numbers in order.items():
         if name in concerned and conditions.fault.startswith("duplicated"):
@@ -267,8 +268,8 @@ def compare(
     ratios: dict[str, list[NDArray[np.float64]]] = {name: [] for name in NAMES}
     margin = min(0.04, 20 * 1.8e-3 / scene.rig.scale)
     # the time of a step is that of most cameras
-    ahead = faulty_cameras(conditions, list(tank.rig)) if conditions.fault.startswith("lost") else ()
-    most_ahead = 2 * len(ahead) > len(tank.rig)
+    lost = conditions.fault.startswith("lost")
+    most_ahead = lost and 2 * len(faulty_cameras(conditions, tank)) > len(tank.rig)
     for step in range(cube.sizes["time"]):
         shown = step + (most_ahead and step >= conditions.frame)
         when = (

@@ -108,7 +108,7 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
     elif blind:
         who = f"{', '.join(blind)} does not see the grid"
     else:
-        who = f"the cameras have {100 * share:.3g} % of the grid in common view"
+        who = f"the cameras have {100 * share:.2g} % of the grid in common view"
     raise ExperimentError(
         f"{experiment.path}: {who} (x {grid.x[0]:g} to {grid.x[1]:g} m, y {grid.y[0]:g} to {grid.y[1]:g} m); "
         f"{_suggested_grid(rig, grid)}"

@@ -28,7 +28,7 @@ def remark_on_coverage(seen: float) -> Iterator[Remark]:
             "grid",
             "coverage",
             "grave" if seen < MIN_USEFUL_COVERAGE else "remark",
-            f"the cameras have {100 * seen:.3g} % of the grid's nodes in common view",
+            f"the cameras have {100 * seen:.2g} % of the grid's nodes in common view",
             f"{100 * MIN_COVERAGE:.0f} % at least",
             "check the extent of the grid, which is in metres, or leave it out: `grid: auto`",
             {"fraction": seen},

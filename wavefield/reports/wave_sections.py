@@ -128,7 +128,7 @@ def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
         figures.nonlinear_ratio_curves(kinematics),
         "Ratio of the nonlinear term, relative to the mean current, to the vertical velocity over wavenumber "
         "and frequency, with 95 % intervals.",
-        f"Two curves. Over wavenumber the median is {100 * median_of(ratio.values):.3g} %.",
+        f"Two curves. Over wavenumber the median is {100 * median_of(ratio.values):.2g} %.",
     )
 
 

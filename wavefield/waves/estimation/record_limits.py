@@ -51,7 +51,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
     """How many nodes were filled, how well, and what that adds to the spectrum of the elevation."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
-    text = f"{record.holes} missing nodes ({100 * share:.3g} %) were filled from their neighbours"
+    text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     inside = [t for a, b in record.runs for t in range(a + IN_TIME, b - IN_TIME)]
     chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, FILLED_STEPS).astype(int)} if inside else ()
     area = slice(*record.y), slice(*record.x)
