@@ -181,13 +181,10 @@ def test_vic_there_and_back(tmp_path, shared):
         same(first[name], second[name], 1e-11)
 
 
-@pytest.mark.parametrize("program", ["vic3d", "dice", "openptv"])
+@pytest.mark.parametrize("program", ["vic3d", "dice"])
 def test_lengths_in_a_unit_that_is_not_the_programs(tmp_path, program):
     rig = two("p1", "p2", "tau_x", "tau_y", "k1", "k2", "k3", "skew")
-    path = tmp_path / ("rig" if program == "openptv" else "rig.xml")
-    if program == "openptv":
-        path.mkdir()
-        rig = Rig({name: replace(camera, fy=camera.fx) for name, camera in rig.cameras.items()})
+    path = tmp_path / "rig.xml"
     save_rig(rig, path, program)
     for unit, metres in (("inch", 0.0254), ("0.5", 0.5), ("mm", 1e-3)):
         back = load_rig(path, unit=unit, names=list(rig))
@@ -290,27 +287,6 @@ def same_rig(found):
         same(found[name], camera, 1e-9)
 
 
-def test_kalibrs_camera_chain(tmp_path):
-    step = np.eye(4)
-    step[:3, :3], step[:3, 3] = TURN, SHIFT
-    lens = {
-        "camera_model": "pinhole",
-        "intrinsics": [900.0, 905.0, 330.0, 250.0],
-        "distortion_model": "radtan",
-        "distortion_coeffs": D[:4].tolist(),
-        "resolution": [640, 480],
-    }
-    chain = {"cam0": lens, "cam1": lens | {"T_cn_cnm1": step.tolist()}}
-    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
-    found = load_rig(tmp_path / "camchain.yaml")
-    assert found["cam2"].centre == pytest.approx(stereo_pair()["cam2"].centre)
-    assert (found["cam2"].k2, found["cam2"].p2, found["cam2"].size) == (0.02, -2e-3, (640, 480))
-    chain["cam1"]["distortion_model"] = "fov"
-    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
-    with pytest.raises(RigError, match="pinhole-radtan"):
-        load_rig(tmp_path / "camchain.yaml")
-
-
 def test_bouguets_stereo_results(tmp_path):
     lens = {"fc": [900.0, 905.0], "cc": [330.0, 250.0], "kc": D, "alpha_c": 0.0}
     data = {f"{name}_{side}": v for side in ("left", "right") for name, v in lens.items()}
@@ -336,27 +312,6 @@ def test_matlabs_own_structs_count_pixels_from_one(tmp_path):
     scipy.io.savemat(tmp_path / "nothing.mat", {"x": 3.0})
     with pytest.raises(RigError, match="holds no calibration"):
         load_rig(tmp_path / "nothing.mat")
-
-
-def write_matrix(path, name, matrix):
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    storage.write(name, np.asarray(matrix, float))
-    storage.release()
-
-
-def test_a_folder_of_wass_with_the_distance_between_its_cameras(tmp_path):
-    for n in (0, 1):
-        write_matrix(tmp_path / f"intrinsics_0000000{n}.xml", "intr", K)
-        write_matrix(tmp_path / f"distortion_0000000{n}.xml", "dist", D[:, None])
-    length = float(np.linalg.norm(SHIFT))
-    write_matrix(tmp_path / "ext_R.xml", "R", TURN)
-    write_matrix(tmp_path / "ext_T.xml", "T", SHIFT[:, None] / length)
-    sizes = dict.fromkeys(("cam1", "cam2"), (640, 480))
-    same_rig(load_rig(tmp_path, sizes=sizes, unit=str(length)))
-    (tmp_path / "ext_T.xml").unlink()
-    unplaced = load_rig(tmp_path, sizes=sizes)
-    assert "wavefield rig level --distance" in unplaced.provenance["imported"]["left_out"]
-    np.testing.assert_array_equal(unplaced["cam1"].centre, unplaced["cam2"].centre)
 
 
 @pytest.mark.parametrize(

@@ -133,10 +133,7 @@ def add(catalog: Path, experiment: Path) -> None:
     print_next("run", catalog, name)
 
 
-_PROGRAMS = (
-    "wavefield", "uvmat", "vic3d", "dice", "opencv", "kalibr", "matlab", "wass", "openptv", "myptv",
-    "metashape", "colmap",
-)  # fmt: skip
+_PROGRAMS = ("wavefield", "uvmat", "vic3d", "dice", "opencv", "matlab")
 
 
 class _Files(click.Group):
@@ -174,7 +171,7 @@ Examples:
   wavefield rig convert cal.xml -o rig.yaml                     # from VIC-3D or OpenCV
   wavefield rig convert cam1=a.xml cam2=b.xml --size 1024x1024 -o rig.yaml    # from UVMAT, a file per camera
   wavefield rig convert rig.yaml --to opencv -o rig_opencv.yaml
-  wavefield rig convert rig.yaml --to colmap -o model/          # a folder
+  wavefield rig convert rig.yaml --to uvmat -o uvmat/           # a folder with a file per camera
 """
 )
 @click.argument("files", nargs=-1, required=True)
@@ -193,8 +190,8 @@ def convert(
 ) -> None:
     """Show a rig, or convert one from or to another program's.
 
-    FILES is one file or folder, or camera=file for each camera: of wavefield, UVMAT, VIC-3D, DICe, DaVis,
-    OpenCV, Kalibr, MATLAB, WASS, OpenPTV, MyPTV, Metashape or COLMAP.
+    FILES is one file, or camera=file for each camera: of wavefield, UVMAT, VIC-3D, DICe, DaVis, OpenCV or
+    MATLAB. Any other calibration: write its numbers into a rig.yaml (see File formats).
     """
     from wavefield.atomic_write import NEW_FILE, OwnFile, check_replaceable, refuse_input
     from wavefield.rig import formats
@@ -215,7 +212,7 @@ def convert(
     refuse_input(output, *(named.values() or files))
     if to == "wavefield":
         loaded.save(output)
-    elif to in formats.FOLDERS:
+    elif to == "uvmat":
         check_replaceable(output, OwnFile("a folder", lambda path: True, folder=True))
         with tempfile.TemporaryDirectory() as scratch:
             formats.save_rig(loaded, scratch, to)

@@ -1,7 +1,6 @@
-"""Calibrations of other programs: UVMAT, VIC-3D, DaVis, OpenCV, Kalibr, MATLAB (Bouguet's too), WASS, DICe,
-OpenPTV, MyPTV, Metashape and COLMAP.
+"""Calibrations of other programs: UVMAT, VIC-3D, DICe, DaVis, OpenCV, and MATLAB (Bouguet's toolbox too).
 
-All lengths become metres, all pixel coordinates (column, row) with centres at integers.
+Lengths become metres. Pixel coordinates become (column, row) with pixel centres at integers.
 """
 
 import xml.etree.ElementTree as ET
@@ -13,20 +12,14 @@ import cv2
 import yaml
 
 from wavefield.errors import RigError
-from wavefield.rig.formats.agisoft import load_agisoft, save_agisoft
-from wavefield.rig.formats.colmap import is_colmap, load_colmap, save_colmap
 from wavefield.rig.formats.common import LENGTHS, ImportOptions, Size
 from wavefield.rig.formats.davis_rig import load_davis
 from wavefield.rig.formats.dice import is_dice_text, is_dice_xml, load_dice_text, load_dice_xml, save_dice
-from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr, save_kalibr
 from wavefield.rig.formats.matlab_rig import load_matlab, save_matlab
-from wavefield.rig.formats.myptv import is_myptv, load_myptv, save_myptv
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
-from wavefield.rig.formats.openptv import is_openptv, load_openptv, save_openptv
 from wavefield.rig.formats.uvmat_rig import load_uvmat, save_uvmat
 from wavefield.rig.formats.vic import load_vic, save_vic
-from wavefield.rig.formats.wass import load_wass, save_wass
-from wavefield.rig.rig import YAML_LOADER, Rig, read_rig_text
+from wavefield.rig.rig import Rig, read_rig_text
 from wavefield.text import one_line
 
 __all__ = [
@@ -37,8 +30,6 @@ __all__ = [
     "save_uvmat",
     "save_vic",
 ]
-
-FOLDERS = ("uvmat", "myptv", "openptv", "colmap", "wass")  # programs that have a folder, or a file per camera
 
 
 _BROKEN = (
@@ -64,15 +55,15 @@ def load_rig(
     Parameters
     ----------
     path : path, or mapping of camera name to path
-        One file, a folder (WASS, OpenPTV, COLMAP), or one file per camera (UVMAT, MyPTV).
+        One file, a folder that holds ``rig.yaml``, or one file per camera (UVMAT).
     sizes : mapping of str to (width, height), optional
         Image size per camera, px; UVMAT's files and OpenCV's stereo files do not store it.
     names : sequence of str, optional
         Names for the cameras, in the file's order; cam1, cam2, ... if left out.
     unit : str, optional
-        Unit of length, or a number of metres: of files that do not state it (OpenCV, MATLAB, MyPTV: that of
-        the target; WASS: the distance between the cameras; COLMAP, Metashape), else metres; of others where
-        theirs is not the usual one (VIC-3D, DICe, OpenPTV, DaVis: mm).
+        Unit of length (m, cm, mm, ...) or its size in metres. Needed if the file does not state it (OpenCV,
+        MATLAB: the unit of the target; default m) or if it is not the program's usual unit (VIC-3D, DICe,
+        DaVis: mm).
 
     Returns
     -------
@@ -133,13 +124,7 @@ def _in_unit(rig: Rig, options: ImportOptions) -> Rig:
 def _imported(path: Path, options: ImportOptions) -> Rig | None:
     """A rig of another program; None for one of wavefield."""
     if path.is_dir():
-        if is_openptv(path):
-            return load_openptv(path, options)
-        if is_colmap(path):
-            return load_colmap(path, options)
-        if (path / "rig.yaml").is_file() and not any(path.glob("intr*.xml")):
-            return None
-        return load_wass(path, options)
+        return None
     if path.suffix == ".mat" and path.exists():
         return load_matlab(path, options)
     text = read_rig_text(path)
@@ -147,12 +132,7 @@ def _imported(path: Path, options: ImportOptions) -> Rig | None:
         return _load_xml(path, options)
     if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
         return load_opencv(path, options)
-    if is_myptv(text):
-        return load_myptv(text, path, options)
-    if is_dice_text(text):
-        return load_dice_text(text, path, options)
-    data = yaml.load(text, Loader=YAML_LOADER)
-    return load_kalibr(data, path, options) if is_kalibr(data) else None
+    return load_dice_text(text, path, options) if is_dice_text(text) else None
 
 
 def _load_xml(path: Path, options: ImportOptions) -> Rig:
@@ -163,8 +143,6 @@ def _load_xml(path: Path, options: ImportOptions) -> Rig:
         return load_opencv(path, options)
     if is_dice_xml(root):
         return load_dice_xml(root, path, options)
-    if root.find("chunk/sensors") is not None:
-        return load_agisoft(root, path, options)
     if root.find("calibration") is not None:
         return load_vic(root, path, options)
     if root.find(".//CoordinateMapper") is not None:
@@ -173,24 +151,16 @@ def _load_xml(path: Path, options: ImportOptions) -> Rig:
 
 
 def save_rig(rig: Rig, path: str | Path, program: str) -> None:
-    """Write a rig as another program has it; for `FOLDERS`, into a folder that exists."""
+    """Write a rig as another program has it; UVMAT's files, one per camera, into a folder that exists."""
     path = Path(path)
     if program == "uvmat":
         for name, camera in rig.cameras.items():
             save_uvmat(camera, path / f"{name}.xml")
-    elif program == "myptv":
-        for name, camera in rig.cameras.items():
-            save_myptv(name, camera, path / name)
-    else:
-        savers: dict[str, Callable[[Rig, Path], None]] = {
-            "openptv": save_openptv,
-            "colmap": save_colmap,
-            "vic3d": save_vic,
-            "dice": save_dice,
-            "metashape": save_agisoft,
-            "opencv": save_opencv,
-            "kalibr": save_kalibr,
-            "wass": save_wass,
-            "matlab": save_matlab,
-        }
-        savers[program](rig, path)
+        return
+    savers: dict[str, Callable[[Rig, Path], None]] = {
+        "vic3d": save_vic,
+        "dice": save_dice,
+        "opencv": save_opencv,
+        "matlab": save_matlab,
+    }
+    savers[program](rig, path)

@@ -136,9 +136,7 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
     """Refuse a camera with lens terms that another program does not have; "k4" is that of a fisheye."""
     if camera.fisheye and "k4" not in terms:
-        raise RigError(
-            f"{program} does not have this fisheye lens: write opencv, kalibr, colmap or metashape"
-        )
+        raise RigError(f"{program} does not have this fisheye lens: write OpenCV's file")
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "k4", "tau_x", "tau_y", "skew")
