@@ -271,7 +271,7 @@ def test_examples_of_helps_run_as_they_are_written(folder, tmp_path, monkeypatch
     for name in ("cam1", "cam2", "cam3"):
         shutil.copytree(folder / name, tmp_path / "run07" / name)
     monkeypatch.chdir(tmp_path)
-    for words in ("init", "status", "verify", "rig convert", "explain", "target"):
+    for words in ("init", "status", "verify", "rig convert", "explain"):
         for example in examples_of(words)[:2]:
             if "cal.xml" not in example and "campaign.yaml" not in example:
                 assert main(["-q", *words.split(), *example]) == 0, f"{words} {example}"

@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.calibration.find import find_target
-from wavefield.calibration.likely_kind import IMAGES_TRIED, likely_target
 from wavefield.calibration.pointfile import read_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.solve import calibrate
 from wavefield.calibration.target import Target
 from wavefield.calibration.workers import start_worker, worker_context
-from wavefield.config_files import place_of
 from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.images import read_image
 from wavefield.rig import Rig
@@ -25,7 +23,6 @@ from wavefield.series.target_listing import find_views
 
 TABLES = (".csv", ".txt", ".dat", "")  # endings of points found by another program
 MAX_WORKERS = 8
-MAX_FAILED = 0.5  # of the target images: if more show no target, what they show is examined
 
 
 @dataclass(frozen=True)
@@ -92,10 +89,6 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() in TABLES
 
 
-def _shown_instead(paths: list[Path], target: Target) -> str:
-    return likely_target([path for path in paths if not is_table(path)], target)
-
-
 def calibrate_experiment(
     experiment: str | Path | Experiment,
     progress: Callable[[int, int], None] | None = None,
@@ -119,7 +112,7 @@ def calibrate_experiment(
     Raises
     ------
     CalibrationError
-        If target images are missing, or all show another target than is stated.
+        If target images are missing, or in none of them is the target found.
 
     Examples
     --------
@@ -148,7 +141,6 @@ def calibrate_experiment(
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     unfound: list[tuple[str, Path]] = []  # why no target was found, and in which image
     frame_sizes = _frame_sizes(experiment) if any(is_table(p) for _, _, p in jobs) else {}
-    place = place_of(experiment.path, ("calibration", "target"))
     workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
     with ProcessPoolExecutor(workers, mp_context=worker_context(__name__), initializer=start_worker) as pool:
         sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
@@ -161,20 +153,7 @@ def calibrate_experiment(
                 views[camera][pose] = points if height is None else placed_at(points, height)
             if progress:
                 progress(done, len(jobs))
-            if done == len(unfound) == IMAGES_TRIED:  # searching all images for an absent board takes minutes
-                words = _shown_instead([path for _, _, path in jobs[:done]], target)
-                if words:
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    some = f"the first {done} of {len(jobs)} target images"
-                    raise CalibrationError(f"{place}: no {target.kind} in {some}: {words}")
     notes = one_note_each(unfound)
-    failed = [path for camera, pose, path in jobs if pose not in views[camera]]
-    if len(failed) > MAX_FAILED * len(jobs):
-        words = _shown_instead(failed, target)
-        sentence = f"no {target.kind} in {len(failed)} of {len(jobs)} target images: {words}"
-        if words and len(failed) == len(jobs):
-            raise CalibrationError(f"{place}: {sentence}")
-        notes = [sentence] if words else notes
     named = {
         camera: {pose: os.path.relpath(path, experiment.path.parent) for pose, path in by_pose.items()}
         for camera, by_pose in images.items()

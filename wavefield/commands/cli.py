@@ -22,7 +22,6 @@ from wavefield.commands import (
     level_command,
     look,
     simulate_command,
-    target_command,
     wave_commands,
 )
 from wavefield.errors import WavefieldError
@@ -91,7 +90,6 @@ def cli(quiet: bool, verbose: bool, debug: bool) -> None:
 for _command in (
     simulate_command.demo,
     experiment_commands.init,
-    target_command.target,
     calibrate_command.calibrate,
     level_command.refine,
     archive.rig,
