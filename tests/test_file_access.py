@@ -7,7 +7,7 @@ import time
 import pytest
 
 import wavefield.file_access
-from wavefield.calibration.pointfile import read_points
+from wavefield.calibration.points import read_points
 from wavefield.errors import ExperimentError, WavefieldError
 from wavefield.file_access import accessing
 from wavefield.images import read_image

@@ -1,9 +1,9 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
-from wavefield.calibration.images import calibrate_experiment as calibrate
 from wavefield.calibration.level_on_water import level_experiment as level
 from wavefield.calibration.light_sheet import find_sheet
-from wavefield.calibration.platform_motion import level_frames
+from wavefield.calibration.platform import level_frames
 from wavefield.calibration.target import Target
+from wavefield.calibration.target_images import calibrate_experiment as calibrate
 from wavefield.execution.workflow import Workflow
 from wavefield.explorer.notebook import look
 from wavefield.grid import Grid

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 import wavefield as wf
-from wavefield.calibration import platform_motion
+from wavefield.calibration import platform
 from wavefield.calibration.horizon import find_horizon
 from wavefield.commands.level_command import level as command
 from wavefield.errors import RigError
@@ -62,7 +62,7 @@ def test_an_image_is_redrawn_as_a_level_camera_would_have_taken_it():
             image, exact = painted(taken), painted(level)
             inside = np.zeros(exact.shape, bool)
             inside[60:-30, 30:-30] = True
-            redrawn = platform_motion.redrawn(image, taken, level)
+            redrawn = platform.redrawn(image, taken, level)
             assert np.sqrt(np.mean((redrawn - exact)[inside] ** 2)) < 1.0
             assert np.sqrt(np.mean((image - exact)[inside] ** 2)) > 10.0
 
@@ -112,4 +112,4 @@ def test_the_command_writes_a_level_experiment_and_never_over_another(swaying, t
 def test_cameras_at_rest_are_not_reported_to_sway():
     tank = Tank(scene(sway=0.0))
     images = [tank.draw("left", frame, None) for frame in range(3)]
-    assert platform_motion.sway(images, tank.rig["left"]) < 0.02
+    assert platform.sway(images, tank.rig["left"]) < 0.02

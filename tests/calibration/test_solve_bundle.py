@@ -5,11 +5,19 @@ import pytest
 from scipy.optimize import least_squares
 from solve_cases import MESH, nodes, views
 
-from wavefield.calibration.bundle import fit
-from wavefield.calibration.least_squares import Whitener, huber, minimise, normal_matrix
+from wavefield.calibration.bundle import (
+    Whitener,
+    fit,
+    huber,
+    layout,
+    linearised,
+    minimise,
+    moved,
+    normal_matrix,
+    predict,
+)
+from wavefield.calibration.camera_start import calibrate_single
 from wavefield.calibration.observations import Geometry, collect
-from wavefield.calibration.parameters import layout, linearised, moved, predict
-from wavefield.calibration.start import calibrate_single
 from wavefield.rig.lens import LENS
 from wavefield.tank.rigs import paper_rig
 

@@ -9,9 +9,8 @@ from rendering import write_points
 from solve_cases import nodes, poses
 
 from wavefield.calibration import Target, calibrate
-from wavefield.calibration.pointfile import read_points
-from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.predicted_errors import predict_errors
+from wavefield.calibration.model_choice import predict_errors
+from wavefield.calibration.points import TargetPoints, read_points
 from wavefield.commands.cli import main
 from wavefield.errors import CalibrationError
 from wavefield.rig import Camera, Rig

@@ -6,7 +6,7 @@ import pytest
 from solve_cases import MESH, views
 
 from wavefield.calibration import calibrate, check_rig, refine, refine_and_level
-from wavefield.calibration.sight_line_fit import sight_points
+from wavefield.calibration.still_water import sight_points
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
 from wavefield.tank.rigs import paper_rig

@@ -8,7 +8,7 @@ from solve_cases import MESH, nodes, poses, views
 
 from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.sight_line_fit import sight_points
+from wavefield.calibration.still_water import sight_points
 from wavefield.errors import CalibrationError
 from wavefield.figures.style import panels
 from wavefield.reports.calibration import write_calibration

@@ -22,9 +22,8 @@ from rendering import (
 
 from wavefield.calibration import Target, find_target
 from wavefield.calibration.blobs import centroids
-from wavefield.calibration.pointfile import read_points
-from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.smooth_map import SmoothMap
+from wavefield.calibration.lattice import SmoothMap
+from wavefield.calibration.points import TargetPoints, read_points
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
 

@@ -10,9 +10,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from rendering import Picture, camera_at, string_picture, string_truth
 
 from wavefield.calibration import Target, find_target
-from wavefield.calibration.smooth_map import SmoothMap
-from wavefield.calibration.subpixel import fit_crossings, start_parameters
-from wavefield.calibration.target_lattice import crossings
+from wavefield.calibration.lattice import SmoothMap, crossings
+from wavefield.calibration.string_crossings import fit_crossings, start_parameters
 from wavefield.errors import CalibrationError
 
 SIZE = (640, 512)

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from rendering import Picture, camera_at, two_level_picture
 
 from wavefield.calibration import Target, calibrate, find_target
-from wavefield.calibration.images import placed_at
+from wavefield.calibration.target_images import placed_at
 from wavefield.errors import CalibrationError
 
 MESH, DEPTH, DIAMETER, EXTENT = 0.0075, 0.002, 0.0032, (-12, 12, -10, 10)

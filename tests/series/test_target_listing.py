@@ -78,7 +78,7 @@ def test_a_file_that_two_patterns_name_is_one_pose(tmp_path):
 
 
 def test_a_table_of_points_without_a_size_takes_it_from_the_images(tmp_path):
-    from wavefield.calibration.images import _find_in_file, _frame_sizes
+    from wavefield.calibration.target_images import _find_in_file, _frame_sizes
 
     target = Target("strings", 0.1)
     table = tmp_path / "cam1_pose1.csv"

@@ -1,10 +1,10 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
-from wavefield.calibration.find import find_target
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.solve import calibrate
-from wavefield.calibration.still_water_correction import check_rig, refine, refine_and_level
+from wavefield.calibration.still_water import check_rig, refine, refine_and_level
 from wavefield.calibration.target import Target
+from wavefield.calibration.target_finder import find_target
 
 __all__ = [
     "Calibration",

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.horizon import find_horizon
-from wavefield.calibration.platform_motion import sway
-from wavefield.calibration.platform_pose import PlatformFit, fit_platform, leave_out
+from wavefield.calibration.platform import PlatformFit, fit_platform, leave_out, sway
 from wavefield.calibration.relative_pose import (
     MAX_EPIPOLAR_ERROR,
     MIN_MATCHES,

@@ -1,17 +1,222 @@
-"""Self-calibration on particle images: the plane of a light sheet, and cameras that have moved."""
+"""The plane of a light sheet, from the particles that two cameras see in it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
 
-from wavefield.calibration.sheet_windows import Read, SheetWindows
-from wavefield.calibration.still_water_correction import RigCheck, refine_and_level
+from wavefield.calibration.points import Image, Mask
+from wavefield.calibration.still_water import RigCheck, refine_and_level
 from wavefield.errors import CalibrationError
+from wavefield.measurement.frame import usable
+from wavefield.measurement.rectify import rectify, sight_map
 from wavefield.rig import Rig
+from wavefield.rig.field import common_field
+from wavefield.rig.lens import Array
+from wavefield.rig.pairs import pairs_of
+from wavefield.rig.resolution import pixel_at
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment
+
+LIGHT_SCALE = 4.0  # px: variations wider than a few particles are illumination
+MAX_BRIGHTNESS = 4.0  # standard deviations: brighter particles are limited to this
+SMOOTHING = 1.5  # px: of the correlation, so that single particles do not make peaks of their own
+PEAK_LEVEL = 0.5  # of the maximum: correlations above it belong to the peak
+MIN_PEAK = 6.0  # standard deviations of the correlation around the peak, for a peak to be significant
+MIN_SAMPLES = 12  # of a peak, for its widths
+
+
+def particles(image: Image, visible: Mask) -> Image:
+    """The particles of an image: illumination removed, brightness limited; 0 where nothing is visible."""
+    weight = cv2.GaussianBlur(visible.astype(np.float32), (0, 0), LIGHT_SCALE)
+    light = cv2.GaussianBlur(np.where(visible, image, np.float32(0)), (0, 0), LIGHT_SCALE)
+    rest = np.where(visible, image - light / np.maximum(weight, 1e-3), np.float32(0))
+    spread = np.float32(np.sqrt(np.mean(np.square(rest[visible])))) if visible.any() else np.float32(0)
+    if not spread > 0:
+        return np.zeros_like(rest)
+    out: Image = np.clip(rest / spread, -MAX_BRIGHTNESS, MAX_BRIGHTNESS)
+    return out
+
+
+@dataclass
+class Correlation:
+    """Sum over instants of the correlations of windows of two images."""
+
+    rows: Sequence[int]  # First pixel of the windows, in rows and columns of them
+    columns: Sequence[int]
+    side: int  # Of the windows, px
+
+    def __post_init__(self) -> None:
+        half = self.side // 2 + 1
+        shape = len(self.rows), len(self.columns), self.side, half
+        self._sum, self._own = np.zeros(shape, np.complex64), np.zeros(shape[2:], np.float32)
+        edge = np.hanning(self.side + 2)[1:-1]
+        self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
+
+    def add(self, a: Image, b: Image) -> None:
+        """Add an instant: images as from `particles`."""
+        for i, row in enumerate(self.rows):
+            lines = slice(row, row + self.side)
+            pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
+            spectrum = scipy.fft.rfft2(pieces * self._taper, workers=1)
+            self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
+            self._own += np.square(np.abs(spectrum)).sum(axis=(0, 1))
+
+    def planes(self) -> Image:
+        """Correlation of every window, (rows, columns, side, side): no displacement in the middle."""
+        return self._plane(self._sum)
+
+    def own(self) -> Image:
+        """Correlation of the images with themselves, all windows and both images together, (side, side)."""
+        return self._plane(self._own)
+
+    def _plane(self, spectrum: NDArray[np.complexfloating | np.floating]) -> Image:
+        plane = scipy.fft.fftshift(scipy.fft.irfft2(spectrum, s=(self.side, self.side)), axes=(-2, -1))
+        out = np.ascontiguousarray(plane, np.float32)
+        for one in _each(out):
+            one[:] = cv2.GaussianBlur(one, (0, 0), SMOOTHING)
+        return out
+
+
+def _each(planes: Image) -> Iterator[Image]:
+    yield from planes.reshape(-1, *planes.shape[-2:])
+
+
+def disparities(planes: Image) -> Array:
+    """Displacement (n, m, 2), px along x and y, of the second image in windows (n, m, side, side)."""
+    return np.array([_centre(one) for one in _each(planes)]).reshape(*planes.shape[:2], 2)
+
+
+def _centre(plane: Image) -> tuple[float, float]:
+    """Centre of the peak above half of its maximum; NaN where it is not significant or cut off."""
+    middle, peak = plane.shape[0] // 2, _peak(plane)
+    background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
+    if not background.size or plane.max() - np.median(background) < MIN_PEAK * background.std():
+        return np.nan, np.nan
+    row, column = np.nonzero(peak)
+    weight = plane[peak] - PEAK_LEVEL * plane.max()
+    if row.min() == 0 or column.min() == 0 or max(row.max(), column.max()) == plane.shape[0] - 1:
+        return np.nan, np.nan
+    return float(weight @ column / weight.sum()) - middle, float(weight @ row / weight.sum()) - middle
+
+
+def _peak(plane: Image) -> Mask:
+    """Samples connected with the maximum that are above half of it."""
+    top = np.unravel_index(int(plane.argmax()), plane.shape)
+    _, parts = cv2.connectedComponents((plane > PEAK_LEVEL * plane.max()).astype(np.uint8))
+    return np.asarray(parts == parts[top])
+
+
+def peak_length(planes: Image, own: Image, shift: Array, along: Array) -> float:
+    """Standard deviation, px, that a particle's height adds to the peaks along the disparity (n, m, 2).
+    Less the peaks' width across and the size of the particles' images; Wieneke (2005), Exp. Fluids 39, 267.
+    """
+    middle = np.full(2, own.shape[0] // 2)
+    variances = [
+        _excess_variance(plane, centre + middle, way / np.linalg.norm(way))
+        for plane, centre, way in zip(_each(planes), shift.reshape(-1, 2), along.reshape(-1, 2), strict=True)
+        if np.isfinite(centre).all()
+    ]
+    if not variances:
+        return float("nan")
+    mean_way = np.mean(along.reshape(-1, 2), axis=0)
+    own_variance = _excess_variance(own, middle, mean_way / np.linalg.norm(mean_way))
+    return float(np.sqrt(max(float(np.median(variances)) - own_variance, 0.0)))
+
+
+def _excess_variance(plane: Image, centre: Array, way: Array) -> float:
+    """Variance of one peak along a direction less that across it, px^2."""
+    peak = _peak(plane)
+    row, column = np.nonzero(peak)
+    place = np.stack([column - centre[0], row - centre[1]])
+    s, t = way @ place, np.array([-way[1], way[0]]) @ place
+    design = np.stack([np.ones(s.size), s, t, -0.5 * s * s, -0.5 * t * t, s * t], axis=1)
+    if len(design) < MIN_SAMPLES:
+        return 0.0
+    # the logarithm's curvature above half of the maximum: second moments depend on where a peak is cut off
+    fit = np.linalg.lstsq(design, np.log(plane[peak]), rcond=None)[0]
+    return float(1.0 / fit[3] - 1.0 / fit[4]) if fit[3] > 0 and fit[4] > 0 else 0.0
+
+
+ENOUGH_WINDOWS = 100  # windows overlap where fewer would fit next to each other
+STD_PER_THICKNESS = 4.0  # standard deviations of a Gaussian sheet between the places where its light is 1/e2
+
+Read = Callable[[str, int], NDArray[np.generic] | None]  # an image by camera and frame
+
+
+class SheetWindows:
+    """Disparity of each pair of cameras in windows of the dewarped images, from all instants together."""
+
+    def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
+        self.rig = rig
+        field = common_field(rig.cameras.values(), height=0.0, margin=4.0)
+        self.pixel = max(pixel_at(rig[n], float(np.mean(field.x)), float(np.mean(field.y))) for n in rig)
+        x, y = (np.arange(lo, hi, self.pixel) for lo, hi in (field.x, field.y))
+        side = min(side, x.size, y.size) // 2 * 2
+        step, rows, columns = side, range(0), range(0)
+        while len(rows) * len(columns) < ENOUGH_WINDOWS and step > 4:
+            step //= 2
+            rows, columns = (range(0, n - side + 1, step) for n in (y.size, x.size))
+        self.count = len(rows) * len(columns)
+        middle = (side - 1) / 2
+        self.x, self.y = np.meshgrid(
+            x[0] + self.pixel * (np.array(columns) + middle), y[0] + self.pixel * (np.array(rows) + middle)
+        )
+        self.pairs = pairs_of(rig, tuple(rig))
+        self._correlations = {pair: Correlation(rows, columns, side) for pair in self.pairs}
+        self.instants = self._add(read, instants, x, y)
+        self._planes = {pair: total.planes() for pair, total in self._correlations.items()}
+        self._disparities = {pair: disparities(planes) for pair, planes in self._planes.items()}
+
+    def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
+        """Correlate all instants; returns how many had the images of a pair."""
+        maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
+        used = 0
+        for k in instants:
+            flat = {}
+            for name, (X, Y, visible) in maps.items():
+                image = read(name, k)
+                if image is not None and usable(image, self.rig[name].size):
+                    flat[name] = particles(rectify(image, X, Y).astype(np.float32), visible)
+            pairs = [(a, b) for a, b in self.pairs if a in flat and b in flat]
+            for a, b in pairs:
+                self._correlations[a, b].add(flat[a], flat[b])
+            used += bool(pairs)
+        return used
+
+    def matches(self) -> dict[str, Array]:
+        """Pixels of the same places of the sheet in each camera, (windows, 2); NaN where there is none."""
+        reference = self.pairs[0][0]
+        out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
+        out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}
+        return {name: out[name] for name in self.rig}
+
+    def _pixels(self, name: str, shift: Array) -> Array:
+        dx, dy = np.moveaxis(shift * self.pixel, -1, 0)
+        return np.stack(self.rig[name].project(self.x + dx, self.y + dy, 0.0), axis=-1).reshape(-1, 2)
+
+    def rms(self) -> float:
+        """Disparity, px."""
+        squares = [np.sum(np.square(shift), axis=-1) for shift in self._disparities.values()]
+        return float(np.sqrt(np.nanmean(squares)))
+
+    def thickness(self) -> float:
+        """Thickness of the sheet at 1/e2, metres.
+        The light of both cameras makes the correlation, which is therefore narrower by root 2.
+        """
+        out = []
+        for (a, b), planes in self._planes.items():
+            lines = [np.stack(self.rig[n].sight_line(self.x, self.y), axis=-1) for n in (a, b)]
+            along = (lines[1] - lines[0]) / self.pixel
+            length = peak_length(planes, self._correlations[a, b].own(), self._disparities[a, b], along)
+            parallax = float(np.mean(np.linalg.norm(along, axis=-1)))
+            out.append(STD_PER_THICKNESS * np.sqrt(2.0) * length / parallax)
+        return float(np.mean(out))
+
 
 SIDES = 128, 64, 64, 64  # px: of the windows, pass after pass
 MIN_WINDOWS = 60  # by which a plane, and a camera that moved, can be fitted

@@ -6,11 +6,9 @@ from itertools import product
 import cv2
 import numpy as np
 
-from wavefield.calibration.bundle import Fit
-from wavefield.calibration.limits import LIMITS
-from wavefield.calibration.observations import Geometry, Observations, common_extent
-from wavefield.calibration.parameters import ParameterLayout, linearised
-from wavefield.calibration.predicted_errors import predict_errors
+from wavefield.calibration.bundle import Fit, ParameterLayout, linearised
+from wavefield.calibration.model_choice import predict_errors
+from wavefield.calibration.observations import LIMITS, Geometry, Observations, common_extent
 from wavefield.calibration.result import Calibration
 from wavefield.rig.lens import Array
 

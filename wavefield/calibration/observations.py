@@ -1,7 +1,7 @@
-"""All nodes observed in all views, as flat arrays, and the geometry that is fitted to them."""
+"""What the target images showed: nodes, cameras and poses, with the limits that a usable rig must meet."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,6 +10,38 @@ from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
 from wavefield.rig.field import view_on_water
 from wavefield.rig.lens import LENS, Array
+
+
+@dataclass(frozen=True)
+class CalibrationLimits:
+    """What a usable calibration needs."""
+
+    min_nodes: int = 12  # of the target in a view
+    min_tilt_range: float = 10.0  # degrees between views of a camera: with less its focal length is uncertain
+    max_reprojection_std: float = 0.3  # px: of a pixel of each camera, where the rig will be used
+    max_z_std: float = 1e-3  # m: of z there
+    max_distance_error: float = 0.05  # of a camera's distance from the origin, if it was measured by hand
+    min_coverage: float = 0.4  # of an image held by views of the target: with less a note is made
+
+
+LIMITS = CalibrationLimits()
+
+
+@dataclass
+class Findings:
+    """Sentences for the user."""
+
+    problems: list[str] = field(default_factory=list)  # Why the rig cannot be used, and what to do
+    notes: list[str] = field(default_factory=list)  # What was left out, and other remarks
+    left_out: dict[str, int] = field(default_factory=dict)  # Points left out per view ("camera pose")
+
+    def leave_out(self, camera: str, pose: str, points: int, reason: str = "") -> None:
+        """Count points that are left out, and note the reason."""
+        view = f"{camera} {pose}"
+        self.left_out[view] = self.left_out.get(view, 0) + points
+        if reason:
+            self.notes.append(f"{view}: {reason}; left out")
+
 
 Index = Nodes
 

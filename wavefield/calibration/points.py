@@ -1,9 +1,16 @@
-"""Points of a target found in one image, and the array types of this room."""
+"""Nodes of a target in one image, as found or as read from a table of points."""
 
+import csv
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from wavefield.errors import CalibrationError
+from wavefield.file_access import accessing
+from wavefield.rig.lens import Array
 
 Image = NDArray[np.float32]  # (row, column), 255 where brightest
 Nodes = NDArray[np.int64]  # (n, 2): indices (i, j) of a target's nodes
@@ -43,3 +50,105 @@ class TargetPoints:
 
     def __len__(self) -> int:
         return len(self.node)
+
+
+COLUMNS = ("i", "j", "X", "Y")
+FREE_COLUMNS = ("x", "y", "z", "X", "Y")
+PLAIN_COLUMNS = "X Y x y z"  # of a table without a header, as MyPTV's
+
+
+def read_points(
+    path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
+) -> TargetPoints:
+    """Read target points from a CSV file with columns i, j, X, Y and, where available, std (px) and z (m).
+    size and std are used where the file states none; CalibrationError for a line that makes no sense.
+    With a unit (metres) the columns are x, y, z, X, Y of any points, or without a header X, Y, x, y, z.
+    """
+    path = Path(path)
+    lines = _lines(path)
+    # lines that begin with # are comments, of which one may be: # size 1024 1024 (width and height)
+    size = _stated_size(lines, path) or size
+    if size is None:
+        raise CalibrationError(
+            f"{path} does not state the image's size, and there are no images of its camera; add a line like "
+            "'# size 1024 1024'"
+        )
+    # node (i, j) is at x = i * mesh, y = j * mesh, right-handed seen from above; X, Y are column and row, px,
+    # from 0 at the centres of pixels; z in the physical frame gives the view's pose, as of a traversed target
+    data, placed = _table(lines, path, std) if unit is None else _free_points(lines, path, std, unit)
+    node = data[:, :2] if unit else np.rint(data[:, :2]).astype(np.int64)
+    if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):
+        raise CalibrationError(f"{path}: i and j must be whole numbers, X and Y finite and std positive")
+    if len(np.unique(np.column_stack([node, data[:, 5]]), axis=0)) != len(node):
+        raise CalibrationError(f"{path} holds the same node twice; keep one line per node")
+    z = data[:, 5] if placed else None
+    notes = (f"points read from {path.name}",)
+    return TargetPoints(cast(Nodes, node), data[:, 2:4], data[:, 4], size, notes, z, placed)
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        with accessing(path, CalibrationError):
+            return path.read_text().splitlines()
+    except FileNotFoundError:
+        raise CalibrationError(f"{path}: no such file of target points") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{path} cannot be read as a table of target points: {error}") from None
+
+
+def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
+    for line in lines:
+        words = line.lstrip("#").split()
+        if line.startswith("#") and words[:1] == ["size"]:
+            try:
+                width, height = (int(word) for word in words[1:])
+            except ValueError:
+                raise CalibrationError(f"{path}: {line!r} must be like '# size 1024 1024'") from None
+            return width, height
+    return None
+
+
+def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
+    """Columns i, j, X, Y, std, z, and whether the file has z."""
+    rows = csv.DictReader(_content(lines), skipinitialspace=True)
+    header = rows.fieldnames or ()
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise CalibrationError(
+            f"{path} lacks the column {', '.join(missing)}; its header must be i,j,X,Y, or also std and z "
+            "(points that are no grid: kind: points)"
+        )
+    placed = "z" in header
+    default = {"std": std} if placed else {"std": std, "z": 0.0}
+    return _numbers(rows, path, default, (*COLUMNS, "std", "z")), placed
+
+
+def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple[Array, bool]:
+    """Columns x, y (in the unit), X, Y, std, z (metres) of points that are in the physical frame."""
+    content = [line.replace(",", " ") for line in _content(lines)]
+    header = content[0].split() if content else []
+    if not set(header) & set(FREE_COLUMNS):
+        content.insert(0, PLAIN_COLUMNS)
+        header = PLAIN_COLUMNS.split()
+    if not set(header) >= set(FREE_COLUMNS):
+        raise CalibrationError(f"{path}: its header must be {','.join(FREE_COLUMNS)}, or also std")
+    rows = csv.DictReader((" ".join(line.split()) for line in content), delimiter=" ")
+    table = _numbers(rows, path, {"std": std}, ("x", "y", "X", "Y", "std", "z"))
+    table[:, 5] *= unit
+    return table, True
+
+
+def _content(lines: list[str]) -> list[str]:
+    return [line for line in lines if line.strip() and not line.startswith("#")]
+
+
+def _numbers(
+    rows: "csv.DictReader[str]", path: Path, default: dict[str, float], columns: tuple[str, ...]
+) -> Array:
+    table = []
+    for count, row in enumerate(rows, 1):
+        try:
+            table.append([float(row.get(name) or default[name]) for name in columns])
+        except (KeyError, TypeError, ValueError):
+            raise CalibrationError(f"{path}: point {count} is not made of numbers: {dict(row)}") from None
+    return np.array(table, float).reshape(-1, len(columns))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from wavefield.calibration.poses import Pose
+from wavefield.calibration.camera_start import Pose
 from wavefield.errors import RigError
 from wavefield.rig import Camera, Rig
 from wavefield.rig.epipolar import epipolar_distance

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.model_choice import Choice
+from wavefield.calibration.model_choice import Choice, PredictedErrors
 from wavefield.calibration.observations import Observations
-from wavefield.calibration.predicted_errors import PredictedErrors
 from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 

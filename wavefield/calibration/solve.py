@@ -5,18 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from wavefield.calibration.assess import (
+    Views,
+    assess_rig,
+    calibrate_each,
+    consistent_cameras,
+    provenance,
+    usable_views,
+)
 from wavefield.calibration.bundle import Fit, fit
-from wavefield.calibration.findings import Findings
-from wavefield.calibration.joint_start import PhysicalFrame, physical_frame, start_geometry
-from wavefield.calibration.model_choice import CANDIDATES, MODELS, Choice, choose, terms_of
-from wavefield.calibration.observations import Geometry, Observations, collect
+from wavefield.calibration.camera_start import LENSES
+from wavefield.calibration.model_choice import CANDIDATES, MODELS, Choice, choose, predict_errors, terms_of
+from wavefield.calibration.observations import Findings, Geometry, Observations, collect
 from wavefield.calibration.points import Mask
-from wavefield.calibration.predicted_errors import predict_errors
+from wavefield.calibration.pose_consistency import PhysicalFrame, physical_frame, start_geometry
 from wavefield.calibration.result import Calibration
-from wavefield.calibration.start import LENSES
 from wavefield.calibration.target import Target
-from wavefield.calibration.trust import assess_rig, provenance
-from wavefield.calibration.views import Views, calibrate_each, consistent_cameras, usable_views
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
 from wavefield.rig.lens import LENS

@@ -1,29 +1,219 @@
-"""The grid of white strings: its crossings, found without clicks and located to a hundredth of a pixel.
+"""Find a grid of white strings: the crossings, their order, and the discs that mark the axes."""
 
-The steps: a lattice of crossings (`string_lattice`); the two discs that mark the origin and the x axis
-(`string_marks`); a fit to the raw pixels of every crossing (`subpixel`); rejection of crossings that differ
-from their neighbours in brightness, width or position.
-"""
-
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from wavefield.calibration.lattice import (
+    REACH,
+    Candidates,
+    SmoothMap,
+    TargetLattice,
+    around,
+    cross,
+    crossings,
+    independent_pair,
+)
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
-from wavefield.calibration.smooth_map import SmoothMap
-from wavefield.calibration.string_lattice import MIN_CROSSINGS, NO_GRID, best_lattice
-from wavefield.calibration.string_marks import numbered_from_marks
-from wavefield.calibration.subpixel import WIDTH1, WIDTH2, Crossings, fit_crossings, start_parameters
+from wavefield.calibration.string_crossings import WIDTH1, WIDTH2, Crossings, fit_crossings, start_parameters
 from wavefield.calibration.target import Target
-from wavefield.calibration.target_lattice import around
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
+
+SCALES = (1.5, 2.5, 4.0)  # px; a string may be under 2 px wide in one camera and 4 px in another
+MIN_CROSSINGS = 12
+MAX_SEEDS = 12  # per scale
+MIN_SEED_LIGHT = 0.35  # along a seed's vectors, relative to the light of the crossings
+NO_GRID = (
+    "no grid of white strings was found in the image; it needs a dark ground, and strings in focus that "
+    "are brighter than it"
+)
+
+
+def best_lattice(image: Image) -> tuple[TargetLattice, float]:
+    """The lattice whose meshes run along the most light, and the scale of its candidates."""
+    best: TargetLattice | None = None
+    best_scale, most = SCALES[0], 0.0
+    for scale in SCALES:
+        candidates = crossings(image, scale)
+        if len(candidates.pixel) < MIN_CROSSINGS:
+            continue
+        for start, e1, e2 in _seeds(image, candidates):
+            lattice = TargetLattice(start, e1, e2)
+            lattice.grow(candidates, image.shape[::-1])
+            if len(lattice) < MIN_CROSSINGS:
+                continue
+            light = _light_along(image, lattice)
+            if light > 1.03 * most:
+                best, best_scale, most = lattice, scale, light
+            if len(lattice) > 0.6 * candidates.strong.sum():
+                break
+    if best is None:
+        raise CalibrationError(NO_GRID)
+    return best, best_scale
+
+
+def _light_along(image: Image, lattice: TargetLattice) -> float:
+    """Light on the lines between neighbouring nodes in excess of that next to them, summed over their length.
+    A lattice that noise or dirt suggests has many nodes, but no strings between them.
+    """
+    place, filled = lattice.place, lattice.filled
+    along = np.linspace(0.25, 0.75, 16)[None, :, None]
+    total = 0.0
+    for axis in (0, 1):
+        first = np.argwhere(filled & np.roll(filled, -1, axis))
+        start = place[tuple(first.T)]
+        vector = place[tuple((first + np.eye(2, dtype=int)[axis]).T)] - start
+        aside = 0.22 * lattice.predict(first - REACH)[1][:, 1 - axis][:, None]
+        line = start[:, None] + along * vector[:, None]
+        on, off = sample(image, line), (sample(image, line + aside) + sample(image, line - aside)) / 2
+        total += float(((on - off).mean(1) * np.hypot(*vector.T)).sum())
+    return total
+
+
+def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Array]]:
+    """Crossings near the middle with two neighbours each along a string: (start, e1, e2), right-handed."""
+    height, width = image.shape
+    light = _above_ground(image, candidates.scale)
+    pixel = candidates.pixel[candidates.strong]
+    if len(pixel) < MIN_CROSSINGS:
+        return []
+    bright = np.median(sample(light, pixel))
+    tree = cKDTree(pixel)
+    along = np.linspace(0.2, 0.8, 22)[None, :, None]
+    seeds: list[tuple[Array, Array, Array]] = []
+    for k in np.argsort(np.hypot(*(pixel - [width / 2, height / 2]).T))[:120:3]:
+        _, near = tree.query(pixel[k], min(13, len(pixel)))
+        arms = pixel[near[1:]] - pixel[k]
+        arms = arms[np.hypot(*arms.T) > 4 * candidates.scale]
+        if len(arms):
+            lit = sample(light, pixel[k] + along * arms[:, None])
+            arms = arms[np.percentile(lit, 15, axis=1) > MIN_SEED_LIGHT * bright]
+        pair = independent_pair(arms)
+        if pair is not None:
+            # rows run downwards in an image, therefore the cross product of a right-handed pair is negative
+            e1, e2 = pair if cross(*pair) < 0 else pair[::-1]
+            seeds.append((pixel[k], e1, e2))
+        if len(seeds) == MAX_SEEDS:
+            break
+    return seeds
+
+
+def _above_ground(image: Image, scale: float) -> Image:
+    """The image smoothed, less its local ground."""
+    smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
+    ground = cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
+    return np.asarray(smooth, np.float32) - np.asarray(ground, np.float32)
+
+
+def sample(image: Image, pixel: Array) -> Image:
+    """Bilinear values at pixel positions (..., 2); those outside take the nearest pixel's value."""
+    flat = pixel.reshape(-1, 2).astype(np.float32)
+    rows = 30000  # cv2.remap takes no more than 32767 rows
+    parts = [
+        cv2.remap(image, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in np.split(flat, range(rows, len(flat), rows))
+    ]
+    return np.asarray(np.concatenate(parts), np.float32).reshape(pixel.shape[:-1])
+
+
+FOUR_NEIGHBOURS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+CIRCLES = np.linspace(0.02, 0.45, 30)  # meshes: radii of the circles on which marks are sampled
+DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of discs that are compared with the samples
+
+
+def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
+    """Renumber nodes so that the larger disc is (0, 0) and the smaller one (1, 0)."""
+    origin, step = _marks(image, smooth, node)
+    rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
+    out: Nodes = (node - origin) @ rotation.T
+    return out
+
+
+def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
+    """Node of the larger disc, and the step from it to the smaller one."""
+    height, width = image.shape
+    places = around(node, np.vstack([[[0, 0]], FOUR_NEIGHBOURS]))
+    pixel = smooth(places)
+    inside = ((pixel > 2) & (pixel < [width - 3, height - 3])).all(1)
+    places, pixel = places[inside], pixel[inside]
+    blurred = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.7), np.float32)
+    excess, usual = _circles(blurred, pixel, smooth.slopes(places))
+    # all directions first; if a spot of light or dirt spoils a disc, the median over directions
+    median = np.median(excess, axis=2, keepdims=True), np.median(usual, axis=1, keepdims=True)
+    for (on_circles, of_strings), min_quality in (((excess, usual), 0.7), (median, 1.5)):
+        pairs = _pairs_of_discs(places, *_discs(on_circles, of_strings), min_quality)
+        if pairs and pairs[0][0] > 1.3 * (pairs[1][0] if len(pairs) > 1 else 0.0):
+            return pairs[0][1], pairs[0][2]
+    raise CalibrationError(
+        f"a grid of {len(node)} crossings was found, but not its marks: the larger disc on the origin "
+        "and the smaller one on the next crossing along +x must both be in view, clean and without glare"
+    )
+
+
+def _pairs_of_discs(
+    places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
+) -> list[tuple[float, Nodes, Nodes]]:
+    """Merit, node of a disc, and step to a smaller one next to it; best first."""
+    row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
+    row[tuple((places + REACH + 1).T)] = np.arange(len(places))
+    pairs = []
+    for a in np.flatnonzero(quality > min_quality):
+        for step in FOUR_NEIGHBOURS:
+            b = row[tuple(places[a] + step + REACH + 1)]
+            if b < 0 or quality[b] < min_quality or radius[b] > 0.9 * radius[a]:
+                continue
+            clearest = max(quality[a], quality[b]) > 0.5 * quality.max()
+            if clearest and 0.2 < quality[b] / quality[a] < 5.0 and 0.5 < grey[b] / grey[a] < 2.0:
+                merit = min(quality[a], quality[b]) * min(grey[a], grey[b])
+                pairs.append((merit, places[a], step))
+    pairs.sort(key=lambda pair: -pair[0])
+    return pairs
+
+
+def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
+    """Light on circles of the target's plane around nodes, in directions away from the strings.
+    Returns the excess over a node without a disc, (node, circle, direction), and the light around that one.
+    """
+    angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
+    angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
+    offset = CIRCLES[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    value = sample(image, pixel[:, None, None] + offset @ slopes[:, None]).astype(float)
+    value -= np.median(value[:, -10:], axis=(1, 2), keepdims=True)
+    usual = np.median(value, axis=0)
+    return value - usual, usual
+
+
+def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
+    """Similarity of the light around each node to a disc of even brightness: quality, radius (meshes), grey.
+    Quality: light that the best disc explains over the rest. A disc adds less light to a brighter node.
+    """
+    noise = np.median(np.abs(excess[:, -10:])) + 1e-3
+    disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
+    disc = disc * np.clip(1 - usual / usual.max(), 0, 1)
+    area = np.broadcast_to(np.sqrt(CIRCLES)[:, None], excess.shape[1:])
+    disc = (disc * area).reshape(len(DISC_RADII), -1)
+    norm = np.linalg.norm(disc, axis=1)
+    white = np.inf
+    for _ in range(2):
+        light = (np.minimum(excess, white) * area).reshape(len(excess), -1)
+        length = np.linalg.norm(light, axis=1) + 1e-9
+        share = light @ (disc / norm[:, None]).T / length[:, None]
+        best = share.argmax(1)
+        share = np.clip(share[np.arange(len(excess)), best], 0, 0.9999)
+        grey = share * length / norm[best]
+        significant = grey > max(5 * noise, 0.3 * usual.max())
+        quality = np.where(significant, share / np.sqrt(1 - share**2), 0.0)
+        white = 1.2 * grey[quality.argmax()]  # spots brighter than the discs count no more than they
+    return quality, DISC_RADII[best], np.maximum(grey, 1e-6)
+
 
 PRELIMINARY_TOLERANCE = 5e-3  # px: of fits that are repeated
 FIRST_BLUR = 0.6  # px: of the lens, before it is fitted
 BLURS = np.array([0.36, 0.42, 0.48, 0.54, 0.6, 0.68, 0.78, 0.9, 1.1])  # px: tried for the lens
 MAX_BLUR_CROSSINGS = 24  # by which the blur is fitted
 MAP_TOLERANCE = 0.15  # meshes
-NEIGHBOURS = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)])
+NEIGHBOURHOOD = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)])
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
@@ -106,7 +296,7 @@ def _map(node: Nodes, pixel: Array, tolerance: float) -> SmoothMap:
 
 def _missing(node: Nodes) -> Nodes:
     """Nodes next to the present ones, and holes between them, without those under the marks."""
-    places = around(node, NEIGHBOURS)
+    places = around(node, NEIGHBOURHOOD)
     present = set(map(tuple, node))
     return np.array([n for n in places[~_under_marks(places)] if tuple(n) not in present]).reshape(-1, 2)
 

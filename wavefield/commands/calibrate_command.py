@@ -32,8 +32,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     from concurrent.futures import ProcessPoolExecutor
 
     from wavefield.atomic_write import PAGE, RIG, check_writable
-    from wavefield.calibration.images import calibrate_experiment
-    from wavefield.calibration.workers import leave_with_parent, worker_context
+    from wavefield.calibration.target_images import calibrate_experiment, leave_with_parent, worker_context
     from wavefield.reports.calibration import NUMBERS, write_calibration
     from wavefield.reports.rig_sentences import rig_sentences
     from wavefield.reports.target_pictures import draw_found
@@ -49,7 +48,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         solving = progress.stage_of("Solving for the cameras", "models")
         result = calibrate_experiment(loaded, progress, solving)
     calibration = result.calibration
-    starts = worker_context("wavefield.calibration.images")
+    starts = worker_context("wavefield.calibration.target_images")
     with Progress("Drawing the report"), ProcessPoolExecutor(1, starts, leave_with_parent) as pool:
         drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
         page = write_calibration(calibration, folder, drawn.result)

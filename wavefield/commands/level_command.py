@@ -58,7 +58,7 @@ def level(
     if each_frame is None:
         print_next("check", experiment, "--rig", output)
         return
-    from wavefield.calibration.platform_motion import level_frames
+    from wavefield.calibration.platform import level_frames
 
     with Progress("Levelling", "frames") as progress:
         moved = level_frames(experiment, each_frame, output, progress)

@@ -48,7 +48,7 @@ def find_in_image(path: Path, section: CalibrationSection) -> FoundTarget:
 
 def target_images(experiment: Experiment) -> dict[str, dict[str, Path]]:
     """Target images of an experiment by camera and pose."""
-    from wavefield.calibration.images import is_table
+    from wavefield.calibration.target_images import is_table
 
     return {
         camera: {pose: path for pose, path in poses.items() if not is_table(path)}

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.calibration import Target, TargetPoints, calibrate
-from wavefield.calibration.images import placed_at
 from wavefield.calibration.next_view import next_view
+from wavefield.calibration.target_images import placed_at
 from wavefield.errors import WavefieldError
 from wavefield.explorer.target_images import FoundTarget, find_in_image, target_images
 from wavefield.series import Experiment

@@ -17,7 +17,7 @@ from wavefield.store.verdict import Remark
 from wavefield.text import spell_uncertain
 
 if TYPE_CHECKING:
-    from wavefield.calibration.still_water_correction import RigCheck
+    from wavefield.calibration.still_water import RigCheck
 
 FRAMES = 10  # of the record at rest that are matched
 BEAD_HEIGHTS_M = 1e-4, 2e-3  # of visible beads above the water, if they are plausible
@@ -30,7 +30,7 @@ def level_at_rest(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, WaterPlane]:
     """Correct and level a rig with a record of still, seeded water."""
-    from wavefield.calibration.still_water_correction import refine_and_level
+    from wavefield.calibration.still_water import refine_and_level
     from wavefield.measurement.tie_points import matched_pixels
 
     prepared = prepare(experiment, rig)

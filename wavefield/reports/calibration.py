@@ -9,8 +9,8 @@ import yaml
 from matplotlib.figure import Figure
 
 from wavefield.atomic_write import PAGE, OwnFile, atomic, marked, write_text
+from wavefield.calibration.assess import FlatSurface, numbers
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.numbers import FlatSurface, numbers
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.result import Calibration
 from wavefield.figures.style import file_of

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from wavefield.calibration.assess import FlatSurface
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.numbers import FlatSurface
 from wavefield.calibration.observations import Observations
 from wavefield.figures.style import round_down
 from wavefield.rig.camera import Camera

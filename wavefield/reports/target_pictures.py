@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from wavefield.calibration import TargetPoints
-from wavefield.calibration.images import TargetRig, is_table
+from wavefield.calibration.target_images import TargetRig, is_table
 from wavefield.figures.style import LINES, file_of, panels
 from wavefield.images import read_image
 from wavefield.rig import Rig

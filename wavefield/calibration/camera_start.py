@@ -1,20 +1,116 @@
-"""Starting values: each camera on its own, by Zhang's method, or as a fisheye."""
+"""Start values of a camera (focal length, pose) from its own views of the target."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from wavefield.calibration.bundle import Fit, fit
-from wavefield.calibration.fisheye_start import equidistant_start
-from wavefield.calibration.limits import LIMITS
-from wavefield.calibration.observations import Geometry, Observations
-from wavefield.calibration.poses import Pose
+from wavefield.calibration.observations import LIMITS, Geometry, Observations
 from wavefield.errors import CalibrationError
+from wavefield.rig import fisheye
 from wavefield.rig.lens import LENS, Array
+from wavefield.robust import robust_std
+
+Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
+
+
+def passage(a: Pose, b: Pose) -> Pose:
+    """From one camera's frame to another's, by the pose of the target in each of them."""
+    (Ra, ta), (Rb, tb) = a, b
+    R = Rb @ Ra.T
+    return R, tb - R @ ta
+
+
+def mean_pose(poses: Iterable[Pose]) -> Pose:
+    """Rotation nearest to the mean of rotations that are similar, and the median translation."""
+    rotations, translations = zip(*poses, strict=True)
+    U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
+
+
+def angle_between(A: Array, B: Array) -> float:
+    """Angle of the rotation from one orientation (3, 3) to another, degrees."""
+    chord = np.linalg.norm(A - B) / np.sqrt(8.0)
+    return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
+
+
+FOCAL_LENGTHS_TRIED = np.geomspace(0.15, 3.0, 60)  # image widths: 380 to 19 degrees along the image
+MIN_POINTS = 8
+INLIER_DEVIATIONS = 6.0
+
+
+def equidistant_start(o: Observations, views: list[int]) -> tuple[float, dict[int, Pose]] | None:
+    """Focal length, px, and poses of the views of one camera; None where no focal length fits any."""
+    (size,) = o.sizes
+    centre = (np.array(size) - 1) / 2
+    best: tuple[float, float, dict[int, Pose]] | None = None
+    for f in FOCAL_LENGTHS_TRIED * max(size):
+        x, y = ((o.pixel - centre) / f).T
+        rays = np.stack(fisheye.directions(x, y, (0.0, 0.0, 0.0, 0.0)), -1)
+        poses, errors = {}, []
+        for p in views:
+            rows = o.pose == p
+            pose = pose_along_rays(o.plan[o.node[rows]], rays[rows])
+            if pose is not None:
+                poses[p] = pose
+                errors.append(_angles(o.plan[o.node[rows]], rays[rows], pose))
+        if not poses:
+            continue
+        # angles that a lens shows narrower are smaller: as pixels they compare
+        misfit = f * float(np.median(np.concatenate(errors))) / len(poses)
+        if best is None or misfit < best[0]:
+            best = misfit, float(f), poses
+    return None if best is None else best[1:]
+
+
+def pose_along_rays(points: Array, rays: Array) -> Pose | None:
+    """Pose of a plane target, points (n, 3), metres, along unit vectors (n, 3); None where there is none."""
+    level = np.median(points[:, 2])
+    used = np.isfinite(rays).all(1) & (np.abs(points[:, 2] - level) < 1e-8)
+    plan = points[:, :2]
+    if used.sum() < MIN_POINTS or not np.ptp(plan[used], axis=0).all():
+        return None
+    scale = float(np.ptp(plan[used], axis=0).max())
+    plan = np.column_stack([plan / scale, np.ones(len(plan))])
+    pose = None
+    for _ in range(3):
+        # ray x (H p) = 0
+        p, r = plan[used], rays[used]
+        zero = np.zeros_like(p)
+        rows = np.concatenate([
+            np.column_stack([zero, -r[:, 2:] * p, r[:, 1:2] * p]),
+            np.column_stack([r[:, 2:] * p, zero, -r[:, :1] * p]),
+            np.column_stack([-r[:, 1:2] * p, r[:, :1] * p, zero]),
+        ])  # fmt: skip
+        H = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
+        H = H / (0.5 * (np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1])))
+        if np.median(np.sum((p @ H.T) * r, axis=1)) < 0.0:
+            H = -H
+        U, _, V = np.linalg.svd(np.column_stack([H[:, :2], np.cross(H[:, 0], H[:, 1])]))
+        R: Array = U @ V
+        pose = R, scale * H[:, 2] - level * R[:, 2]
+        error = _angles(points, rays, pose)
+        inlier = used & (error < INLIER_DEVIATIONS * robust_std(error[used]) + 1e-9)
+        if inlier.sum() < MIN_POINTS or (inlier == used).all():
+            break
+        used = inlier
+    return pose
+
+
+def _angles(points: Array, rays: Array, pose: Pose) -> Array:
+    """Angles between points and their rays, rad; pi where there is no ray."""
+    R, t = pose
+    there = points @ R.T + t
+    there /= np.linalg.norm(there, axis=1, keepdims=True)
+    sine = np.linalg.norm(np.cross(there, rays), axis=1)
+    out: Array = np.nan_to_num(np.arctan2(sine, np.sum(there * rays, axis=1)), nan=np.pi)
+    return out
+
 
 MAX_HOMOGRAPHY_MISFIT = 8.0  # px: of an inlier, before the lens distortion is fitted
-FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length is not plausible
+PLAUSIBLE_FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length is not plausible
 MAX_MEDIAN_MISFIT = 0.02  # image widths: of points with known z
 LENSES = ("auto", "perspective", "fisheye")
 SUSPICIOUS_MISFIT = 0.05  # px, rms: beyond it the lens may be a fisheye
@@ -204,7 +300,7 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
     if not maps:
         raise CalibrationError(f"no view of {name} shows a plane target: photograph it again")
     f = focal_length(list(maps.values()), np.array([(n - 1) / 2 for n in size]))
-    shortest, longest = (width * max(size) for width in FOCAL_LENGTHS)
+    shortest, longest = (width * max(size) for width in PLAUSIBLE_FOCAL_LENGTHS)
     if f is None or not shortest < f < longest:
         raise CalibrationError(
             f"the views of {name} do not determine its focal length (all are parallel to its sensor, or show "

@@ -4,10 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.dots import find_dots
-from wavefield.calibration.patterns import find_charuco, find_chessboard
 from wavefield.calibration.points import Image, TargetPoints
+from wavefield.calibration.printed import find_aprilgrid, find_charuco, find_chessboard
 from wavefield.calibration.strings import find_strings
-from wavefield.calibration.tags import find_aprilgrid
 from wavefield.calibration.target import Target
 from wavefield.calibration.two_level import find_two_level
 from wavefield.errors import CalibrationError

@@ -1,0 +1,363 @@
+"""Residuals in px and mm, the views to retake, and whether a rig is good enough to use."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from wavefield.calibration.bundle import Fit, covariance_to_dict
+from wavefield.calibration.camera_start import SingleCamera, calibrate_single
+from wavefield.calibration.model_choice import PredictedErrors
+from wavefield.calibration.observations import LIMITS, Findings, Observations, collect
+from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.pose_consistency import PoseConsistency, compare_poses, mirrored
+from wavefield.calibration.result import Calibration
+from wavefield.errors import CalibrationError
+from wavefield.rig import Rig
+from wavefield.rig.epipolar import epipolar_distance
+from wavefield.rig.lens import Array
+from wavefield.rig.stereo import triangulate
+from wavefield.rig.water_level import WaterPlane, fit_plane
+from wavefield.robust import robust_std
+
+
+@dataclass(frozen=True)
+class FlatSurface:
+    """The flat target as the rig measures it."""
+
+    x: Array  # (n,): Nodes in view of two cameras at least, triangulated from their pixels, metres
+    y: Array
+    z: Array
+    plane: WaterPlane  # Through them
+
+    @property
+    def rms(self) -> float:
+        """Of z about zero, metres."""
+        return _rms(self.z[self.plane.kept])
+
+    @property
+    def tilt(self) -> float:
+        """Of the plane, milliradians."""
+        return float(1e3 * np.hypot(*self.plane.slope))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
+    """Triangulate the nodes of the flat target."""
+    o = observations
+    N, C = len(o.nodes), len(o.cameras)
+    apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
+    for c, name in enumerate(o.cameras):
+        rows = (o.camera == c) & (o.pose == o.poses.index(pose))
+        apparent[c][:, o.node[rows]] = np.stack(rig[name].unproject(*o.pixel[rows].T))
+        sight[c] = np.stack(rig[name].sight_line(*apparent[c]))
+    x, y, z, _ = triangulate(apparent, sight)
+    z = z - fit.geometry.offset[:, 2] - o.plan[:, 2]
+    measured = np.isfinite(z)
+    if measured.sum() < 10:
+        return None
+    x, y, z = x[measured], y[measured], z[measured]
+    return FlatSurface(x, y, z, fit_plane(x, y, z))
+
+
+def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
+    """Distances of nodes from the epipolar lines of each pair of cameras, px in the second image."""
+    o = observations
+    key = o.pose * len(o.nodes) + o.node
+    out = {}
+    for a, b in combinations(range(len(o.cameras)), 2):
+        rows_a, rows_b = np.flatnonzero(o.camera == a), np.flatnonzero(o.camera == b)
+        _, ia, ib = np.intersect1d(key[rows_a], key[rows_b], return_indices=True)
+        if len(ia):
+            one, other = o.cameras[a], o.cameras[b]
+            pa, pb = o.pixel[rows_a[ia]], o.pixel[rows_b[ib]]
+            out[one, other] = epipolar_distance(rig[one], rig[other], *pa.T, *pb.T)
+    return out
+
+
+def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float:
+    """Size of a camera's pixel on the target, metres (median)."""
+    g = fit.geometry
+    world = g.world(observations)[observations.camera == camera]
+    depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
+    return float(np.median(depth) / np.sqrt(g.lens[camera, 0] * g.lens[camera, 1]))
+
+
+def numbers(
+    observations: Observations, fit: Fit, rig: Rig, reference: str
+) -> tuple[dict[str, Any], FlatSurface | None]:
+    """All numbers of the report that follow from residuals."""
+    o = observations
+    cameras = {}
+    for c, name in enumerate(o.cameras):
+        rows = o.camera == c
+        mm = 1e3 * _pixel_on_target(fit, o, c)
+        rms, worst = _rms(fit.residual[rows]), float(np.abs(fit.residual[rows]).max())
+        views = {}
+        for p in np.unique(o.pose[rows]):
+            view = rows & (o.pose == p)
+            views[o.poses[p]] = {"points": int(view.sum()), "rms_px": _rms(fit.residual[view])}
+        cameras[name] = {
+            "rms_px": rms,
+            "rms_mm": rms * mm,
+            "max_px": worst,
+            "max_mm": worst * mm,
+            "position_m": [float(v) for v in rig[name].centre],
+            "views": views,
+        }
+    out: dict[str, Any] = {
+        "cameras": cameras,
+        "epipolar": {
+            f"{a} - {b}": {
+                "rms_px": _rms(d),
+                "median_px": float(np.median(np.abs(d))),
+                "scatter_px": robust_std(d),
+                "max_px": float(np.abs(d).max()),
+                "points": len(d),
+            }
+            for (a, b), d in epipolar_residuals(o, rig).items()
+        },
+        "errors_over_stated_uncertainty": fit.scale,
+    }
+    surface = flat_surface(o, fit, rig, reference)
+    if surface is not None:
+        out["flat_target"] = {
+            "view": reference,
+            "nodes": len(surface.z),
+            "z_rms_mm": 1e3 * surface.rms,
+            "z_about_its_plane_rms_mm": 1e3 * surface.plane.rms,
+            "height_mm": 1e3 * surface.plane.height,
+            "tilt_mrad": surface.tilt,
+        }
+    offset = fit.geometry.offset[np.unique(o.node)]
+    if offset.any():
+        out["node_offsets_rms_mm"] = [float(v) for v in 1e3 * np.sqrt(np.mean(offset**2, axis=0))]
+    return out, surface
+
+
+Views = Mapping[str, Mapping[str, TargetPoints]]
+UsableViews = dict[str, dict[str, TargetPoints]]
+
+MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
+
+
+def usable_views(views: Views, findings: Findings) -> UsableViews:
+    """Views with enough points, of one size per camera."""
+    usable: UsableViews = {}
+    for name, by_pose in views.items():
+        size = _common_size(name, by_pose, findings)
+        usable[name] = {}
+        for pose, given in by_pose.items():
+            points = _finite(given)
+            if tuple(points.size) != size:
+                findings.leave_out(name, pose, len(points))
+            elif len(points) < LIMITS.min_nodes:
+                content = f"only {len(points)} nodes of the target" if len(points) else "no target"
+                findings.leave_out(name, pose, len(points), f"{content} found")
+            else:
+                usable[name][pose] = points
+        if not usable[name]:
+            findings.problems.append(f"no target was found in any view of {name}: photograph it again")
+    if not views:
+        findings.problems.append("there are no views of the target")
+    return usable
+
+
+def _common_size(
+    name: str, by_pose: Mapping[str, TargetPoints], findings: Findings
+) -> tuple[int, int] | None:
+    """Size of most of a camera's images; other sizes are a problem."""
+    sizes: dict[tuple[int, int], list[str]] = {}
+    for pose, points in by_pose.items():
+        sizes.setdefault((int(points.size[0]), int(points.size[1])), []).append(pose)
+    if not sizes:
+        return None
+    common = max(sizes, key=lambda s: len(sizes[s]))
+    if len(sizes) > 1:
+        odd = [f"{pose} ({s[0]} x {s[1]})" for s in sizes if s != common for pose in sizes[s]]
+        findings.problems.append(
+            f"the images of {name} have different sizes, most {common[0]} x {common[1]}, but "
+            f"{', '.join(odd)}: take all views with the same settings of the camera"
+        )
+    return common
+
+
+def _finite(points: TargetPoints) -> TargetPoints:
+    """Points that are numbers, with uncertainties that an image can give."""
+    finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
+    return replace(
+        points,
+        node=points.node[finite],
+        pixel=points.pixel[finite],
+        std=np.maximum(points.std[finite], MIN_STD),
+        z=None if points.z is None else points.z[finite],
+    )
+
+
+def calibrate_each(
+    usable: UsableViews,
+    mesh: float,
+    origin: tuple[float, float],
+    flats: Sequence[str],
+    lens: str,
+    findings: Findings,
+) -> dict[str, SingleCamera]:
+    """Each camera calibrated on its own; views that are no plane grid are removed from `usable`."""
+    single: dict[str, SingleCamera] = {}
+    for name, views in usable.items():
+        if not views:
+            continue
+        try:
+            single[name] = calibrate_single(collect({name: views}, mesh, origin), lens)
+        except CalibrationError as error:
+            findings.problems.append(str(error))
+    for name, camera in single.items():
+        for pose in [p for p in usable[name] if p not in camera.poses]:
+            findings.leave_out(name, pose, len(usable[name].pop(pose)), "its points are no plane grid")
+        if camera.deep:
+            continue
+        tilted = [p for p in camera.poses if p not in flats]
+        if len(camera.poses) < 3:
+            findings.problems.append(
+                f"{name} has {len(camera.poses)} usable view{'s' * (len(camera.poses) != 1)} of the target; "
+                "photograph at least five tilted ones and a flat one"
+            )
+        elif len(tilted) < 2 or camera.spread < LIMITS.min_tilt_range:
+            findings.problems.append(
+                f"the views of {name} are parallel (at most {camera.spread:.1f} degrees apart): its "
+                "focal length is unknown; photograph the target tilted by 20 to 40 degrees, to several "
+                "sides, or state the heights of a target that was moved along z"
+            )
+    return single
+
+
+def consistent_cameras(
+    single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
+) -> dict[str, SingleCamera]:
+    """Cameras with consistent poses of the target; views that differ are removed from both arguments."""
+    consistency = compare_poses(single, mesh)
+    _report_inconsistency(consistency, single, mesh, findings)
+    for name, pose in consistency.wrong_views:
+        findings.leave_out(
+            name,
+            pose,
+            len(usable[name].pop(pose)),
+            "the target's pose is not the one that the other cameras found "
+            "(its nodes are counted from another origin or turned, or it was moved between shots)",
+        )
+        del single[name].poses[pose]
+    excluded = consistency.wrong_cameras + consistency.alone
+    consistent = {name: camera for name, camera in single.items() if name not in excluded}
+    if consistent:
+        return consistent
+    # cameras that have nothing in common: the first with the most views
+    name = max(single, key=lambda n: len(single[n].poses))
+    return {name: single[name]}
+
+
+def _report_inconsistency(
+    consistency: PoseConsistency, single: Mapping[str, SingleCamera], mesh: float, findings: Findings
+) -> None:
+    right = [name for name in single if name not in consistency.wrong_cameras]
+    for name in consistency.wrong_cameras:
+        flipped = compare_poses({**{n: single[n] for n in right}, name: mirrored(single[name])}, mesh)
+        if name not in flipped.wrong_cameras:
+            candidates = name if len(single) > 2 else f"{name} or {right[0]}"
+            findings.problems.append(
+                f"the images of {candidates} are mirrored: flip them left to right, or take the mirror away"
+            )
+        else:
+            findings.problems.append(
+                f"the target moved differently in the views of {name} and of {' and '.join(right)}: are its "
+                "views in the same order, and was the target still while all cameras took their image?"
+            )
+    for name in consistency.alone:
+        findings.problems.append(
+            f"{name} shares no view of the target with another camera: "
+            "photograph the target where all cameras see it at once"
+        )
+
+
+def assess_rig(
+    o: Observations,
+    result: Fit,
+    errors: PredictedErrors,
+    target_std: float,
+    camera_distance: Mapping[str, float],
+    findings: Findings,
+) -> None:
+    """Add problems and notes of a rig to the findings; target_std and camera_distance in metres."""
+    for c, name in enumerate(o.cameras):
+        stated = camera_distance.get(name)
+        if stated:
+            distance = float(np.linalg.norm(result.geometry.R[c].T @ result.geometry.T[c]))
+            if abs(np.log(distance / stated)) > LIMITS.max_distance_error:
+                findings.problems.append(
+                    f"{name} is {distance:.2f} m from the origin by this calibration, not {stated:.2f} m as "
+                    f"stated: the mesh is given as {1e3 * o.mesh:g} mm; measure it, "
+                    f"it may be {1e3 * o.mesh * stated / distance:.3g} mm"
+                )
+        if not errors.reprojection[name] < LIMITS.max_reprojection_std:
+            findings.problems.append(
+                f"{name} is determined to {errors.reprojection[name]:.2f} px only {errors.volume}: "
+                "photograph more tilted views that fill its image"
+            )
+    if len(o.cameras) > 1 and not errors.z_std < LIMITS.max_z_std:
+        findings.problems.append(
+            f"z would be uncertain by {1e3 * errors.z_std:.1f} mm: photograph more tilted views"
+        )
+    if len(o.cameras) == 1:
+        findings.notes.append("one camera only: z and the velocity need two at least")
+    if target_std > 0.0:
+        findings.notes.append(
+            "the target is uncertain, and so is its plane: level the rig on the water at rest"
+        )
+    for name, coverage in errors.coverage.items():
+        if coverage < LIMITS.min_coverage:
+            findings.notes.append(
+                f"the target's views cover {100 * coverage:.0f} % of {name}'s image: its edges are "
+                "extrapolated"
+            )
+
+
+def provenance(calibration: Calibration) -> dict[str, Any]:
+    """Numbers and texts that are stored with the rig."""
+    o, result, errors = calibration.observations, calibration.fit, calibration.predicted
+    assert o is not None
+    assert result is not None
+    assert errors is not None
+    std = np.sqrt(np.diag(result.covariance))
+    cameras = {}
+    for c, name in enumerate(o.cameras):
+        rows = o.camera == c
+        first = result.layout.camera[c]
+        columns = [*(k for k, _ in result.layout.lens[c]), *range(first, first + 6)]
+        cameras[name] = {
+            "views": [o.poses[p] for p in np.unique(o.pose[rows])],
+            "points": int(rows.sum()),
+            "rms_px": float(np.sqrt(np.mean(result.residual[rows] ** 2))),
+            "max_px": float(np.abs(result.residual[rows]).max()),
+            "reprojection_std_px": errors.reprojection[name],
+            "parameter_std": {result.layout.names[k].split()[-1]: float(std[k]) for k in columns},
+        }
+    return {
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "usable": calibration.usable,
+        "problems": list(calibration.problems),
+        "notes": list(calibration.notes),
+        "model": calibration.model,
+        "mesh_m": float(o.mesh),
+        "target_std_m": float(calibration.target_std),
+        "reference_view": calibration.reference,
+        "z_std_m": errors.z_std,
+        "left_out_points": dict(calibration.left_out),
+        "cameras": cameras,
+        "parameter_units": "f, aspect: log of the focal lengths; c: px; R: rad; T: m; k, p: 1; tau: rad",
+        "covariance": covariance_to_dict(result.layout.names, result.covariance, o.cameras),
+    }
