@@ -7,7 +7,6 @@ import xarray as xr
 
 import wavefield.waves as wv
 from benchmarks import crests
-from wavefield.pipeline import predicted_gain
 
 
 def row(what: str, asked: str, reached: str) -> None:
@@ -174,7 +173,7 @@ def experiment(
     asked = {"stereo": "4.0", "w": "5.0", "fusion": "6.0"}
     ranges(plain, elevation, "as measured", asked)
     measured = wv.window_gain(cube, exact, segment=segment, record=record)
-    predicted = predicted_gain(cube)
+    predicted = wv.read_gain(cube)
     results = {"as measured": plain}
     for how, gain in (
         ("windows undone by theory", predicted),

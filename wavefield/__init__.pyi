@@ -12,7 +12,6 @@ from wavefield.measurement.measurement_settings import Settings
 from wavefield.pipeline.analysis import analyze_on_workers
 from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.forecast import check
-from wavefield.pipeline.gain_prediction import predicted_gain
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.plan import plan
@@ -108,7 +107,6 @@ __all__ = [
     "paper",
     "phase_average",
     "plan",
-    "predicted_gain",
     "propose",
     "reconstruct",
     "report",

@@ -1,7 +1,5 @@
 """Two cameras and natural texture: elevation from a run's own path, and what helps where images are poor."""
 
-import re
-
 import numpy as np
 import pytest
 from sea_pictures import photograph, sea_rig, texture, waves
@@ -10,8 +8,6 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.measurement.measurement_settings import Settings
-from wavefield.pipeline import check
-from wavefield.pipeline.advice import advise
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.prepare import prepare
@@ -51,21 +47,6 @@ def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
     error = (fields["z"][0] - true)[inside] / pixel_size(sea.rig, sea.grid)
     assert fraction_measured(fields["quality"]) > 0.98
     assert np.sqrt(np.mean(error**2)) < 0.1
-    assert advise(sea, fields["quality"]) == ""
-
-
-def test_settings_that_measure_more_of_poor_images_are_proposed(tmp_path):
-    sea = at_sea(tmp_path / "sea", 25.0)
-    found = check(tmp_path / "sea" / "experiment.yaml")
-    words = r"only (\d+) % measured; with `settings: {preset: sheet}`, .* measures (\d+) %"
-    plain, better = (int(percent) for percent in re.search(words, str(found)).groups())
-    assert plain == round(100 * fraction_measured(measured(sea)["quality"]))
-    assert better > plain + 30
-
-
-def test_images_that_no_settings_can_measure_are_reported_with_the_cause(tmp_path):
-    sea = at_sea(tmp_path / "sea", 90.0)
-    assert "more light, more seeding" in advise(sea, measured(sea)["quality"])
 
 
 def test_presets_are_named_where_another_is_asked_for():

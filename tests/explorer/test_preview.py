@@ -1,14 +1,12 @@
 """The thinned preview beside a cube, and its copy in memory."""
 
 import shutil
-import types
 
 import numpy as np
 import pytest
 from explorer_cases import create_cube, make_cube, write_cube_block
 
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.store.early_preview import early_thinning
 from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
 from wavefield.store.read import open_group
 
@@ -142,20 +140,3 @@ def test_a_run_writes_a_preview_of_what_it_measures(tmp_path):
     record = CubeRecord(path)
     for name in record.stored:
         np.testing.assert_array_equal(record.field(name, 17), fields[name][17])
-
-
-class SizesOnly(dict):
-    """Arrays of a cube as an open store has them."""
-
-    attrs = types.MappingProxyType({"frame_rate": 20.0})
-
-
-@pytest.mark.parametrize(("ny", "nx", "spacing", "expected"), [
-    (150, 200, 0.01, 2), (150, 200, 0.005, 4), (150, 200, 0.03, 1), (75, 100, 0.01, 2), (75, 100, 0.02, 1),
-])  # fmt: skip
-def test_early_steps_are_as_fine_as_two_centimetres_and_hold_the_nodes_of_the_preview(
-    ny, nx, spacing, expected
-):
-    group = SizesOnly({name: np.empty((100, ny, nx)) for name in "zw"} | {"x": spacing * np.arange(nx)})
-    assert early_thinning(group).every == expected
-    assert thinning(group).every % expected == 0

@@ -1,6 +1,7 @@
 """Some of the faults and of the sound experiments of `benchmarks.check_faults`."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -10,13 +11,13 @@ REFUSED = {
     "grid in centimetres": "did you mean {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}?",
     "grid in centimetres, its step in metres": "did you mean {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}?",
     "grid in inches": "% of the grid in common view",
-    "bead_height in millimetres": "if it is in millimetres, multiply it by 0.001",
+    "bead_height in millimetres": "bead_height of 0.4 m does not fit below cameras",
     "density in g cm-3": "water.density should be greater than or equal to 400",
 }
 FOUND = {
     "the first frame of another size": "1 of 13 frames read have another size or type than the others",
     "grid of four times the field": "of the grid's nodes in common view",
-    "depth in millimetres": "water.depth of experiment.yaml is 700 m",
+    "depth in centimetres": "water.depth of experiment.yaml is 70 m",
     "frame rate in Hz of microseconds": "which is 828 m/s at 50000 Hz",
     "no room on the disk": "free some room",
 }
@@ -60,7 +61,21 @@ def test_waves_below_the_bottom_are_reported(lab):
 
 def test_sound_experiments_raise_no_alarm(lab):
     for title, _, change in SOUND:
-        if title in ("float images", "a grid wider than what is seen", "an ocean's depth"):
+        if title in ("float images", "a grid wider than what is seen"):
             change(lab)
     status, words = outcome(lab / "experiment.yaml")
     assert status == 0, words
+
+
+def test_a_rig_in_centimetres_is_reported_by_its_baseline(lab):
+    import numpy as np
+
+    from wavefield.pipeline.magnitudes import remark_on_lengths
+    from wavefield.rig import Rig
+    from wavefield.series import Experiment
+
+    rig = Rig.load(lab / "rig.yaml")
+    large = Rig({n: replace(c, translation=100 * np.asarray(c.translation)) for n, c in rig.cameras.items()})
+    experiment = Experiment.load(lab / "experiment.yaml")
+    assert [one.kind for one in remark_on_lengths(experiment, large, np.zeros(1))] == ["baseline"]
+    assert not [*remark_on_lengths(experiment, rig, np.zeros(1))]

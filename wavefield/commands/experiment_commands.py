@@ -55,7 +55,6 @@ Examples:
   wavefield run experiment.yaml                      # writes cube.zarr next to it
   wavefield run .                                    # the experiment in this folder
   wavefield run experiment.yaml --frames 0:50        # a trial, into cube_0_50.zarr
-  wavefield run experiment.yaml --preview            # the whole record in `wavefield look` after a minute
   wavefield run experiment.yaml -o cube.zarr --workflow workflows/slurm.yaml
   wavefield run campaign.yaml run07 run08            # entries of a catalog
   wavefield run campaign.yaml -p location=/disk2     # a catalog whose images are elsewhere
@@ -71,11 +70,6 @@ Examples:
     callback=_range,
     help="A trial: only the frames from number FIRST to before STOP, into a cube of its own.",
 )
-@click.option(
-    "--preview",
-    is_flag=True,
-    help="Measure some steps of the whole record first: `wavefield look` shows it after about a minute.",
-)
 @JSON
 @click.pass_context
 def run(
@@ -85,7 +79,6 @@ def run(
     workflow: Path | None,
     output: Path | None,
     frames: tuple[int, int] | None,
-    preview: bool,
     as_json: bool,
 ) -> None:
     """Measure an experiment, or all or some entries of a catalog.
@@ -102,14 +95,11 @@ def run(
         output = source.path
     path = experiment_file(source.path)
     source = replace(source, path=path)
-    with Progress(f"{'Previewing' if preview else 'Measuring'} {path}", "steps") as progress:
+    with Progress(f"Measuring {path}", "steps") as progress:
         how: dict[str, Any] = {"rig": rig, "workflow": workflow}
         if source.is_catalog():
-            if frames or preview:
-                raise click.UsageError(
-                    "a trial or a preview is of one experiment: leave out --frames and --preview, or name "
-                    "its file"
-                )
+            if frames:
+                raise click.UsageError("a trial is of one experiment: leave out --frames, or name its file")
 
             def report_progress(done: int, total: int, sentence: str) -> None:
                 progress.stage = f"Measuring {sentence.split(':')[0]}"  # which run of how many
@@ -120,13 +110,11 @@ def run(
             )
         else:
             measured, output = _trial(path, frames, output) if frames else (path, output)
-            early = progress.stage_of(f"Previewing {path}", "steps")
-            later = progress.stage_of(f"Measuring {path}", "steps")
 
             def report(done: int, total: int, sentence: str) -> None:
-                (early if sentence == "preview" else later)(done, total)
+                progress(done, total)
 
-            states = [pipeline.run(measured, output, preview=preview, progress=report, **how)]
+            states = [pipeline.run(measured, output, progress=report, **how)]
     if as_json:
         click.echo(json.dumps([state.to_dict() for state in states], indent=1, default=str))
     else:

@@ -45,10 +45,9 @@ Examples:
 )
 @click.option(
     "--gain",
-    metavar="GAIN|theory|none",
+    metavar="GAIN|none",
     help="Response of the measurement to short waves, which the spectra are corrected for: by default that "
-    "stored with the cube. A gain measured on a simulated experiment, `theory` for what follows from the "
-    "cube's recipe, or `none`.",
+    "stored with the cube. A gain measured on a simulated experiment, or `none`.",
 )
 @click.option(
     "--fit",
@@ -84,7 +83,7 @@ def analyze(
 
 
 def _analyze(store: Path, output: Path | None, workflow: Path | None, options: AnalyzeOptions) -> int:
-    from wavefield.pipeline import analyze_on_workers, open_run, predicted_gain
+    from wavefield.pipeline import analyze_on_workers, open_run
     from wavefield.store.ledger import unfinished_note
     from wavefield.waves import analyze as analyze_cube
 
@@ -97,8 +96,6 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, options: A
     if probes is None and run.experiment is not None and run.experiment.probes:
         click.echo(f"note: without the probes {run.reason('probes')}", err=True)
     gain: Any = False if options["gain"] == "none" else options["gain"]
-    if gain == "theory":
-        gain = predicted_gain(run.cube)
     more: dict[str, Any] = {"segment": options["segment"], "fit": options["fit"] or None}
     more |= {"probes": probes, "gain": gain}
     with Progress(f"Analysing {short_path(store)}") as progress:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.selections import MISSING, decode
 from wavefield.figures.display import BALANCE, DERIVED
-from wavefield.store import early_preview as earlies
 from wavefield.store import preview as previews
 from wavefield.store.checked import chunk_path
 from wavefield.store.cube_group import CubeGroup
@@ -153,12 +152,10 @@ class Preview:
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self.thin = previews.thinning(record.group)
-        self._early_thin = earlies.early_thinning(record.group)
         self.y, self.x = record.y[:: self.thin.every], record.x[:: self.thin.every]
         shape = len(self.thin.names), self.y.size, self.x.size, record.layout.steps
         self.fields = np.full(shape, MISSING, np.int16)
         self.loaded = np.zeros(len(record.layout.chunks()), bool)  # chunks in memory
-        self.early: dict[int, NDArray[np.int16]] = {}  # (variable, y, x) of steps that a run measured first
         self.trouble = ""
         self._lock = threading.Lock()
 
@@ -174,63 +171,17 @@ class Preview:
 
     @property
     def count(self) -> int:
-        """Chunks and early steps in memory: what is drawn from them is drawn anew when it changes."""
-        return int(self.loaded.sum()) + len(self.early)
-
-    def more_early(self) -> bool:
-        """Whether a run has measured early steps that are not in memory."""
-        return len(self._early_steps()) > len(self.early)
-
-    def _early_steps(self) -> list[int]:
-        preview = previews.open_preview(self._record.path, self._record.group)
-        return earlies.early_steps(self._record.path, preview)
-
-    def early_step(self, step: int) -> int | None:
-        """The early step nearest to one that is not measured; None if that is, or without any."""
-        if self._record.ledger[step] or not self.early:
-            return None
-        return min(list(self.early), key=lambda k: abs(k - step))
-
-    def shown_steps(self, steps: slice) -> NDArray[np.intp]:
-        """For each of some steps itself, or the early step that is shown in its place."""
-        found = ((k, self.early_step(k)) for k in range(steps.start, steps.stop))
-        return np.array([k if early is None else early for k, early in found], np.intp)
-
-    def early_field(self, name: str, step: int) -> NDArray[np.float32]:
-        """A variable at an early step, (ny, nx): at each node the value of the nearest that is stored."""
-        thin, record = self._early_thin, self._record
-        if name not in thin.names:
-            return np.full((record.y.size, record.x.size), np.nan, np.float32)
-        values = decode(self.early[step][thin.names.index(name)], self.scale(name))
-        rows, columns = (
-            np.minimum((np.arange(n) + thin.every // 2) // thin.every, m - 1)
-            for n, m in zip((record.y.size, record.x.size), values.shape)
-        )
-        return values[np.ix_(rows, columns)]
+        """Chunks in memory: what is drawn from them is drawn anew when it changes."""
+        return int(self.loaded.sum())
 
     def load(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Read the chunks that are not in memory, and write those that the stored preview lacks."""
         with self._lock:
             measured = self.measured
             self.loaded &= measured  # the others are measured again
-            if not measured.all():
-                self._load_early()
             chunks = np.flatnonzero(measured & ~self.loaded)
             if chunks.size:
                 self._load(chunks, progress)
-
-    def _load_early(self) -> None:
-        record = self._record
-        preview = previews.open_preview(record.path, record.group)
-        every = self.thin.every // self._early_thin.every
-        for step in earlies.early_steps(record.path, preview):
-            if step in self.early or preview is None:
-                continue
-            values = earlies.read_early(preview, step)
-            if values is not None:
-                self.early[step] = values
-                if not record.ledger[step]:
-                    self.fields[..., step] = values[:, ::every, ::every]
 
     def _load(self, chunks: NDArray[np.intp], progress: Callable[[int, int], None] | None) -> None:
         record, bounds = self._record, self._record.layout.chunks()

@@ -88,7 +88,7 @@ class LinePanel:
         low = int(np.clip(step - _DIAGRAM_STEPS // 2, 0, max(0, record.layout.steps - _DIAGRAM_STEPS)))
         steps = slice(low, min(low + _DIAGRAM_STEPS, record.layout.steps))
         values = time_distance(
-            preview.stored(name)[..., preview.shown_steps(steps)],
+            preview.stored(name)[..., steps],
             preview.scale(name),
             preview.x,
             preview.y,

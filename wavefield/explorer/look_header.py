@@ -56,8 +56,6 @@ class LookHeader:
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
         if done < steps:
             words += f"; measured so far: {done} ({100 * done // steps} %)"
-        if done < steps and preview.early:
-            words += f"; preview: {len(preview.early)} steps over the record, from two frames each"
         if not preview.complete:
             percent = 100 * int(preview.loaded.sum()) // max(int(preview.measured.sum()), 1)
             words += f"; reading the preview for series: {percent} %"

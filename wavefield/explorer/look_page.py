@@ -53,7 +53,7 @@ class LookPage:
         self._document: Document | None = None
         self._scheduled: set[str] = set()  # names of drawings that are due
         self._chunks_shown = -1  # of the preview
-        self._status_shown: tuple[int, int | None] = -1, None  # of the step of the map, and its early one
+        self._status_shown = -1  # of the step of the map
         self._setting_limits = False  # by the program
         self._listen()
 
@@ -214,9 +214,6 @@ class LookPage:
         record, place = self.session.record, self.place
         request = request_of(record, place)
         if not place.averaged:
-            early = record.preview.early_step(place.step)
-            if early is not None:
-                return {name: record.preview.early_field(name, early) for name in request.names}
             return {name: record.field(name, place.step) for name in request.names}
         index = index_of(record, place)
         found = None if index is None else self.averages.get(request, self._document)
@@ -241,7 +238,6 @@ class LookPage:
         self.controls["low"].value, self.controls["high"].value = self.panels.limits(place)
         self._setting_limits = False
         self._status_shown = self._status()
-        code, early = self._status_shown
         shown = display(place.show)
         what = f"{place.show}: {shown.long_name}{shown.in_unit}"
         if place.averaged:
@@ -251,15 +247,12 @@ class LookPage:
                 degrees = 360 * index / phases_of(place.period, record.frame_rate)
                 words += f" over {place.period:g} s, phase {degrees:.0f}°"
         else:
-            status = _STATUS_WORDS.get(FrameStatus(code), "")
-            if early is not None:
-                status += f"; preview of t = {record.time[early]:.3f} s, from two frames"
+            status = _STATUS_WORDS.get(FrameStatus(self._status_shown), "")
             words = f"{what}, t = {record.time[place.step]:.3f} s{status}"
         panel.figure.title.text = words
 
-    def _status(self) -> tuple[int, int | None]:
-        record, step = self.session.record, self.place.step
-        return int(record.ledger[step]), record.preview.early_step(step)
+    def _status(self) -> int:
+        return int(self.session.record.ledger[self.place.step])
 
     def _show_view(self) -> None:
         self.panels.show_view(self.place)
@@ -279,9 +272,8 @@ class LookPage:
         record = self.session.record
         if record.steps_done < record.layout.steps:
             changed = record.refresh()
-            if changed or record.preview.more_early():
-                self.session.load()
             if changed:
+                self.session.load()
                 self.header.show_verdict()
         if self._status() != self._status_shown:
             self.redraw()

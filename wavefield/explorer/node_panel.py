@@ -44,9 +44,8 @@ class NodePanel:
         # One source per figure: what arrives together is painted once, and all of it must fit a browser's
         # buffer of 128 kB, or half of it is painted first.
         series = {f"{name}_series": "t value low high" for name in self._main}
-        early = {f"{name}_early": "t value" for name in self._main}
         others = {"other_series": "t value", "quality": "left right kind", "probe_series": "t value"}
-        self.sources = parts.make_sources("node", **series, **early, **others)
+        self.sources = parts.make_sources("node", **series, **others)
         self.now = Span(dimension="height", location=0, line_color=parts.INK, line_dash="dotted")
         self.figures: dict[str, figure] = {}
         for name in (*self._main, "other"):
@@ -89,7 +88,6 @@ class NodePanel:
             parts.add_hover(made, mode="vline")
         else:
             parts.draw_band(made, source, "t", "value", line_width=1.1)
-            made.scatter("t", "value", source=self.sources[f"{name}_early"], color=parts.BLUE, size=3)
             rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {display(name).unit}")
             parts.add_hover(made, *rows, renderers=made.renderers[1:2], mode="vline")
         if name == "z":
@@ -168,7 +166,6 @@ class NodePanel:
     def _show_series(self) -> None:
         part = self._window()
         time = self._record.time[part]
-        early = [k for k in list(self._record.preview.early) if not self._record.ledger[k]]
         for name in self._main:
             factor = display(name).factor
             series = self._series(name, factor)
@@ -178,8 +175,6 @@ class NodePanel:
                 std = self._series(f"{name}_std", factor)[part]
             t, value, std = parts.envelope(time, values, std)
             low, high = parts.band(value, std, thinned=t.size < time.size)
-            if early or len(self.sources[f"{name}_early"].data["t"]):
-                self.sources[f"{name}_early"].data = {"t": self._record.time[early], "value": series[early]}
             self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
         self._show_probe(part)
         self._show_other()

@@ -134,7 +134,7 @@ def node_series(record: CubeRecord, place: Place) -> xr.Dataset:
         raise StoreError("no node is picked: click one on the map")
     preview = record.preview
     j, i = nearest(preview.y, place.node[1]), nearest(preview.x, place.node[0])
-    there = record.ledger != 0  # early steps are for the page only
+    there = record.ledger != 0
     variables = {
         name: ("time", np.where(there, preview.series(name, j, i), np.nan)) for name in preview.thin.names
     }
@@ -171,7 +171,7 @@ def area_fields(record: CubeRecord, place: Place) -> xr.Dataset:
     variables = {}
     for name in preview.thin.names:
         values = decode(preview.stored(name)[rows, columns], preview.scale(name))
-        values[..., record.ledger == 0] = np.nan  # early steps are for the page only
+        values[..., record.ledger == 0] = np.nan
         variables[name] = (CUBE_DIMS, np.moveaxis(values, -1, 0))
     coords = {"time": record.time, "y": preview.y[rows], "x": preview.x[columns]}
     return _labelled(variables, coords, record)

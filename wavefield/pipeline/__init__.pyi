@@ -3,7 +3,6 @@ from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.analysis import analyze_on_workers
 from wavefield.pipeline.catalog import catalog_add, is_catalog, run_catalog
 from wavefield.pipeline.forecast import Check, check
-from wavefield.pipeline.gain_prediction import predicted_gain
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.plan import plan
@@ -25,7 +24,6 @@ __all__ = [
     "open_cube",
     "open_run",
     "plan",
-    "predicted_gain",
     "reconstruct",
     "run",
     "run_catalog",

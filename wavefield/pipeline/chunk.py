@@ -58,10 +58,6 @@ class Chunk:
         return self.stop - self.start
 
 
-class EarlyStep(Chunk):
-    """One step with its own two frames alone, measured before its chunk, for a first look."""
-
-
 @dataclass(frozen=True)
 class Measured:
     """Results of a chunk."""
@@ -81,17 +77,9 @@ def make_chunk(
     """Cut out what a chunk needs; departures of all frames from even times."""
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
-    return Chunk(start, stop, windows, first, _departures_around(departures, start, stop))
-
-
-def early_step(sources: Mapping[str, Source], step: int, departures: np.ndarray | None) -> EarlyStep:
-    """Cut out one step without the frames around it; departures of all frames from even times."""
-    windows = {name: source.window(step, step + 2) for name, source in sources.items()}
-    return EarlyStep(step, step + 1, windows, step, _departures_around(departures, step, step + 1))
-
-
-def _departures_around(departures: np.ndarray | None, start: int, stop: int) -> np.ndarray | None:
-    return None if departures is None else np.pad(departures, AROUND)[start : stop + 1 + 2 * AROUND]
+    if departures is not None:
+        departures = np.pad(departures, AROUND)[start : stop + 1 + 2 * AROUND]
+    return Chunk(start, stop, windows, first, departures)
 
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:

@@ -8,9 +8,7 @@ import numpy as np
 
 from wavefield.errors import StoreError
 from wavefield.file_access import accessing
-from wavefield.pipeline.chunk import Chunk, EarlyStep, measure_chunk
-from wavefield.store.early_preview import write_early
-from wavefield.store.read import open_group
+from wavefield.pipeline.chunk import Chunk, measure_chunk
 from wavefield.store.write_cube import write_chunk
 from wavefield.variables import FrameStatus
 
@@ -41,9 +39,6 @@ class Work:
         """Measure and write."""
         measured = measure_chunk(chunk, self.geometry, self.frame_rate, self.model)
         with accessing(self.store, StoreError, "writing"):
-            if isinstance(chunk, EarlyStep):
-                write_early(self.store, open_group(self.store), chunk.start, measured.fields)
-                return Report(chunk.start, chunk.stop, 0, ())  # its chunk reports bad frames
             write_chunk(
                 self.store,
                 chunk.start,

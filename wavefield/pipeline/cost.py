@@ -14,7 +14,6 @@ from wavefield.execution.memory import peak_memory
 from wavefield.pipeline.chunk import Measured, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
-from wavefield.pipeline.reading_speed import ReadingSpeed, measure_reading_speed
 from wavefield.quality.frame_remarks import complete_steps
 from wavefield.series import Frame, FrameSeries
 from wavefield.store.layout import COMPRESSION
@@ -34,7 +33,6 @@ class Cost:
     memory: int  # Memory per worker, bytes
     disk: int  # Size of the store, bytes
     free: int  # Room on the disk of the store, bytes
-    reading: ReadingSpeed | None = None  # The rate that the workers need, and that of the images' disk
 
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
@@ -68,7 +66,6 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
         memory=peak_memory() + 3 * prepared.chunk_steps * prepared.step_bytes,
         disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
-        reading=measure_reading_speed(prepared.series, prepared.chunk_steps, step, workers),
     )
     return cost, one.fields
 
@@ -118,12 +115,7 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
     return int(steps[np.argmin(np.abs(steps - len(complete) // 2))])
 
 
-def in_view(quality: np.ndarray) -> np.ndarray:
-    """Nodes that could be measured: visible to the cameras and not masked."""
-    return np.asarray((quality & (Quality.OUTSIDE | Quality.MASKED)) == 0)
-
-
 def fraction_measured(quality: np.ndarray) -> float:
     """Fraction of the nodes in view that were measured: filled ones are finite too, but do not count."""
-    visible = in_view(quality)
+    visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     return float((quality[visible] & Quality.MEASURED != 0).mean()) if visible.any() else 0.0

@@ -1,6 +1,6 @@
 """What an experiment has, what is missing, and what its run will cost."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,17 +12,15 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.worker_settings import one_thread
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
-from wavefield.pipeline.advice import advise, grave_cameras
 from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, fraction_measured, measure_cost, spell_size
 from wavefield.pipeline.magnitudes import (
     expected_coverage,
     refuse_small_fields,
-    remark_on_depth,
+    remark_on_lengths,
     remark_on_speed,
 )
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.pipeline.probe_check import check_probes
-from wavefield.pipeline.reading_speed import file_size
 from wavefield.pipeline.run_quality import clocks, compare_cameras, record_span
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
@@ -112,8 +110,8 @@ class Check:
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
     sentences : mapping of str to str
-        ``motion`` of the water from frame to frame, ``heights`` that it rises to, ``advice`` where little is
-        measured, ``clocks``: whether the cameras take their frames at the same moment, ``probes``: their
+        ``motion`` of the water from frame to frame, ``heights`` that it rises to,
+        ``clocks``: whether the cameras take their frames at the same moment, ``probes``: their
         times, and their correlation with z of the cube next to the experiment, if there is one.
     """
 
@@ -142,7 +140,7 @@ class Check:
         out: dict[str, object] = asdict(self)
         del out["shares"], out["sentences"]
         shares = {"coverage": None, "measured": None, **self.shares}
-        names = ("motion", "heights", "clocks", "advice", "probes")
+        names = ("motion", "heights", "clocks", "probes")
         more = {
             "path": str(self.path),
             "first_frame": self.first_frame,
@@ -188,8 +186,7 @@ class Check:
             lines.append(text)
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
-            lines += [f"  {self.cost.reading}"] if self.cost.reading else []
-        names = ("motion", "heights", "advice")
+        names = ("motion", "heights")
         lines += [f"  {words}" for name in names if (words := self.sentences.get(name))]
         if self.verdict and self.verdict.pairs:
             pairs = [
@@ -274,10 +271,7 @@ def check(
             except ExperimentError as error:
                 problems.append(str(error))
         faults = None if problems else compare_cameras(prepared)
-        wrong = grave_cameras(prepared, faults.remarks if faults else ())
-        with one_thread():
-            quality = fields["quality"] if fields else np.zeros(prepared.grid.shape, np.uint16)
-            sentences["advice"] = advise(prepared, quality, wrong)
+        wrong = _grave_cameras(prepared, faults.remarks if faults else ())
     remarks = [*remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample)]
     if cost and cost.free < MIN_FREE_SHARE * cost.disk:
         remarks.append(_remark_on_disk(cost))
@@ -316,15 +310,21 @@ def _remarks_on_trial(
     """Remarks on rig and grid, and on the fields of the step that was tried if no camera spoils them."""
     yield remark_on_rest(prepared.experiment, prepared.rig)
     yield from remark_on_coverage(coverage)
+    yield from remark_on_lengths(prepared.experiment, prepared.rig, fields.get("z", np.zeros(0)))
     if not fields or wrong:
         return
     yield from remark_on_holes(fraction_measured(fields["quality"]))
     yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
-    yield from remark_on_depth(prepared.experiment, prepared.rig, fields["z"])
     motion = prepared.motion
     if motion and motion.found:
         pixels = float(np.abs([motion.x, motion.y]).max())
         yield from remark_on_speed(prepared.experiment, prepared.rig, prepared.grid, pixels)
+
+
+def _grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:
+    """Remarks on single cameras with which nothing good can be measured."""
+    cameras = set(prepared.rig)
+    return [one for one in remarks if one.weight == "grave" and set(one.subject.split(" and ")) <= cameras]
 
 
 def _remark_on_disk(cost: Cost) -> Remark:
@@ -342,7 +342,7 @@ def _remark_on_disk(cost: Cost) -> Remark:
 def _unusual_files(series: FrameSeries) -> list[int]:
     """Frames whose files are less than half as large as most, and some of other sizes than most."""
     entries = [(index, entry) for index, entry in enumerate(series.entries) if entry is not None]
-    sizes = {index: file_size(entry.path) for index, entry in entries if entry.kind == "file"}
+    sizes = {index: _file_size(entry.path) for index, entry in entries if entry.kind == "file"}
     if not sizes:
         return []
     size = np.array(list(sizes.values()))
@@ -352,6 +352,14 @@ def _unusual_files(series: FrameSeries) -> list[int]:
     largest_first = sorted(np.flatnonzero(unusual), key=lambda k: -apart[k])[:MAX_UNUSUAL_FILES]
     chosen = {*largest_first, *np.flatnonzero(size < usual / 2)}
     return [index for k, index in enumerate(sizes) if k in chosen]
+
+
+def _file_size(path: str) -> int:
+    """Bytes of a file; 0 if it is not there."""
+    try:
+        return Path(path).stat().st_size
+    except OSError:
+        return 0
 
 
 def _summary(series: FrameSeries, found: FrameInspection, offset: int) -> CameraCheck:

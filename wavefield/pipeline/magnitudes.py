@@ -1,7 +1,8 @@
-"""Lengths that cannot be metres: a rig, a grid or a range of elevations given in another unit."""
+"""Checks that lengths and speeds are plausible in metres and seconds: rig, grid, depth, ranges to search."""
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,35 +21,38 @@ from wavefield.store.verdict import Remark
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, Settings
 
-_UNITS = {"centimetres": 0.01, "millimetres": 0.001}
-_CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: nearer or farther ones are given in another unit
+_CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: a macro lens, and a platform at sea
+_MAX_BASELINE = 20.0  # m; cameras on ships and platforms are 2 to 10 m apart
+_MAX_DEPTH_DISTANCES = (
+    10.0  # depth over the distance of the cameras; waves in view do not feel deeper bottoms
+)
+_MAX_SPEED = 30.0  # m/s, of water: faster than the crest of any breaking wave
 _MAX_LENS_ERROR = 0.5  # px
 _MAX_SENSOR_TILT = 0.8  # rad
 _MIN_WATER_SHARE = 0.1  # of an image: the rest may be above the horizon
-_USUAL_DISTANCES = (0.2, 30.0)  # m
-_MAX_FIELD_GRIDS = 20.0  # times as wide as a fine grid may a camera's field be
 _MAX_NODES_TRIED = 300  # along each side of a grid, for the common view
-_MAX_DEPTH_DISTANCES = 100.0  # of the cameras from the water: deeper water is remarked upon
-_MAX_SPEED = 30.0  # m/s, of water: faster than the crest of any breaking wave
-_MIN_STEP_PIXELS = 0.1  # between nodes: finer ones have nothing of their own
+_MIN_STEP_PIXELS = 0.1  # between nodes: a finer grid holds no more
 _MIN_BLOCKS = 21  # along the longer side of what is matched
 _MAX_ELEVATION_SHARE = 0.5  # of the distance of the nearest camera
-_MAX_THICKNESS_SHARE = 0.05  # of beads or of a light sheet, likewise
+_MAX_THICKNESS_SHARE = 0.05  # of that distance, for beads and light sheets
 
 
-def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Refuse cameras so far from the water, or so near, that their rig cannot be in metres."""
+def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
+    """Refuse cameras at distances that cannot be metres, lenses that fold images, and cameras under water."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     low, high = _CAMERA_DISTANCES
     if not low <= distance <= high:
-        raise RigError(f"{rig_file}: its cameras are {distance:.3g} m away from the water{_remedy(distance)}")
+        raise RigError(
+            f"{rig_file}: its cameras are {distance:.3g} m away from the water; are its lengths in metres? "
+            "`wavefield rig convert FILE --unit UNIT` converts another program's"
+        )
     for name, camera in rig.cameras.items():
         tilt = max(abs(camera.tau_x), abs(camera.tau_y))
         if not _lens_error(camera) < _MAX_LENS_ERROR or tilt > _MAX_SENSOR_TILT:
             raise RigError(
-                f"{rig_file}: the lens of {name} takes pixels of its image to places that other pixels show, "
-                "or to none; check its distortion, tilt and focal length"
+                f"{rig_file}: the lens of {name} maps several pixels to the same place on the water, or to "
+                "none; check its distortion, tilt and focal length"
             )
     level = experiment.water.level
     under = [name for name, camera in rig.cameras.items() if camera.centre[2] <= 0 < camera.centre[2] + level]
@@ -59,7 +63,7 @@ def refuse_far_cameras(experiment: Experiment, rig: Rig, rig_file: str) -> None:
 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
-    """Refuse a rig in the frame of one of its cameras, where z = 0 is no water."""
+    """Refuse a rig in the frame of one of its cameras, where z = 0 is not the water."""
     if rig.lenses_alone:
         raise RigError(
             f"{rig_file} contains lenses and no positions of the cameras; two at sea are placed by "
@@ -75,30 +79,28 @@ def refuse_own_frame(rig: Rig, rig_file: str) -> None:
 
 
 def _lens_error(camera: Camera) -> float:
-    """Median distance, px, of pixels on the water's side of the horizon from those their places give."""
+    """Median distance, px, between pixels and the projections of their places on the water."""
     width, height = camera.size
     column, row = np.meshgrid(np.linspace(0, width - 1, 7), np.linspace(0, height - 1, 7))
     with np.errstate(all="ignore"):
         there = camera.project(*camera.unproject(column, row), 0.0)
         apart = np.hypot(there[0] - column, there[1] - row)
-    shown = np.isfinite(apart)
-    return float(np.median(apart[shown])) if shown.mean() > _MIN_WATER_SHARE else float("inf")
+    on_water = np.isfinite(apart)
+    return float(np.median(apart[on_water])) if on_water.mean() > _MIN_WATER_SHARE else float("inf")
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Share of the grid's nodes that every camera sees while the water is at rest.
-    Of a large grid some hundred nodes along each side are tried.
-    """
+    """Share of the grid's nodes, at most some hundred along each side, that every camera sees at rest."""
     x, y = (nodes[:: 1 + len(nodes) // _MAX_NODES_TRIED] for nodes in (grid.x_nodes, grid.y_nodes))
-    seen = np.ones((len(y), len(x)), bool)
+    visible = np.ones((len(y), len(x)), bool)
     with np.errstate(all="ignore"):  # a grid in another unit may be anywhere
         for name in rig:
-            seen &= rig[name].sees(x[None, :], y[:, None], 0.0)
-    return float(seen.mean())
+            visible &= rig[name].sees(x[None, :], y[:, None], 0.0)
+    return float(visible.mean())
 
 
 def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
-    """Refuse a grid of which the cameras have hardly anything in common view."""
+    """Refuse a grid that the cameras hardly see."""
     share = expected_coverage(rig, grid)
     if share >= MIN_USEFUL_COVERAGE:
         return
@@ -116,19 +118,19 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
 
 
 def _suggested_grid(rig: Rig, grid: Grid) -> str:
-    """The grid in another unit if most of it is in view then, else what all cameras see."""
+    """The grid in centimetres or millimetres if most of it is in view then, else what all cameras see."""
     pixel = min(_pixels(rig))
-    for factor in _UNITS.values():
+    for factor in (0.01, 0.001):
         (x0, x1), (y0, y1) = ((factor * low, factor * high) for low, high in (grid.x, grid.y))
         for step in (factor * grid.step, grid.step):
             fits = step <= min(x1 - x0, y1 - y0) and step >= pixel
             if fits and expected_coverage(rig, meant := Grid((x0, x1), (y0, y1), step)) >= MIN_COVERAGE:
                 return f"`grid` is in metres: did you mean {_spelled(meant)}?"
     try:
-        seen = _spelled(common_field(rig.cameras.values()))
+        field = _spelled(common_field(rig.cameras.values()))
     except RigError as error:
         return f"correct `grid`, which is in metres, or the rig: {error}"
-    return f"correct `grid`, which is in metres: the cameras see {seen}; or leave it out to have it chosen"
+    return f"correct `grid`, which is in metres: the cameras see {field}; or leave it out to have it chosen"
 
 
 def _spelled(grid: Grid) -> str:
@@ -137,28 +139,59 @@ def _spelled(grid: Grid) -> str:
 
 
 def refuse_fine_grids(experiment: Experiment, rig: Rig, grid: Grid, rig_file: str) -> None:
-    """Refuse a grid whose step is so far below a pixel that it or the rig is not in metres."""
-    pixels = _pixels(rig)
-    field = float(np.median([max(camera.size) * p for camera, p in zip(rig.cameras.values(), pixels)]))
-    if not (np.isfinite(field) and field > 0) or experiment.grid == "auto":
-        return
-    extent, pixel = max(grid.x[1] - grid.x[0], grid.y[1] - grid.y[0]), min(pixels)
-    if grid.step >= _MIN_STEP_PIXELS * pixel:
-        return
-    if field > _MAX_FIELD_GRIDS * extent:
-        unit, factor = _unit(field, extent)
-        raise RigError(
-            f"{rig_file}: its cameras see {field:.3g} m, but the grid of {experiment.path} is only "
-            f"{extent:.2g} m wide; if the rig is in {unit}, multiply its lengths by {factor:g}"
+    """Refuse a grid whose step is far below a pixel: it or the rig is not in metres."""
+    pixel = min(_pixels(rig))
+    if experiment.grid != "auto" and grid.step < _MIN_STEP_PIXELS * pixel:
+        raise ExperimentError(
+            f"{experiment.path}: grid.step of {grid.step:g} m is far below the size of a pixel on the water, "
+            f"{pixel:.2g} m by {rig_file}; are both in metres? Four pixels are a good step"
         )
-    raise ExperimentError(
-        f"{experiment.path}: grid.step of {grid.step:g} m is far below the size of a pixel on the water, "
-        f"{pixel:.2g} m; four pixels are a good step"
-    )
 
 
-def remark_on_depth(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report a depth that the surface measured, z in metres, or the cameras' distance contradict."""
+def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
+    """Refuse elevations that come near the cameras, and beads or sheets too thick to be in metres."""
+    distance = min(_distances(rig))
+    for name, value, share in (
+        ("z_range", settings.z_range, _MAX_ELEVATION_SHARE),
+        ("bead_height", settings.bead_height, _MAX_THICKNESS_SHARE),
+        ("sheet_thickness", settings.sheet_thickness, _MAX_THICKNESS_SHARE),
+    ):
+        largest = float(np.abs(value or 0.0).max())
+        if largest > share * distance:
+            raise ExperimentError(
+                f"{source}: settings.{name} of {largest:g} m does not fit below cameras that are "
+                f"{distance:.2g} m away from the water; it is in metres"
+            )
+
+
+def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
+    """Refuse a field of too few blocks of pixels to learn a spectrum from."""
+    shapes = {"the grid": geometry.lattice.shape}
+    shapes |= {f"what {name} sees of the grid": s.lattice.shape for name, s in geometry.sights.items()}
+    for name, (rows, columns) in shapes.items():
+        if max(rows, columns) < _MIN_BLOCKS:
+            raise ExperimentError(
+                f"{source}: {name} is too small: {columns} x {rows} blocks of pixels are matched, but "
+                f"{_MIN_BLOCKS} along the longer side are needed; enlarge `grid`, or leave it out"
+            )
+
+
+def remark_on_lengths(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -> Iterator[Remark]:
+    """Report a distance between cameras or a depth of the water that is unlikely to be metres."""
+    name = experiment.path.name
+    pairs = list(combinations(rig, 2))
+    apart = [float(np.linalg.norm(np.subtract(rig[a].centre, rig[b].centre))) for a, b in pairs]
+    baseline = max(apart, default=0.0)
+    if baseline > _MAX_BASELINE:
+        yield Remark(
+            "rig",
+            "baseline",
+            "remark",
+            f"{' and '.join(pairs[apart.index(baseline)])} are {baseline:.3g} m apart",
+            f"{_MAX_BASELINE:g} m at most",
+            "if the rig is not in metres, every elevation and velocity is wrong by that factor",
+            {"baseline": baseline},
+        )
     depth = experiment.water.depth
     if depth is None:
         return
@@ -167,22 +200,22 @@ def remark_on_depth(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -
     if -lowest > depth:
         found = f"the surface is {-lowest:.2g} m below still water in the step tried"
     elif depth > _MAX_DEPTH_DISTANCES * distance:
-        found = f"the cameras are {distance:.2g} m away from the water"
+        found = f"the cameras are only {distance:.2g} m away from the water"
     else:
         return
     yield Remark(
         "water",
         "depth",
         "remark",
-        f"water.depth of {experiment.path.name} is {depth:g} m, but {found}",
+        f"water.depth of {name} is {depth:g} m, but {found}",
         "",
-        "is it in metres? where waves are too short to feel the bottom, leave it out",
+        "is it in metres? Leave it out where the waves in view are too short to feel the bottom",
         {"depth": depth, "lowest": lowest, "distance": distance},
     )
 
 
 def remark_on_speed(experiment: Experiment, rig: Rig, grid: Grid, pixels: float) -> Iterator[Remark]:
-    """Report water that moves faster than any; ``pixels`` is its largest displacement in a step."""
+    """Report water that moves too fast; ``pixels`` is its largest displacement in a step."""
     speed = pixels * pixel_size(rig, grid) * experiment.frame_rate
     if speed > _MAX_SPEED:
         yield Remark(
@@ -197,35 +230,6 @@ def remark_on_speed(experiment: Experiment, rig: Rig, grid: Grid, pixels: float)
         )
 
 
-def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
-    """Refuse elevations that come near the cameras, and thick beads or sheets: they are not in metres."""
-    distance = min(_distances(rig))
-    for name, value, share, usual in (
-        ("z_range", settings.z_range, _MAX_ELEVATION_SHARE, 0.025),
-        ("bead_height", settings.bead_height, _MAX_THICKNESS_SHARE, 0.0002),
-        ("sheet_thickness", settings.sheet_thickness, _MAX_THICKNESS_SHARE, 0.0002),
-    ):
-        largest = float(np.abs(value or 0.0).max())
-        if largest > share * distance:
-            unit, factor = _unit(largest, usual * distance)
-            raise ExperimentError(
-                f"{source}: settings.{name} of {largest:g} m does not fit below cameras that are "
-                f"{distance:.2g} m away; if it is in {unit}, multiply it by {factor:g}"
-            )
-
-
-def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
-    """Refuse a field of too few blocks of pixels: its spectrum has gaps, and nothing is learned from it."""
-    shapes = {"the grid": geometry.lattice.shape}
-    shapes |= {f"what {name} sees of the grid": s.lattice.shape for name, s in geometry.sights.items()}
-    for name, (rows, columns) in shapes.items():
-        if max(rows, columns) < _MIN_BLOCKS:
-            raise ExperimentError(
-                f"{source}: {name} is too small: {columns} x {rows} blocks of pixels are matched, but "
-                f"{_MIN_BLOCKS} along the longer side are needed; enlarge `grid`, or leave it out"
-            )
-
-
 def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
     """What to call a rig in a message."""
     if isinstance(rig, Rig):
@@ -236,26 +240,8 @@ def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
     return str(rig) if rig is not None else str(experiment.resolve(named or "rig.yaml"))
 
 
-def _unit(length: float, expected: float) -> tuple[str, float]:
-    """Unit in which a length comes nearest to an expected one."""
-    apart = {unit: abs(np.log(max(length * factor, 1e-300) / expected)) for unit, factor in _UNITS.items()}
-    unit = min(apart, key=lambda name: apart[name])
-    return unit, _UNITS[unit]
-
-
-def _remedy(distance: float) -> str:
-    fits = [
-        f"by {factor:g} if they are {unit} ({distance * factor:.2g} m)"
-        for unit, factor in _UNITS.items()
-        if _USUAL_DISTANCES[0] <= distance * factor <= _USUAL_DISTANCES[1]
-    ]
-    words = f"multiply its lengths {' or '.join(fits)}" if fits else "are its lengths in metres?"
-    words += " (`wavefield rig convert FILE --unit UNIT` does so for another program's)" if fits else ""
-    return f"; {words}"
-
-
 def _middle(camera: Camera) -> tuple[tuple[float, float], np.ndarray]:
-    """Where the middle of an image is on the water, (x, y), and the way from there to the camera, metres."""
+    """Place (x, y) of the middle of an image on the water, and the vector to the camera, metres."""
     width, height = camera.size
     x, y = (float(v) for v in camera.unproject(0.5 * (width - 1), 0.5 * (height - 1)))
     centre = np.asarray(camera.centre, float)

@@ -18,9 +18,9 @@ from wavefield.measurement.first_heights import FirstHeights, first_heights, hig
 from wavefield.pipeline.experiment_of_cube import image_names
 from wavefield.pipeline.magnitudes import (
     name_of_rig,
-    refuse_far_cameras,
     refuse_fine_grids,
     refuse_high_water,
+    refuse_implausible_rigs,
     refuse_unseen_grids,
 )
 from wavefield.quality.stabilized import refuse_unless_in_a_row
@@ -109,7 +109,7 @@ def prepare(
         rig = experiment.load_rig(rig, series)
     used = {name: rig[name] for name in experiment.measuring_cameras}
     rig = replace(rig, cameras=used)
-    refuse_far_cameras(experiment, rig, rig_file)
+    refuse_implausible_rigs(experiment, rig, rig_file)
     settings = make_settings(experiment, workflow)
     try:
         grid = experiment.choose_grid(rig, {**experiment.settings, **workflow.settings})

@@ -21,9 +21,8 @@ from wavefield.execution.lock import Lock
 from wavefield.execution.run_log import jobs_folder, log_file, log_path
 from wavefield.execution.signals import deferred_signals, stop_signals, stopped_by
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.chunk import Chunk, EarlyStep, make_chunk, read_frame
+from wavefield.pipeline.chunk import Chunk, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work
-from wavefield.pipeline.early import SECONDS, plan_early
 from wavefield.pipeline.experiment_of_cube import check_images, fingerprints, labels
 from wavefield.pipeline.learning import learn_record, once_per_cube
 from wavefield.pipeline.magnitudes import refuse_small_fields
@@ -31,7 +30,6 @@ from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
-from wavefield.store.early_preview import drop_early
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
 from wavefield.store.ledger_files import ledger_checksum
@@ -61,7 +59,6 @@ def run(
     *,
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
-    preview: bool = False,
     progress: ProgressFunction | None = None,
 ) -> Status:
     """Process an experiment into a cube; goes on where an earlier run stopped.
@@ -76,12 +73,8 @@ def run(
         In place of the one that the experiment names.
     workflow : path or Workflow, optional
         Cluster and recipe; by default the processes of this machine.
-    preview : bool
-        Measure some steps of the whole record first, within about a minute, each from its own two frames:
-        `wavefield look` shows them until the run has measured their chunks. They never enter the cube.
     progress : callable, optional
-        Called with steps done, steps of the whole run, and a sentence; while the preview is measured with
-        its steps and the word ``preview``.
+        Called with steps done, steps of the whole run, and a sentence.
 
     Returns
     -------
@@ -130,7 +123,6 @@ def run(
     >>> found.complete, shape
     (True, (2, 13, 9))
     """
-    preview_until = time.monotonic() + SECONDS if preview else None
     experiment, workflow = load_files(experiment, workflow)
     path = Path(out) if out is not None else experiment.resolve("cube.zarr")
     with ExitStack() as stack:
@@ -143,7 +135,7 @@ def run(
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)
             refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
-        return process(prepared, lock, map_unordered, progress, preview_until)
+        return process(prepared, lock, map_unordered, progress)
 
 
 def process(
@@ -151,7 +143,6 @@ def process(
     lock: Lock,
     map_unordered: MapFunction,
     progress: ProgressFunction | None = None,
-    preview_until: float | None = None,
 ) -> Status:
     """Create the store or go on with it, until every chunk is done."""
     path = lock.store
@@ -160,13 +151,12 @@ def process(
             prepared, layout = _open_or_create(prepared, path)
             mark_complete(path, None)
             ranges = unfinished(path, layout, prepared.series)
-            early = plan_early(prepared, path, ranges, preview_until) if preview_until and ranges else []
             todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
             done = layout.steps - sum(chunk.steps for chunk in todo)
-            tracker = _Tracker(layout.steps, done, progress, len(early))
+            tracker = _Tracker(layout.steps, done, progress)
             tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
             if todo:
-                _work_off(prepared, lock, [*early, *todo], map_unordered, tracker)
+                _work_off(prepared, lock, todo, map_unordered, tracker)
             tracker.report("done")
         except KeyboardInterrupt as stop:
             raise RunStopped(
@@ -182,7 +172,6 @@ def process(
     state_findings(path, {name: value for one in verdict.remarks for name, value in one.values.items()})
     verdict.save(path)
     if found.complete:
-        drop_early(path, open_group(path))
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
         if prepared.experiment.smooth and (todo or not beside(path, "smooth", ".zarr").exists()):
             from wavefield.pipeline.smoothing import write_smoothed
@@ -284,11 +273,6 @@ def _work_off(
             lock.check()
             if isinstance(result, WavefieldError):
                 raise result
-            if isinstance(chunk, EarlyStep):
-                if isinstance(result, BaseException):
-                    log.warning("step %d of the preview failed", chunk.start, exc_info=result)
-                tracker.add_early()
-                continue
             if isinstance(result, BaseException):
                 log.error("steps %d to %d failed", chunk.start, chunk.stop - 1, exc_info=result)
                 failures.append((chunk, result))
@@ -301,9 +285,8 @@ def _work_off(
             tracker.add(result.stop - result.start)
     if failures:
         chunk, error = failures[0]
-        chunks = sum(not isinstance(one, EarlyStep) for one in todo)
         raise StoreError(
-            f"{len(failures)} of {chunks} chunks failed, the first (steps {chunk.start} to "
+            f"{len(failures)} of {len(todo)} chunks failed, the first (steps {chunk.start} to "
             f"{chunk.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
             "command again to retry"
         ) from error
@@ -320,25 +303,14 @@ def _log_bad_frames(messages: Sequence[str], logged: int) -> None:
 class _Tracker:
     """Counts steps, and reports the progress to the log and to the user."""
 
-    def __init__(self, total: int, done: int, progress: ProgressFunction | None, early: int) -> None:
+    def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
         self.total, self.done, self._progress = total, done, progress
-        self._early, self._early_done = early, 0  # steps of the preview
         self._since, self._before = time.monotonic(), done
         self._logged = 0.0
 
     def start(self) -> None:
         self._since = time.monotonic()
         self.report("")
-
-    def add_early(self) -> None:
-        """Count a step of the preview; the time left of the run is counted from the last of them."""
-        self._early_done += 1
-        self._since = time.monotonic()
-        if self._progress:
-            self._progress(self._early_done, self._early, "preview")
-        if self._early_done == self._early:
-            log.info("preview: %d steps done, `wavefield look` shows them", self._early)
-            self._report_progress("")  # the run begins here, not with its first chunk
 
     def add(self, steps: int) -> None:
         self.done += steps
@@ -356,5 +328,5 @@ class _Tracker:
         self._report_progress(sentence)
 
     def _report_progress(self, sentence: str) -> None:
-        if self._progress and self._early_done == self._early:
+        if self._progress:
             self._progress(self.done, self.total, sentence)

@@ -5,12 +5,9 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-import xarray as xr
-
 from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run, open_run
-from wavefield.pipeline.foreign_cube import stored_cube
 from wavefield.reports.accuracy import accuracy
 from wavefield.reports.calibration_section import calibration_section
 from wavefield.reports.elevation_section import elevation
@@ -26,7 +23,7 @@ from wavefield.store.verdict import Verdict, read_verdict
 
 
 def report(
-    store: str | Path | xr.Dataset,
+    store: str | Path,
     output: str | Path | None = None,
     *,
     waves: str | Path | None = None,
@@ -36,10 +33,10 @@ def report(
 
     Parameters
     ----------
-    store : path or Dataset
-        The cube: written by `run`, or any other with z, z_t, u, v, w (`wavefield.cube`; cropped, filtered).
+    store : path
+        Cube written by `run`.
     output : path, optional
-        File to write; by default next to the cube, of a Dataset ``cube_report.html`` in the current folder.
+        File to write; by default ``..._report.html`` next to the cube.
     waves : path, optional
         Its waves; by default those next to it, if there are any.
     progress : callable, optional
@@ -64,23 +61,13 @@ def report(
     """
     output = Path(output) if output is not None else page_of(store, "report")
     check_writable(output, PAGE)  # before everything is drawn
-    waves = waves_of(store, waves)
-    with stored_cube(store) as path:
-        return write_report(measured_run(path, waves), output, progress, read_verdict(path))
+    path = Path(str(store).removeprefix("file://"))
+    return write_report(measured_run(path, waves), output, progress, read_verdict(path))
 
 
-def page_of(cube: str | Path | xr.Dataset, kind: str) -> Path:
-    """The file of a cube's page: next to its store, or in the current folder."""
-    if isinstance(cube, xr.Dataset):
-        return Path(f"cube_{kind}.html")
+def page_of(cube: str | Path, kind: str) -> Path:
+    """The file of a cube's page, next to its store."""
     return beside(Path(str(cube).removeprefix("file://")), kind, ".html")
-
-
-def waves_of(cube: str | Path | xr.Dataset, waves: str | Path | None) -> Path | None:
-    """Where the waves of a cube are expected; None if a Dataset was given without them."""
-    if waves is not None or isinstance(cube, xr.Dataset):
-        return None if waves is None else Path(waves)
-    return beside(Path(str(cube).removeprefix("file://")), "waves", ".zarr")
 
 
 def measured_run(store: str | Path, waves: str | Path | None = None) -> Run:

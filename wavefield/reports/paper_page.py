@@ -1,7 +1,6 @@
 """Every figure and number of the paper on one page, from one cube, its waves and a still-water record."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -12,8 +11,7 @@ from wavefield import figures
 from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run
-from wavefield.pipeline.foreign_cube import stored_cube
-from wavefield.reports.compose import build_all, experiment_name, measured_run, page_of, waves_of
+from wavefield.reports.compose import build_all, experiment_name, measured_run, page_of
 from wavefield.reports.elevation_section import elevation_pictures
 from wavefield.reports.field_sections import distribution_picture, snapshot_pictures
 from wavefield.reports.html_page import Head, Item, Picture, ReportSection, Table, Text, render
@@ -35,10 +33,10 @@ _METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum"
 
 
 def paper(
-    store: str | Path | xr.Dataset,
+    store: str | Path,
     output: str | Path | None = None,
     *,
-    rest: str | Path | xr.Dataset | None = None,
+    rest: str | Path | None = None,
     waves: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -46,11 +44,11 @@ def paper(
 
     Parameters
     ----------
-    store : path or Dataset
-        The cube: written by `run`, or any other with z, z_t, u, v, w (`wavefield.cube`; cropped, filtered).
+    store : path
+        Cube written by `run`.
     output : path, optional
-        File to write; by default ``..._paper.html`` next to the cube, of a Dataset in the current folder.
-    rest : path or Dataset, optional
+        File to write; by default ``..._paper.html`` next to the cube.
+    rest : path, optional
         Cube of still water, by the same cameras; without it there is no figure of still water.
     waves : path, optional
         Waves of the cube; by default those next to it, which are made first if there are none.
@@ -78,14 +76,12 @@ def paper(
     """
     output = Path(output) if output is not None else page_of(store, "paper")
     check_writable(output, PAGE)
-    with ExitStack() as stack:
-        path = stack.enter_context(stored_cube(store))
-        expected = waves_of(store, waves) or beside(path, "waves", ".zarr")
-        if not expected.is_dir():
-            analyze(store, expected)
-        run = measured_run(path, expected)
-        still = None if rest is None else measured_run(stack.enter_context(stored_cube(rest))).cube
-        return _write(run, still, output, progress)
+    path = Path(str(store).removeprefix("file://"))
+    expected = beside(path, "waves", ".zarr") if waves is None else Path(waves)
+    if not expected.is_dir():
+        analyze(path, expected)
+    still = None if rest is None else measured_run(rest).cube
+    return _write(measured_run(path, expected), still, output, progress)
 
 
 def _write(
