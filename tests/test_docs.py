@@ -35,6 +35,7 @@ ROOMS = [
     "tank",
     "waves",
 ]
+NAMES_ON_CONDA = {"opencv-python-headless": "py-opencv", "dask": "dask-core", "matplotlib": "matplotlib-base"}
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
 
 
@@ -134,14 +135,18 @@ def test_figures_of_the_gallery_exist():
             assert hasattr(wavefield.figures, name), f"{script.name} draws {name}"
 
 
-def test_changelog_citation_and_package_agree_on_the_last_release():
-    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    release = config["tool"]["setuptools_scm"]["fallback_version"]
-    headings = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)
-    assert headings[:2] in ([release, *headings[1:2]], ["Unreleased", release])
+def test_changelog_citation_recipe_and_package_agree_on_the_release():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    release = project["version"]
+    assert re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)[0] == release
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"version: {release}\n" in citation
-    assert f"license: {config['project']['license']}\n" in citation
+    assert f"license: {project['license']}\n" in citation
+    recipe = (ROOT / "packaging" / "recipe.yaml").read_text(encoding="utf-8")
+    assert f'version: "{release}"\n' in recipe
+    names = [re.match(r"[\w-]+", need)[0] for need in project["dependencies"]]
+    missing = [name for name in names if f"- {NAMES_ON_CONDA.get(name, name)} >=" not in recipe]
+    assert not missing, "packaging/recipe.yaml lacks dependencies of pyproject.toml"
 
 
 def public_objects() -> dict[str, object]:
