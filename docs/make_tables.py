@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wavefield.variables import CUBE_FIELDS, GROUPS, TABLE, FrameStatus, Quality, Variable, rows_of
 
-PAGE = Path(__file__).with_name("formats.md")
+PAGES = (Path(__file__).with_name("formats.md"),)
 
 QUALITY = {
     Quality.MEASURED: "found by matching on its own",
@@ -152,10 +152,10 @@ def filled(page: str) -> str:
     """The page with every table made anew."""
     for name, make in TABLES.items():
         pattern = re.compile(rf"(<!-- table: {name} -->\n).*?(<!-- end -->)", re.S)
-        before, after = pattern.sub(r"\1\0\2", page).split("\0")
-        page = f"{before}{make()}\n{after}"
+        page = pattern.sub(lambda place, make=make: f"{place[1]}{make()}\n{place[2]}", page)
     return page
 
 
 if __name__ == "__main__":
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for path in PAGES:
+        path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,23 +1,37 @@
-"""Fill the tables of docs/validation.md from the results of benchmarks: `python docs/make_validation.py`."""
+"""Fill the tables of README.md and docs/validation.md from benchmarks/results.
+
+Run `python docs/make_validation.py`. Between `<!-- result: NAME -->` and `<!-- end -->` goes the table of
+benchmarks/results/NAME.yaml; with `NAME, rows: A; B` only the rows whose first cell begins with A or B.
+"""
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.results import RESULTS, Result
 
-PAGE = Path(__file__).with_name("validation.md")
-PLACE = re.compile(r"(<!-- result: (\S+) -->\n).*?(<!-- end -->)", re.S)
+PAGES = (Path(__file__).parents[1] / "README.md", Path(__file__).with_name("validation.md"))
+PLACE = re.compile(r"(<!-- result: (\w+)(?:, rows: ([^>]+))? -->\n).*?(<!-- end -->)", re.S)
+
+
+def table(name: str, beginnings: str | None) -> str:
+    """A stored result as a Markdown table, or the rows that begin with the given texts."""
+    result = Result.load(RESULTS / f"{name}.yaml")
+    if beginnings is not None:
+        wanted = [text.strip() for text in beginnings.split(";")]
+        rows = [next(row for row in result.rows if row[0].startswith(text)) for text in wanted]
+        result = replace(result, rows=rows)
+    return result.markdown()
 
 
 def filled(page: str) -> str:
     """The page with every table made anew from its file."""
-    return PLACE.sub(
-        lambda place: f"{place[1]}{Result.load(RESULTS / f'{place[2]}.yaml').markdown()}\n{place[3]}", page
-    )
+    return PLACE.sub(lambda place: f"{place[1]}{table(place[2], place[3])}\n{place[4]}", page)
 
 
 if __name__ == "__main__":
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for path in PAGES:
+        path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")

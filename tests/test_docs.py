@@ -93,8 +93,9 @@ def test_tables_of_the_pages_are_made_from_package_and_results(script):
     spec = importlib.util.spec_from_file_location(script, ROOT / "docs" / f"{script}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    text = module.PAGE.read_text(encoding="utf-8")
-    assert module.filled(text) == text, f"run `python docs/{script}.py`"
+    for page in module.PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert module.filled(text) == text, f"run `python docs/{script}.py`"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.name)
