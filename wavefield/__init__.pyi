@@ -25,7 +25,6 @@ from wavefield.series.experiment import Experiment
 from wavefield.series.proposal import propose
 from wavefield.store.export import export
 from wavefield.store.ledger import status
-from wavefield.store.pivpy import to_pivpy
 from wavefield.store.read import open_cube
 from wavefield.store.verify import verify
 from wavefield.store.wave_store import open_waves
@@ -124,7 +123,6 @@ __all__ = [
     "structure_functions",
     "subsurface",
     "surface_paths",
-    "to_pivpy",
     "verify",
     "wavelet_directions",
     "waves_and_vortices",

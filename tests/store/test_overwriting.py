@@ -24,7 +24,7 @@ from wavefield.store.export import PRODUCTS
 from wavefield.store.wave_store import WAVES
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "15"))
-ENDINGS = (".nc", ".mat", ".pvd", ".vtkhdf", ".uvmat")
+ENDINGS = (".nc", ".mat", ".uvmat")
 
 # the words of every command that writes, and what of its own it may replace
 COMMANDS = {
@@ -89,7 +89,6 @@ def crowded(measured, tmp_path_factory):
         (folder / f"mine{ending}").write_text("wavefield, written by me")
         (folder / f"folder{ending}").mkdir()
         (folder / f"folder{ending}/a_1{ending}").write_text("mine")
-        (folder / f"mine{ending}_steps").mkdir()
     for place, name in (("kept", "cube.log"), ("locked", "cube.zarr.lock"), ("beside", "verdict.json")):
         (folder / place).mkdir()
         (folder / place / name).write_text("mine")

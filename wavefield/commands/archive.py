@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 Examples:
   wavefield export cube.zarr cube.nc                    # NetCDF (CF)
   wavefield export cube.zarr cube.mat                   # MATLAB 7.3
-  wavefield export cube.zarr cube.pvd --steps 0:500:5   # ParaView: the moving surface, every fifth step
-  wavefield export cube.zarr cube.vtkhdf                # the same in one file
+  wavefield export cube.zarr cube.nc --steps 0:500:5    # every fifth step
   wavefield export cube.zarr run7.uvmat                 # a folder of files for UVMAT
   wavefield export cube.zarr mean.nc --average time     # mean and rms at every node
   wavefield export cube.zarr phases.nc --average 0.8    # phase averages of waves of 0.8 s
@@ -40,7 +39,7 @@ Examples:
 )
 @click.pass_context
 def export(context: click.Context, store: Path, output: Path, steps: str | None, average: str | None) -> None:
-    """Write a cube as NetCDF, MATLAB, ParaView or UVMAT files.
+    """Write a cube as NetCDF, MATLAB or UVMAT files.
 
     The ending of OUTPUT chooses the format. The exit status is 3 where steps of the cube are missing.
     """
@@ -70,8 +69,6 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None,
 _READERS = {
     "netcdf": "xarray, Panoply, ncview or MATLAB (ncread)",
     "matlab": "MATLAB (load or h5read)",
-    "paraview": "ParaView",
-    "vtkhdf": "ParaView 5.12 or later",
     "uvmat": "UVMAT",
 }
 

@@ -1,4 +1,4 @@
-"""The cube as files of other programs: NetCDF, MATLAB, ParaView, UVMAT."""
+"""The cube as files of other programs: NetCDF, MATLAB, UVMAT."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefield.atomic_write import OwnFile, atomic, check_writable, files_named, marked, write_text
+from wavefield.atomic_write import OwnFile, atomic, check_writable, files_named, marked
 from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import open_cube
@@ -21,11 +21,9 @@ NETCDF = (".nc", ".nc4", ".cdf", ".h5")
 ENDINGS = {
     **dict.fromkeys(NETCDF, "netcdf"),
     ".mat": "matlab",
-    ".pvd": "paraview",
-    ".vtkhdf": "vtkhdf",
     ".uvmat": "uvmat",
 }
-KNOWN = ".nc (NetCDF), .mat (MATLAB), .pvd or .vtkhdf (ParaView) or .uvmat (a folder for UVMAT)"
+KNOWN = ".nc (NetCDF), .mat (MATLAB) or .uvmat (a folder for UVMAT)"
 _AT_ONCE = 16  # steps in memory
 
 
@@ -45,17 +43,12 @@ _MARK = b"written by wavefield"
 PRODUCTS = {
     "netcdf": OwnFile("a NetCDF export of a cube", _has_attribute("recipe_hash")),
     "matlab": OwnFile("a MATLAB export of a cube", marked(_MARK, start=b"MATLAB 7.3")),
-    "paraview": OwnFile("a ParaView export of a cube", marked(_MARK, start=b"<?xml")),
-    "vtkhdf": OwnFile("a VTKHDF export of a cube", _has_attribute("written_by_wavefield")),
     "uvmat": OwnFile(
         "a UVMAT export of a cube",
         files_named(r".*_\d+\.nc", marked(b"wavefield", start=b"CDF")),
         folder=True,
     ),
 }
-_STEPS = OwnFile(
-    "a folder of exported steps", files_named(r"step_\d+\.vts", marked(_MARK, start=b"<?xml")), folder=True
-)
 
 
 def export(store: str | Path, path: str | Path, steps: slice | None = None) -> None:
@@ -66,10 +59,8 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     store : path
         Cube written by `run`.
     path : path
-        ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7.3; ``.pvd``: a list of
-        steps for ParaView, each a ``.vts`` in the folder ``NAME_steps`` next to it; ``.vtkhdf``: the same in
-        one file, for ParaView 5.12 and later; ``.uvmat``: a folder of one NetCDF file per step. It appears
-        when it is complete.
+        ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7.3;
+        ``.uvmat``: a folder of one NetCDF file per step. It appears when it is complete.
     steps : slice, optional
         Some of the steps; by default all.
 
@@ -160,22 +151,6 @@ def _matlab(cube: "xr.Dataset", path: Path) -> None:
         write_matlab(cube, _steps_of(cube), draft)
 
 
-def _paraview(cube: "xr.Dataset", path: Path) -> None:
-    from wavefield.store.export_paraview import write_paraview
-
-    folder = path.with_name(f"{path.stem}_steps")
-    with atomic(folder, _STEPS) as draft:
-        text = write_paraview(_steps_of(cube), draft, folder.name)
-    write_text(path, text, PRODUCTS["paraview"])
-
-
-def _vtkhdf(cube: "xr.Dataset", path: Path) -> None:
-    from wavefield.store.vtkhdf import write_vtkhdf
-
-    with atomic(path, PRODUCTS["vtkhdf"]) as draft:
-        write_vtkhdf(cube, _steps_of(cube), draft)
-
-
 def _uvmat(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_uvmat import write_uvmat
 
@@ -187,7 +162,5 @@ def _uvmat(cube: "xr.Dataset", path: Path) -> None:
 _WRITERS: dict[str, Callable[[Any, Path], None]] = {
     "netcdf": write_netcdf,
     "matlab": _matlab,
-    "paraview": _paraview,
-    "vtkhdf": _vtkhdf,
     "uvmat": _uvmat,
 }
