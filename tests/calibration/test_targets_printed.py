@@ -215,6 +215,18 @@ def test_an_aprilgrid_partly_out_of_view_and_a_mirrored_one():
         find_target(image[:, ::-1], Target("aprilgrid", 0.05, (6, 5)))
 
 
+def test_hot_pixels_and_white_on_black_prints_do_not_hide_a_charuco_board():
+    target = Target("charuco", 0.05, (8, 6), marker=0.035)
+    image, _ = seen((8, 6), 0.05, charuco((8, 6), 0.05, 0.035), tilt=20.0)
+    nodes = find_target(image, target).node
+    hot = image.astype(np.uint16) * 4 + 100
+    hot[[3, 200], [3, 150]] = 65535
+    assert len(find_target(hot, target).node) == len(nodes)
+    inverted = find_target(255 - image, target)
+    assert np.array_equal(inverted.node, nodes)
+    assert inverted.notes == ("printed white on black",)
+
+
 def test_pictures_without_the_printed_target_are_refused():
     rng = np.random.default_rng(1)
     image = rng.integers(90, 140, (200, 240)).astype(np.uint8)

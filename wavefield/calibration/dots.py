@@ -143,7 +143,9 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
     if best is None:
         raise CalibrationError(
             f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {most}); "
-            "all of it must be in view and in focus, or marks must number it (origin_mark: ring, or odd dot)"
+            "all of it must be in view and in focus, or marks must number it "
+            "(origin_mark: ring, or odd dot); "
+            "grids whose rows are set off by half a dot (asymmetric) are not supported"
         )
     node, pixel, polarity = best
     span = node.max(0) + 1

@@ -14,12 +14,12 @@ from wavefield.calibration.blobs import (
     shape_of,
 )
 from wavefield.calibration.lattice import SmoothMap, mesh_length
+from wavefield.calibration.observations import LIMITS
 from wavefield.calibration.points import Image, Nodes, TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 
-MIN_CORNERS = 8  # of a ChArUco board
 EDGE_LENGTH = 0.42  # meshes along the edges of squares that place a corner of a ChArUco board
 MAX_ITERATIONS = 12  # of the window around such a corner
 MAX_SEARCH_SIZE = 1500  # px; larger images are first searched at half size
@@ -91,14 +91,14 @@ def find_charuco(image: Image, target: Target) -> TargetPoints:
         return best
 
     ids, pixel = detect(grey)
-    if len(ids) < MIN_CORNERS:
+    if len(ids) < LIMITS.min_nodes:
         if len(detect(np.ascontiguousarray(grey[:, ::-1]))[0]) > len(ids):
             raise CalibrationError(
                 "the image of the ChArUco board is mirrored; export it from the camera unflipped"
             )
         raise CalibrationError(
             f"only {len(ids)} corners of a ChArUco board of {nx} x {ny} squares were found; at least "
-            f"{MIN_CORNERS} are needed (check dictionary, focus and light)"
+            f"{LIMITS.min_nodes} are needed (check dictionary, focus and light)"
         )
     node = np.stack([ids % (nx - 1), ny - 2 - ids // (nx - 1)], -1)
     pixel = _between_markers(image, node, pixel, 0.5 * (1 - marker / target.mesh))
@@ -140,9 +140,6 @@ def _between_markers(image: Image, node: Nodes, pixel: Array, gap: float) -> Arr
     return out
 
 
-MIN_TAGS = 8
-
-
 def find_aprilgrid(image: Image, target: Target) -> TargetPoints:
     """Find the middles of the tags of an AprilGrid, also when it is partly out of view."""
     nx, ny = shape_of(target)
@@ -152,10 +149,10 @@ def find_aprilgrid(image: Image, target: Target) -> TargetPoints:
     size = np.array(image.shape[::-1])
     usable &= ((corners.min(1) > margin) & (corners.max(1) < size - 1 - margin)).all(1)
     ids, corners = ids[usable], corners[usable]
-    if len(ids) < MIN_TAGS:
+    if len(ids) < LIMITS.min_nodes:
         raise CalibrationError(
-            f"only {len(ids)} tags of an AprilGrid of {nx} x {ny} were found; at least {MIN_TAGS} are needed "
-            "(check dictionary, focus and light, and that the image is not mirrored)"
+            f"only {len(ids)} tags of an AprilGrid of {nx} x {ny} were found; {LIMITS.min_nodes} or more are "
+            "needed (check dictionary, focus and light, and that the image is not mirrored)"
         )
     node = np.stack([ids % nx, ids // nx], -1).astype(np.int64)
     refined = np.array([corner_subpixel(image, tag, _half_window(tag, border)) for tag in corners])

@@ -1,5 +1,8 @@
 """Finding a calibration target in an image, whatever its kind."""
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +22,7 @@ FINDERS = {
     "aprilgrid": find_aprilgrid,
     "two-level": find_two_level,
 }
+INVERTIBLE = ("charuco", "aprilgrid")  # the finders of chessboards and dots accept both polarities
 MIN_SIDE = 32  # px
 MIN_CONTRAST = 4.0 / 255.0  # of the brightest grey
 MAX_SATURATED = 0.2  # of the image: if nothing is found in more, overexposure is named as the cause
@@ -46,7 +50,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
     """
     grey = scaled(image)
     try:
-        return FINDERS[target.kind](grey, target)
+        return _find_either_print(grey, target)
     except CalibrationError as error:
         saturated = float(np.mean(grey >= grey.max()))
         if saturated > MAX_SATURATED:
@@ -56,8 +60,24 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
         raise
 
 
+def _find_either_print(grey: Image, target: Target) -> TargetPoints:
+    """The target as it is, or as a board that was printed white on black."""
+    try:
+        return FINDERS[target.kind](grey, target)
+    except CalibrationError:
+        if target.kind not in INVERTIBLE:
+            raise
+        try:
+            found = FINDERS[target.kind](np.float32(255.0) - grey, target)
+        except CalibrationError:
+            pass
+        else:
+            return replace(found, notes=(*found.notes, "printed white on black"))
+        raise
+
+
 def scaled(image: NDArray[np.generic]) -> Image:
-    """The image as float32 with its brightest grey at 255, refused when it cannot show a target."""
+    """The image as float32 with its brightest patch at 255, refused when it cannot show a target."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE:
         raise CalibrationError(
@@ -66,6 +86,8 @@ def scaled(image: NDArray[np.generic]) -> Image:
     grey = image.astype(np.float32)
     if not np.isfinite(grey).all():
         raise CalibrationError("the image holds values that are not numbers; export it from the camera again")
+    # hot pixels and sparkles are no part of a target, whose marks are more than a few pixels wide
+    grey = np.minimum(grey, cv2.medianBlur(grey, 5).max())
     low, high = float(grey.min()), float(grey.max())
     if high - low < MIN_CONTRAST * max(abs(high), 1e-12):
         raise CalibrationError(
