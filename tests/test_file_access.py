@@ -15,8 +15,8 @@ from wavefield.pipeline import Workflow
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.clocks import read_time_stamps
+from wavefield.series.probes import read_probes
 from wavefield.series.readers import FrameEntry, count_images, read_entry
-from wavefield.waves.probes.probe_files import read_probes
 
 READERS = {
     "image.tif": [read_image, count_images, lambda path: read_entry(FrameEntry("page", str(path), 1))],

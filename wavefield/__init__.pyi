@@ -22,6 +22,7 @@ from wavefield.rig.camera import Camera
 from wavefield.rig.formats import load_rig
 from wavefield.rig.rig import Rig
 from wavefield.series.experiment import Experiment
+from wavefield.series.probes import read_probes
 from wavefield.series.proposal import propose
 from wavefield.store.export import export
 from wavefield.store.ledger import status
@@ -107,6 +108,7 @@ __all__ = [
     "phase_average",
     "plan",
     "propose",
+    "read_probes",
     "reconstruct",
     "report",
     "resonances",

@@ -35,11 +35,11 @@ def whole(tmp_path_factory, tank_rig):
     time = np.arange(0, 8.2, 0.02)
     probe = 0.01 * np.sin(2 * np.pi * 1.1 * time)
     rows = "\n".join(f"{t:.3f},{z:.6f}" for t, z in zip(time, probe))
-    (folder / "probes.csv").write_text(f"# p1 0.1 0.1\ntime,p1\n{rows}\n")
+    (folder / "probes.csv").write_text(f"time,p1\n{rows}\n")
     cameras = "\n".join(f'  {name}: "{name}/img_{{frame:05d}}.tif"' for name in tank_rig)
     (folder / "experiment.yaml").write_text(
         f"name: whole\nframe_rate: 20\nframes: {{first: 0, last: {GRID['steps']}}}\ncameras:\n{cameras}\n"
-        "rig: rig.yaml\nprobes: probes.csv\n"
+        "rig: rig.yaml\nprobes: {file: probes.csv, places: {p1: [0.1, 0.1]}}\n"
     )
     path = folder / "cube.zarr"
     rig = {name: tank_rig[name].to_dict() for name in tank_rig}

@@ -21,10 +21,10 @@ from wavefield.pipeline import Workflow
 from wavefield.pipeline.prepare import make_settings
 from wavefield.rig import Rig
 from wavefield.series import Experiment
+from wavefield.series.probes import read_probes
 from wavefield.series.readers import close_files
 from wavefield.tank import paper_rig
 from wavefield.variables import FrameFault
-from wavefield.waves import read_probes
 
 LONGEST = 10  # s of this process, however busy the machine
 
@@ -104,14 +104,14 @@ def test_spoiled_lab_notes(folder, part):
 
 
 def test_spoiled_probes(folder):
-    note = "time,p1 [mm],p2 [mm]\n" + "".join(f"{k / 100},{k % 7},{-k % 5}\n" for k in range(30))
+    note = "time,p1,p2\n" + "".join(f"{k / 100},{k % 7},{-k % 5}\n" for k in range(30))
     for seed in range(30):
         path = folder / f"probes_{seed}.csv"
         path.write_bytes(spoil_text(note, random.Random(1000 + seed)))
         with no_longer_than(LONGEST), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                found = read_probes(path)
+                found = read_probes(path, unit="mm")
                 assert (np.diff(found.time) > 0).all()
                 assert float(found.elevation.std()) < 1.0
             except WavefieldError as error:

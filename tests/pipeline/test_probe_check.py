@@ -12,18 +12,19 @@ from wavefield.series import Experiment
 SPAN = (0.0, 5.0)
 
 
-def experiment(folder, table, more=""):
+def experiment(folder, table, more="", unit="mm"):
     (folder / "probes.csv").write_text(table)
     path = folder / "experiment.yaml"
     path.write_text(
-        f"name: tank\nframe_rate: 20\ncameras: {{left: left/*.tif}}\nprobes: {{file: probes.csv{more}}}\n"
+        "name: tank\nframe_rate: 20\ncameras: {left: left/*.tif}\n"
+        f"probes: {{file: probes.csv, unit: {unit}, places: {{p1: [0.1, 0.05]}}{more}}}\n"
     )
     return Experiment.load(path)
 
 
-def table(times, heights, unit="mm"):
+def table(times, heights):
     rows = "".join(f"{t:.3f},{h:.5f}\n" for t, h in zip(times, heights))
-    return f"# p1 0.1 0.05\ntime,p1 [{unit}]\n{rows}"
+    return f"time,p1\n{rows}"
 
 
 def test_probes_that_cannot_be_read_are_a_remark(tmp_path):

@@ -5,7 +5,8 @@ import xarray as xr
 from waves_cases import PeriodicSea, linear_cube, random_waves
 
 import wavefield.waves as wv
-from wavefield.errors import CubeError, ExperimentError, StoreError
+from wavefield.errors import CubeError, StoreError
+from wavefield.series.probes import read_probes
 from wavefield.variables import GROUPS, find, rows_of
 
 
@@ -24,10 +25,9 @@ def probes(tmp_path_factory):
     waves = random_waves(n=150)
     t = np.arange(-100, 2200) * 0.01
     z = [waves.on_grid(t, [y], [x], "z")["z"].ravel() for x, y in ((0.2, 0.3), (0.9, 0.5))]
-    lines = ["# positions in metres", "# p1 0.2 0.3", "# p2 0.9 0.5", "time,p1,p2"]
-    lines += [f"{a:.4f},{b:.6f},{c:.6f}" for a, b, c in zip(t, *z)]
+    lines = ["time,p1,p2", *(f"{a:.4f},{b:.6f},{c:.6f}" for a, b, c in zip(t, *z))]
     path.write_text("\n".join(lines))
-    return path
+    return read_probes(path, places={"p1": (0.2, 0.3), "p2": (0.9, 0.5)})
 
 
 @pytest.fixture(scope="module")
@@ -230,28 +230,6 @@ def test_what_cannot_be_analysed_is_reported_in_one_sentence(sea, probes, tmp_pa
         wv.analyze(sea.isel(time=slice(0, 40)), blocked / "waves.zarr")
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("when,p1\n0,1\n", "line 1: no header"),
-        ("", "are empty"),
-        ("time,p1\n", "hold 0 lines of numbers"),
-        ("time,p1\n0,one\n", "line 2: 'one' is no number"),
-        ("# a remark\ntime,p1,p2\n0,1,2\n1,2\n", "line 4: 2 values, but the header names 3 columns"),
-        ("time,p1\n0,1\n2,1\n1,1\n", "line 4: time is not increasing"),
-        ("time,p1 [ft]\n0,1\n1,2\n", "unit 'ft' is not known"),
-        ("time,p1\n0,14\n1,-12\n2,9\n", "p1 varies by .* write 'p1 .mm.' into the header"),
-    ],
-)
-def test_a_spoiled_probe_file_is_named(tmp_path, text, sentence):
-    path = tmp_path / "probes.csv"
-    path.write_text(text)
-    with pytest.raises(ExperimentError, match=sentence):
-        wv.read_probes(path)
-    with pytest.raises(ExperimentError, match="cannot read the probes"):
-        wv.read_probes(tmp_path / "none.csv")
-
-
 def test_probes_at_their_own_rate_hold_the_variance():
     rng = np.random.default_rng(3)
     t = np.arange(0, 200, 1 / 75)
@@ -296,25 +274,8 @@ def test_memory_stays_bounded_by_the_segment(tmp_path, chunks):
     assert peaks[1] < 1.5 * peaks[0]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "time,p1,p2\n0,.01,0\n.1,-.01,0\n",
-        "t [ms];p1 [mm];p2 [cm]\n0;10;0\n100;-10;0\n",
-        "# unit mm\nTime (s)\tp1\tp2\n0\t10\t0\n0.1\t-10\t0\n",
-        "\ufefftime,p1 (m),p2\n0,.01,0\n.1,-.01,0\n",
-    ],
-)
-def test_a_laboratorys_header_is_read_with_its_units(tmp_path, text):
-    path = tmp_path / "probes.csv"
-    path.write_text(text, encoding="utf-8")
-    read = wv.read_probes(path)
-    np.testing.assert_allclose(read.elevation.sel(probe="p1"), [0.01, -0.01])
-    np.testing.assert_allclose(read.time, [0, 0.1])
-
-
 def test_a_bad_cell_costs_neither_its_probe_nor_the_others(sea, probes, tmp_path):
-    read = wv.read_probes(probes).load()
+    read = probes.load().copy(deep=True)
     omega = wv.E_omega(wv.komega(sea.z, segment=64)).omega
     span = (float(sea.time[0]), float(sea.time[-1]))
     whole = wv.probe_spectra(read, omega, span)

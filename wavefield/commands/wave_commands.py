@@ -84,6 +84,7 @@ def analyze(
 
 def _analyze(store: Path, output: Path | None, workflow: Path | None, options: AnalyzeOptions) -> int:
     from wavefield.pipeline import analyze_on_workers, open_run
+    from wavefield.series.probes import read_probes
     from wavefield.store.ledger import unfinished_note
     from wavefield.waves import analyze as analyze_cube
 
@@ -92,7 +93,7 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, options: A
         click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
     run = open_run(store)
-    probes = options["probes"] or run.probes
+    probes = read_probes(options["probes"]) if options["probes"] else run.probes
     if probes is None and run.experiment is not None and run.experiment.probes:
         click.echo(f"note: without the probes {run.reason('probes')}", err=True)
     gain: Any = False if options["gain"] == "none" else options["gain"]

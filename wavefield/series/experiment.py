@@ -30,6 +30,7 @@ from wavefield.series.experiment_parts import (
 )
 from wavefield.series.frames import FrameSeries
 from wavefield.series.mean_images import with_backgrounds
+from wavefield.series.probes import read_probes
 from wavefield.series.rates import one_rate, recorded_rates, video_rates
 from wavefield.series.record import open_record
 from wavefield.text import html_table
@@ -261,7 +262,7 @@ class Experiment(RecordSection):
         Returns
         -------
         Dataset or None
-            As from `wavefield.waves.read_probes`; None if the file names none.
+            As from `wavefield.read_probes`; None if the file names none.
 
         Raises
         ------
@@ -270,13 +271,8 @@ class Experiment(RecordSection):
         """
         if self.probes is None:
             return None
-        from wavefield.waves import read_probes
-        from wavefield.waves.probes.probe_files import Columns
-
-        section = self.probes
-        columns = Columns(section.time, section.columns) if section.columns else None
-        options = section.model_dump(include={"unit", "factor", "clock", "places"})
-        return read_probes(self.resolve(section.file), columns, **options)
+        options = self.probes.model_dump(include={"unit", "factor", "clock", "places"})
+        return read_probes(self.resolve(self.probes.file), **options)
 
     def frame_times(self, series: FrameSeries) -> NDArray[np.float64]:
         """Times of the frames, from their numbers and the frame rate.

@@ -144,18 +144,12 @@ class WaterSection(ConfigSection):
 
 
 class ProbesSection(ConfigSection):
-    """A file of wave probes, and what its header does not state."""
+    """A CSV file of wave probes: ``time`` (s) and a column per probe."""
 
     file: PathText = Field(examples=["probes.csv"])
-    time: str | int = Field(
-        default="time", examples=['"Zeit [s]"'], description="column of time: its name, or its number from 1"
-    )
-    columns: dict[str, str | int] = Field(
-        default_factory=dict, examples=['{p1: "WG 1", p2: 3}'], description="column of every probe, likewise"
-    )
-    unit: Literal["", "m", "cm", "mm", "um"] = Field(default="", description="if the file does not state it")
+    unit: Literal["m", "cm", "mm", "um"] = Field(default="m", description="of the elevations")
     factor: float = Field(
-        default=1.0, description="on the values, such as -1 for gauges that count downwards"
+        default=1.0, description="multiplies the elevations: -1 for gauges that count downwards"
     )
     clock: float = Field(default=0.0, description="s, added to their times")
     places: dict[str, tuple[float, float]] = Field(

@@ -14,6 +14,7 @@ from wavefield.series.image_names import (
     find_series,
     image_paths,
 )
+from wavefield.series.probes import read_probes
 
 MIN_IMAGES = 3  # of a record
 _TARGETS = re.compile(
@@ -22,7 +23,7 @@ _TARGETS = re.compile(
 )
 _REST = re.compile(r"rest|still|flat_water|repos|ruhe", re.IGNORECASE)
 _FLAT = re.compile(r"(?<![a-z])(flat|level|plan|flach)(?![a-z])", re.IGNORECASE)
-_PROBES = re.compile(r"probe|gau?ge|sonde|pegel|wg\d|elevation", re.IGNORECASE)
+_PROBES = re.compile(r"probe|gau?ge|wg\d|elevation", re.IGNORECASE)
 _NO_PROBES = re.compile(r"time.?stamps?|times|read.?me|note|log", re.IGNORECASE)
 
 
@@ -177,28 +178,16 @@ def _rest(records: list[NumberedImages], cameras: Sequence[str]) -> Iterator[str
 
 
 def _probes(folder: Path) -> Iterator[str]:
-    """The file that is most likely of wave probes: by its name, then by its ending."""
-    from wavefield.waves.probes.probe_files import read_probes, suggested_columns
-
-    tables = [p for p in files_below(folder) if p.suffix.lower() in (".csv", ".txt", ".dat")]
-    tables = [
-        p
-        for p in tables
-        if not _NO_PROBES.search(p.stem)
-        and not _TARGETS.search(p.relative_to(folder).as_posix())
-        and (p.suffix.lower() == ".csv" or _PROBES.search(p.stem))
-    ]
-    tables.sort(key=lambda p: (not _PROBES.search(p.stem), p.suffix.lower() != ".csv", p))
+    """The file that is most likely of wave probes, by its name."""
+    tables = [path for path in files_below(folder) if path.suffix.lower() == ".csv"]
+    tables = [path for path in tables if not _NO_PROBES.search(path.stem)]
+    tables.sort(key=lambda path: (not _PROBES.search(path.stem), path))
     for path in tables[:1]:
         name = path.relative_to(folder).as_posix()
         try:
-            read_probes(path)
+            names = [str(one) for one in read_probes(path).probe.values]
         except ExperimentError as error:
-            columns = suggested_columns(path, name)
-            yield (
-                f"probes: {columns}      # check its columns"
-                if columns
-                else f"# probes: {name}     # {error}"
-            )
-        else:
-            yield f"probes: {name}     # where they are: `places: {{p1: [x, y]}}` in metres, or in the file"
+            yield f"# probes: {name}     # {error}"
+            return
+        places = ", ".join(f"{one}: [x, y]" for one in names)
+        yield f"probes: {name}     # {{file: {name}, unit: m, places: {{{places}}}}} states where they are, m"

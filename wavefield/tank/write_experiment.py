@@ -176,7 +176,7 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         **_pairing(tank),
         "grid": {"x": list(scene.grid.x), "y": list(scene.grid.y), "step": scene.grid.step},
         "water": _describe_water(scene),
-        "probes": "probes.csv",
+        "probes": {"file": "probes.csv", "places": {n: list(xy) for n, xy in scene.probes.positions.items()}},
     }
     if not scene.probes.positions:
         del experiment["probes"]
@@ -206,8 +206,7 @@ def _write_probes(path: Path, scene: Scene, sea: Sea) -> None:
     x, y = np.array(list(settings.positions.values()), float).T
     z = np.array([sea.at(x, y, time, ("z",))["z"] for time in times + scene.start])
     z += settings.noise * np.random.default_rng([scene.seed, 10]).standard_normal(z.shape)
-    lines = [f"# {name} {x:.6g} {y:.6g}" for name, (x, y) in settings.positions.items()]
-    lines.append(",".join(["time", *settings.positions]))
+    lines = [",".join(["time", *settings.positions])]
     for time, row in zip(times, z, strict=True):
         lines.append(",".join(f"{value:.6f}" for value in (time, *row)))
     write_text(path, "\n".join(lines) + "\n", NEW_FILE)

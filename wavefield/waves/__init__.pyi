@@ -27,7 +27,7 @@ from wavefield.waves.nonlinear.linear_surface import linear_surface
 from wavefield.waves.nonlinear.nonlinear_ratio import nonlinear_ratio
 from wavefield.waves.nonlinear.resonances import ResonanceSettings, resonances
 from wavefield.waves.nonlinear.wave_vectors import plane_coherence
-from wavefield.waves.probes.probe_files import probe_spectra, read_probes
+from wavefield.waves.probes.probe_files import probe_spectra
 from wavefield.waves.spectra.cross_spectra import cross_spectra
 from wavefield.waves.spectra.field_spectra import (
     E_k,
@@ -95,7 +95,6 @@ __all__ = [
     "plane_coherence",
     "probe_spectra",
     "read_gain",
-    "read_probes",
     "resonances",
     "ridge_broadening",
     "spectral_slope",

@@ -43,7 +43,7 @@ MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 class AnalysisOptions(TypedDict, total=False):
     """What of an analysis can be chosen; all of it is optional."""
 
-    probes: str | Path | xr.Dataset | None
+    probes: xr.Dataset | None
     segment: int | None
     depth: float | None
     velocity: Literal["instantaneous", "displacement"] | None
@@ -95,8 +95,8 @@ def analyze(
     **options
         Any of the following:
 
-        ``probes`` : path or Dataset
-            Wave probes (`read_probes`).
+        ``probes`` : Dataset
+            Wave probes (`wavefield.read_probes`).
         ``segment`` : int
             Steps of a Welch segment; by default chosen from the record.
         ``depth`` : float

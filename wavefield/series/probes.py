@@ -1,0 +1,201 @@
+"""Wave probes: one documented table, read by numpy."""
+
+import codecs
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.errors import ExperimentError
+from wavefield.file_access import accessing
+from wavefield.variables import annotate
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
+SLOWEST = 2.0  # s between samples: slower ones do not resolve waves; times in ms have steps of 10 and more
+LARGEST = 40.0  # m from the lowest to the highest value: no wave is higher
+SENTINEL_DEVIATIONS = 4.0  # times the 95 % range of the values
+
+
+def read_probes(
+    path: str | Path,
+    *,
+    unit: str = "m",
+    factor: float = 1.0,
+    clock: float = 0.0,
+    places: Mapping[str, tuple[float, float]] | None = None,
+) -> xr.Dataset:
+    """Read the elevations of wave probes from a CSV file.
+
+    Parameters
+    ----------
+    path : path-like
+        UTF-8 text, columns parted by commas. The first line names the columns: ``time`` (seconds,
+        increasing; frame 0 is at 0) and one column per probe. A cell that is empty or ``nan`` is a missing
+        value. Lines that begin with ``#`` are comments.
+    unit : {"m", "cm", "mm", "um"}
+        Unit of the elevations.
+    factor : float
+        Multiplies the elevations, such as -1 for gauges that count downwards.
+    clock : float
+        Added to the times, s.
+    places : mapping of str to (float, float), optional
+        x, y of the probes, m.
+
+    Returns
+    -------
+    Dataset
+        ``elevation`` (probe, time), m; coordinates ``probe`` (name), ``probe_x``, ``probe_y`` (m, NaN where
+        `places` has none).
+
+    Raises
+    ------
+    ExperimentError
+        If the file is anything else; the message says what was found, and where.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "probes.csv"
+    >>> _ = path.write_text("time,p1,p2\\n0.00,1.5,-2.5\\n0.01,1.2,\\n")
+    >>> read_probes(path, unit="mm").elevation.values.tolist()
+    [[0.0015, 0.0012], [-0.0025, nan]]
+    """
+    path = Path(path)
+    lines = [
+        (number, line)
+        for number, line in enumerate(_text(path).splitlines(), 1)
+        if line.strip() and not line.startswith("#")
+    ]
+    if unit not in UNITS:
+        raise ExperimentError(f"the probes {path}: unit {unit!r} is not one of {', '.join(UNITS)}")
+    names = _names(path, *lines[0]) if lines else []
+    if len(lines) < 3:
+        raise ExperimentError(f"the probes {path} have fewer than two lines of numbers")
+    table = _table(path, names, lines[1:])
+    _check_times(path, table[:, 0], [number for number, _ in lines[1:]])
+    for name, values in zip(names[1:], table[:, 1:].T):
+        _check_elevation(path, name, values * UNITS[unit] * factor, values)
+    unknown = [name for name in places or {} if name not in names[1:]]
+    if unknown:
+        raise ExperimentError(
+            f"`places` names {unknown[0]!r}, but the probes of {path} are {', '.join(names[1:])}"
+        )
+    nowhere = (np.nan, np.nan)
+    x, y = np.array([(places or {}).get(name, nowhere) for name in names[1:]], float).T
+    out = xr.Dataset(
+        {"elevation": (("probe", "time"), UNITS[unit] * factor * table[:, 1:].T)},
+        {
+            "time": ("time", table[:, 0] + clock),
+            "probe": ("probe", names[1:]),
+            "probe_x": ("probe", x),
+            "probe_y": ("probe", y),
+        },
+    )
+    return annotate(out, "probes")
+
+
+def _text(path: Path) -> str:
+    try:
+        with accessing(path, ExperimentError):
+            data = path.read_bytes()
+    except OSError as error:
+        raise ExperimentError(f"cannot read the probes {path}: {error.strerror}") from None
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise ExperimentError(f"the probes {path} are UTF-16 text; save them as CSV in UTF-8")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ExperimentError(
+            f"{path}, line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; save the probes as CSV "
+            "in UTF-8"
+        ) from None
+
+
+def _names(path: Path, number: int, line: str) -> list[str]:
+    """Names of the columns, from the header."""
+    names = [name.strip().strip('"') for name in line.split(",")]
+    form = "the first line must be `time,NAME,NAME,...`"
+    if len(names) < 2 or names[0] != "time":
+        raise ExperimentError(f"{path}, line {number}: {form}, with commas, and it is {line.strip()[:60]!r}")
+    for name in names:
+        if not name or any(mark in name for mark in "[](){}"):
+            raise ExperimentError(
+                f"{path}, line {number}: {name!r} is not the name of a probe: {form}; the unit of all probes "
+                "is `unit:` in the experiment file, and columns that are not elevations have to be removed"
+            )
+    if len(set(names)) < len(names):
+        raise ExperimentError(f"{path}, line {number}: two columns have the same name")
+    return names
+
+
+def _value(cell: str) -> float:
+    """The number of a cell; NaN for an empty one."""
+    return float(cell.strip() or "nan")
+
+
+def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArray[np.float64]:
+    """Numbers of all lines, (line, column)."""
+    for number, line in lines:
+        if line.count(",") != len(names) - 1:
+            raise ExperimentError(
+                f"{path}, line {number}: {line.count(',') + 1} values, but the header names {len(names)} "
+                "columns"
+            )
+    try:
+        table: NDArray[np.float64] = np.loadtxt(
+            [line for _, line in lines], delimiter=",", comments=None, converters=_value, ndmin=2
+        )
+    except ValueError:
+        table = np.full((len(lines), len(names)), np.inf)
+        for row, (_, line) in zip(table, lines):
+            for k, cell in enumerate(line.split(",")):
+                try:
+                    row[k] = _value(cell)
+                except ValueError:
+                    break
+    if np.isinf(table).any():
+        row, column = np.argwhere(np.isinf(table))[0]
+        number, line = lines[row]
+        cell = line.split(",")[column].strip()
+        remedy = "times are in seconds, frame 0 at 0" if not column else "leave a cell without a value empty"
+        raise ExperimentError(f"{path}, line {number}: {names[column]} is {cell!r}, not a number; {remedy}")
+    return table
+
+
+def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
+    steps = np.diff(times)
+    if not (steps > 0).all():
+        later = int(np.argmin(steps > 0)) + 1
+        raise ExperimentError(f"{path}, line {numbers[later]}: time is not increasing")
+    step = float(np.median(steps))
+    if step > SLOWEST:
+        raise ExperimentError(
+            f"{path}: the times are {step:g} apart, too slow for waves if they are seconds; write them in "
+            "seconds, frame 0 at 0"
+        )
+
+
+def _check_elevation(
+    path: Path, name: str, elevation: NDArray[np.float64], stored: NDArray[np.float64]
+) -> None:
+    """Refuse what cannot be the elevation of a surface: marks of missing values, constants, other units."""
+    known = elevation[np.isfinite(elevation)]
+    if not known.size:
+        return
+    deviation = np.abs(elevation - np.median(known))
+    usual = float(np.quantile(deviation[np.isfinite(deviation)], 0.95))
+    for value in np.unique(stored[deviation > SENTINEL_DEVIATIONS * usual]):
+        digits = f"{abs(value):g}".replace(".", "")
+        if len(digits) > 2 and set(digits) == {"9"}:
+            raise ExperimentError(
+                f"{path}: {name} is {value:g} where it has no value; leave these cells empty"
+            )
+    if known.size > 2 and np.ptp(known) == 0 and known[0] != 0:
+        raise ExperimentError(f"{path}: {name} is {known[0]:g} m throughout, not a wave probe; remove it")
+    if np.ptp(known) > LARGEST:
+        raise ExperimentError(
+            f"{path}: {name} varies by {np.ptp(known):.3g} m, more than any wave; state `unit:` in `probes:`"
+        )
