@@ -1,16 +1,12 @@
 """The view to photograph next is the one that adds most."""
 
-import re
-
 import cv2
 import numpy as np
 import pytest
 
 from wavefield.calibration import TargetPoints, calibrate
 from wavefield.calibration.next_view import next_view
-from wavefield.explorer.target_watch import so_far
 from wavefield.rig import Rig
-from wavefield.series.experiment_parts import CalibrationSection
 from wavefield.tank.rigs import paper_rig
 
 NODES = np.mgrid[-8:9, -6:7].reshape(2, -1).T
@@ -81,15 +77,3 @@ def test_no_view_is_proposed_without_a_solution(few):
     one = calibrate({"cam1": views(FEW)["cam1"]}, MESH, model="paper")
     assert "pixels known to" in next_view(one).words
     assert isinstance(few.rig, Rig)
-
-
-def test_following_reports_the_uncertainty_from_the_views_so_far():
-    section = CalibrationSection(target={"kind": "strings", "mesh": MESH}, tilted="tilt_*", flat="flat.tif")
-    words = so_far(views(FEW), section)
-    assert re.search(r"cam1 to 0\.\d+ px, cam2 to 0\.\d+ px, cam3 to 0\.\d+ px, z to 0\.\d+ mm\. ", words)
-    assert re.search(
-        r"Next: raise its [+-][xy] side by 25 degrees and hold it .*: z known to 0\.\d+ mm", words
-    )
-    assert so_far({name: {} for name in EXACT}, section).startswith(
-        "Rig: no target was found in any view of cam1"
-    )

@@ -1,14 +1,13 @@
 """Every control of the page driven in a browser; what it draws, against numpy."""
 
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from wavefield.explorer import selections
-from wavefield.explorer.map_fields import arrows, relief
+from wavefield.explorer.map import arrows
+from wavefield.explorer.node import spectrum
 from wavefield.figures.display import limit
 from wavefield.figures.quality_kinds import KINDS, quality_kind
 
@@ -51,7 +50,7 @@ def shown(name):
 
 
 def arrived(page, what, where, near=0.02):
-    """Wait until all that belongs to a picked node, line or rectangle is there: the link is written last."""
+    """Wait until all that belongs to a picked node is there: the link is written last."""
     link = f"(new URL(location).searchParams.get('{what}') ?? '').split(',').map(Number)"
     page.wait(f"{[float(v) for v in where]}.every((v, k) => Math.abs(v - ({link})[k]) < {near})")
 
@@ -93,8 +92,8 @@ def test_buttons_step_and_the_slider_too(page, fields):
     page.page.keyboard.press("ArrowRight")
     page.wait(at_step(STEP + 1))
     np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][STEP + 1], rtol=1e-6)
-    page.page.keyboard.press("l")  # the slider keeps its own keys only
-    page.wait(f"{model('drag')}.value == 'line'")
+    page.page.keyboard.press("m")  # the slider keeps its own keys only
+    page.wait(f"{model('drag')}.value == 'mask'")
 
 
 def test_it_plays_and_stops(page, fields):
@@ -183,10 +182,7 @@ def test_the_wheel_zooms_and_reset_goes_back(page):
     page.wait(f"({reset}, Math.abs({model('map')}.x_range.end - {before[1]}) < 1e-6)")
 
 
-def test_a_click_shows_everything_at_the_node(page, fields, whole):
-    from wavefield.pipeline import open_cube
-    from wavefield.waves.nonlinear.kinematics import kinematics
-
+def test_a_click_shows_everything_at_the_node(page, fields):
     j, i = 10, 13
     page.click("map", X[i] + 0.01, Y[j] - 0.01)
     page.wait(f"{model('node_words')}.text.includes('x 0.175 m, y 0.125 m')")
@@ -200,65 +196,24 @@ def test_a_click_shows_everything_at_the_node(page, fields, whole):
         np.testing.assert_allclose(0.5 * (high - low), std, rtol=0.02)
     kinds = page.column("node_quality", "kind")
     assert kinds.tolist() == [quality_kind(fields["quality"][:1, j, i])[0]]
-    expected = selections.spectrum(100 * fields["z"][:, j, i], 0.05)
+    expected = spectrum(100 * fields["z"][:, j, i], 0.05)
     np.testing.assert_allclose(page.column("node_spectrum", "f"), expected.frequency, rtol=1e-6)
     np.testing.assert_allclose(page.column("node_spectrum", "e"), expected.density, rtol=0.05)
-    probe = page.column("node_probe_spectrum", "f")
-    assert probe[0] == pytest.approx(expected.frequency[0], rel=0.05)  # segments of the same length
     page.set("node_other", "value", "'eps_piv'")
     page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('eps_piv')")
     page.wait(f"Math.abs({model('node_other_series')}.data.value[0] - {fields['eps_piv'][0, j, i]}) < 6e-4")
     np.testing.assert_allclose(
         page.column("node_other_series", "value"), fields["eps_piv"][:, j, i], atol=6e-4
     )
-    page.set("node_other", "value", "'vorticity'")
-    page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('vorticity')")
-    page.wait(f"isFinite({model('node_other_series')}.data.value[0])")
-    vorticity = kinematics(open_cube(whole[0]).load()).vorticity.values[:, j, i]
-    np.testing.assert_allclose(page.column("node_other_series", "value"), vorticity, rtol=1e-4, atol=1e-5)
     page.set("node_which", "value", "'w'")
-    expected = selections.spectrum(100 * fields["w"][:, j, i], 0.05)
+    expected = spectrum(100 * fields["w"][:, j, i], 0.05)
     page.wait(f"Math.abs({model('node_spectrum')}.data.e[3] / {expected.density[3]} - 1) < 0.1")
-
-
-def test_a_line_shows_the_transect_and_how_it_goes_by(page, fields):
-    page.page.keyboard.press("l")
-    page.drag("map", (-0.3, -0.2), (0.25, 0.2))
-    arrived(page, "line", (-0.3, -0.2, 0.25, 0.2))
-    ends = page.column("map_line", "x"), page.column("map_line", "y")
-    start, end = [(float(ends[0][k]), float(ends[1][k])) for k in (0, 1)]
-    assert start == pytest.approx((-0.3, -0.2), abs=0.01)
-    _, px, py = selections.line_points(start, end, 0.05)
-    expected = 100 * selections.interpolate(fields["w"][STEP].astype(float), X, Y, px, py)
-    np.testing.assert_allclose(page.column("line_now", "value"), expected, rtol=1e-4, atol=1e-4)
-    diagram = page.image("line_image")
-    assert diagram.shape == (160, px.size)
-    whole = 100 * selections.interpolate(np.moveaxis(fields["w"], 0, -1).astype(float), X, Y, px, py).T
-    np.testing.assert_allclose(diagram, whole, atol=0.01)
-
-
-def test_a_rectangle_shows_its_means_histogram_and_spectrum(page, fields):
-    page.page.keyboard.press("r")
-    page.drag("map", (-0.21, -0.16), (0.13, 0.21))
-    arrived(page, "area", (-0.21, -0.16, 0.13, 0.21))
-    rows, columns = (Y > -0.16) & (Y < 0.21), (X > -0.21) & (X < 0.13)
-    part = 100 * fields["w"][:, rows][:, :, columns].astype(float)
-    np.testing.assert_allclose(page.column("area_mean", "mean"), part.mean(axis=(1, 2)), atol=0.01)
-    spread = page.column("area_mean", "high") - page.column("area_mean", "mean")
-    np.testing.assert_allclose(spread, part.std(axis=(1, 2)), atol=0.01)
-    left, right, density = (page.column("area_bins", n) for n in ("left", "right", "density"))
-    assert ((right - left) * density).sum() == pytest.approx(1.0)
-    counts, _ = np.histogram(np.rint(part / 0.01) * 0.01, np.r_[left, right[-1]])
-    np.testing.assert_allclose(density * (right - left) * part.size, counts, atol=1.5)
-    each = [selections.spectrum(part[:, j, i], 0.05).density for j, i in np.ndindex(*part.shape[1:])]
-    every = -(-len(each) // 64)
-    np.testing.assert_allclose(page.column("area_spectrum", "e"), np.mean(each[::every], axis=0), rtol=0.02)
 
 
 def test_the_surface_is_projected_and_turned(page, fields):
     page.page.keyboard.press("2")
     page.wait(f"{model('surface_quads')}.data.xs.length > 100")
-    z, x, y = relief(fields["z"][STEP], X, Y)
+    z, x, y = fields["z"][STEP], X, Y
     lift = (
         page.page.evaluate(
             f"(() => {{ const h = {model('surface_field')}.data.height[0]; return h[5 * 20 + 7] }})()"
@@ -338,7 +293,7 @@ def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_r
 
 
 def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
-    from wavefield.explorer.wave_panel import log_density
+    from wavefield.explorer.waves import log_density
 
     waves = xr.open_datatree(whole[0].parent / "waves.zarr", engine="zarr", chunks={})
     page.page.keyboard.press("4")
@@ -391,62 +346,22 @@ def test_the_link_shows_the_same_view_again(page, chrome, fields):
 
 def test_what_is_seen_can_be_saved(page, fields, served):
     base = f"{served.url}save/"
-    query = "show=w&step=7&node=0.175,0.125&line=-0.2,-0.1,0.2,0.1&area=-0.1,-0.1,0.1,0.1"
+    query = "show=w&step=7&node=0.175,0.125"
 
-    def get(name, more=""):
-        answer = page.page.request.get(f"{base}{name}?{query}{more}")
+    def get(name):
+        answer = page.page.request.get(f"{base}{name}?{query}")
         assert answer.ok, (name, answer.text())
         assert name in answer.headers["content-disposition"]
         return answer.body()
 
     assert get("map.png")[:4] == b"\x89PNG"
     assert b"<svg" in get("map.svg")[:2000]
-    gif = get("play.gif", "&frames=4")
-    assert gif[:4] == b"GIF8"
-    assert get("play.mp4", "&frames=4")[4:8] == b"ftyp"
     node = xr.open_dataset(io.BytesIO(get("node.nc")), engine="h5netcdf")
     np.testing.assert_allclose(node.w.values, fields["w"][:, 10, 13], atol=6e-5)
-    table = np.genfromtxt(io.BytesIO(get("node.csv")), delimiter=",", names=True, deletechars="")
-    np.testing.assert_allclose(table["z_(m)"], fields["z"][:, 10, 13], atol=6e-6)
-    step = xr.open_dataset(io.BytesIO(get("step.nc")), engine="h5netcdf")
-    np.testing.assert_array_equal(step.u.values, fields["u"][7])
-    area = xr.open_dataset(io.BytesIO(get("area.nc")), engine="h5netcdf")
-    np.testing.assert_allclose(area.v.values, fields["v"][:, 6:10, 8:12], atol=6e-5)
-    line = np.genfromtxt(io.BytesIO(get("line.csv")), delimiter=",", names=True)
-    _, px, py = selections.line_points((-0.2, -0.1), (0.2, 0.1), 0.05)
-    np.testing.assert_allclose(line["w"], selections.interpolate(fields["w"][7], X, Y, px, py), rtol=1e-5)
     refused = page.page.request.get(f"{base}node.csv?step=7")
     assert refused.status == 409
     assert "click one on the map" in refused.text()
     assert page.page.request.get(f"{base}passwords.txt").status == 404
-
-
-def test_links_of_the_save_panel_bring_files_and_the_view(page, chrome, fields):
-    page.click("map", X[15], Y[3])  # a node that no other test picks
-    arrived(page, "node", (X[15], Y[3]))
-    page.page.locator(".bk-tab").get_by_text("Save", exact=True).click()
-    page.wait(f"{model('frames')} != null")  # made when its tab is first opened
-    page.set("frames", "value", "4")
-    words = f"{model('save_words')}.text"
-    page.wait(f"{words}.includes('node.csv') && {words}.includes('frames=4')")
-    starts = {
-        "map.png": b"\x89PNG", "map.svg": b"<?xml", "play.gif": b"GIF8", "play.mp4": b"ftyp",
-        "step.nc": b"\x89HDF", "node.nc": b"\x89HDF", "node.csv": b"time,",
-    }  # fmt: skip
-    for name, start in starts.items():
-        with page.page.expect_download() as brought:
-            page.page.locator(f"a[href*='{name}']").click()
-        assert brought.value.suggested_filename == name
-        assert start in Path(brought.value.path()).read_bytes()[:12], name
-    href = page.page.locator("a", has_text="link").get_attribute("href")
-    other = type(page)(chrome.new_page(viewport={"width": 1000, "height": 700}))
-    other.open(page.page.url.split("?")[0] + href)
-    other.wait(f"{shown('w')} && {at_step(STEP)}")
-    np.testing.assert_allclose(other.image("map_image"), 100 * fields["w"][STEP], rtol=1e-6)
-    assert other.column("map_node", "x")[0] == pytest.approx(X[15], abs=0.01)
-    other.page.close()
-    page.page.locator(".bk-tab").get_by_text("Node", exact=True).click()
-    assert other.errors == []
 
 
 def test_it_fits_a_phone(chrome, served):
@@ -461,7 +376,7 @@ def test_it_fits_a_phone(chrome, served):
     assert phone.outside == []
 
 
-@pytest.mark.parametrize("query", ["", "?tab=waves", "?tab=cameras", "?tab=surface&average=rms"])
+@pytest.mark.parametrize("query", ["", "?tab=waves", "?tab=cameras", "?tab=surface"])
 def test_screen_readers_and_weak_eyes_can_use_it(chrome, served, query):
     from browser import Browser
 
@@ -476,13 +391,11 @@ def test_screen_readers_and_weak_eyes_can_use_it(chrome, served, query):
     assert window.errors == []
 
 
-def test_it_opens_with_a_node_whose_series_are_shown_with_the_probe(chrome, served, fields):
+def test_a_node_at_a_probe_is_shown_with_its_series(chrome, served, fields):
     from browser import Browser
 
     window = Browser(chrome.new_page(viewport={"width": 1400, "height": 900}))
-    window.open(served.url, "node_probe_series")
-    for axis in "xy":
-        assert abs(window.column("map_node", axis)[0]) < 0.03
+    window.open(served.url + "?node=0.125,0.125", "node_probe_series")
     probe = window.column("node_probe_series", "value")
     t = window.column("node_probe_series", "t")
     np.testing.assert_allclose(probe, np.sin(2 * np.pi * 1.1 * t), atol=1e-3)
@@ -508,25 +421,6 @@ def test_the_pointer_is_given_name_value_and_unit(page, fields):
     value = float(f"{100 * fields['w'][STEP, 5, 7]:.4g}")
     page.page.get_by_text(f"{value} cm/s").wait_for(timeout=5000)
     page.page.get_by_text("w:", exact=True).first.wait_for(timeout=5000)
-
-
-def test_the_mean_over_time_with_streamlines_and_logarithmic_colours(page, fields):
-    choose(page, "average", "rms over time")
-    page.wait(f"{model('map')}.title.text.endsWith('rms over time')")
-    with np.errstate(invalid="ignore"):
-        np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"].std(axis=0), atol=2e-3)
-    choose(page, "average", "mean over time")
-    choose(page, "overlay", "streamlines")
-    page.wait(f"{model('map')}.title.text.endsWith('mean over time')")
-    page.wait(f"{model('map_arrows')}.data.x.length > 0")
-    choose(page, "average", "this step")
-    page.wait(shown("w") + f"&& {at_step(STEP)}")
-    choose(page, "overlay", "arrows")
-    page.page.get_by_role("button", name="Log").click()
-    expected = np.log10(abs(100 * fields["w"][STEP].ravel()[150]))
-    page.wait(f"Math.abs({model('map_image')}.data.image[0][150] - {expected}) < 1e-4")
-    page.page.get_by_role("button", name="Log").click()
-    page.wait(f"{model('low')}.value < 0")
 
 
 def test_only_this_machine_may_talk_to_it(served):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from explorer_cases import make_cube
 
-from wavefield.explorer.mask_panel import MaskPanel
-from wavefield.explorer.session import LookSession
+from wavefield.explorer.masks import MaskPanel
+from wavefield.explorer.record import LookSession
 from wavefield.images import write_image
 from wavefield.pipeline import open_run
 from wavefield.pipeline.experiment_of_cube import fingerprints, image_names, labels

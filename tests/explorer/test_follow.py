@@ -5,26 +5,29 @@ import shutil
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import xarray as xr
+from bokeh.document import Document
 
 from wavefield.errors import ExperimentError
-from wavefield.explorer import live_measurement as learning
-from wavefield.explorer.features import bead_size, frame_features
-from wavefield.explorer.follow_page import lights_table
-from wavefield.explorer.follower import Follower
+from wavefield.explorer import live
+from wavefield.explorer.follow import FollowPage, lights_table
 from wavefield.explorer.lights import (
     HISTORY_S,
     LightHistory,
     StatusLight,
     arrival_lights,
+    bead_size,
+    frame_features,
     red_lights,
+    step_lights,
+    summarize_step,
 )
-from wavefield.explorer.live_measurement import Learner
-from wavefield.explorer.watch import FolderWatch
+from wavefield.explorer.live import FolderWatch, Follower, Learner
 from wavefield.images import write_image
 from wavefield.series import Experiment
 from wavefield.variables import AROUND, Quality
@@ -161,15 +164,8 @@ def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, s
 
 
 def test_cameras_that_all_stop_turn_a_light_each(small_tank, tmp_path, monkeypatch):
-    from types import SimpleNamespace
-
-    from bokeh.document import Document
-
-    from wavefield.explorer import watch
-    from wavefield.explorer.follow_page import FollowPage
-
     now = [100.0]
-    monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=lambda: now[0], time=time.time))
+    monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: now[0], time=time.time))
     folder = tmp_path / "live"
     follower = Follower(Experiment.load(record(folder)))
 
@@ -185,7 +181,7 @@ def test_cameras_that_all_stop_turn_a_light_each(small_tank, tmp_path, monkeypat
     now[0] += 20
     assert follower._arrivals()[0].state == "good"  # a step that takes long to measure is no silence
     assert red() == [("arrival", name) for name in CAMERAS]
-    page = FollowPage(follower, SimpleNamespace(words="", found={}))
+    page = FollowPage(follower)
     page.attach(Document())
     assert "arrival cam1, cam2, cam3" in page.words["verdict"].text
     assert "no new frame for 22 s" in page.words["verdict"].text
@@ -243,6 +239,11 @@ def test_without_a_rig_each_camera_is_judged_and_the_reason_is_given(small_tank,
     assert {light.name for light in follower.latest.lights} == {
         "arrival", "synchronisation", "brightness", "saturation", "seeding", "focus",
     }  # fmt: skip
+    page = FollowPage(follower)
+    page.attach(Document())
+    assert "Waiting for the first measured step" in page.words["verdict"].text
+    assert "Sound" not in page.words["verdict"].text
+    assert "nothing measured yet" in page.words["state"].text
 
 
 def test_following_leaves_no_trace(followed):
@@ -290,20 +291,15 @@ def test_saturation_is_the_fraction_of_white_pixels():
 
 
 def test_the_page_shows_map_lights_and_cameras(followed):
-    from bokeh.document import Document
-
-    from wavefield.explorer.follow_page import FollowPage
-    from wavefield.explorer.target_watch import TargetWatch
-
     follower, _ = followed
-    page, document = FollowPage(follower, TargetWatch(follower.experiment)), Document()
+    page, document = FollowPage(follower), Document()
     assert page.map.sizing_mode == "scale_width"  # else a phone shows a map of 600 px, mostly empty
     page.attach(document)
     expected = 100 * follower.latest.fields["w"]
     np.testing.assert_allclose(page.sources["image"].data["image"][0], expected, rtol=1e-6)
     assert "frame 4; measured 5, skipped 0" in page.words["state"].text
     assert page.words["lights"].text.count("<tr>") == 14
-    assert page.cameras["cam1"].sources["image"].data["image"]
+    assert page.cameras["cam1"].source.data["image"]
     document.to_json()
 
 
@@ -399,7 +395,7 @@ def test_a_background_is_subtracted_as_in_a_run_before_a_step_is_measured(small_
         return measure(images, *rest)
 
     seen = []
-    monkeypatch.setattr(learning, "measure", spy)
+    monkeypatch.setattr(live, "measure", spy)
     follower = with_background(tmp_path, small_tank, lambda floor: floor)
     series = follower.experiment.open_frames()
     for name in CAMERAS:
@@ -450,8 +446,45 @@ def test_a_program_that_ends_while_it_learns_prints_nothing(monkeypatch):
             pool.shutdown()
             pool.submit(int)
 
-    monkeypatch.setattr(learning, "learn", learn)
+    monkeypatch.setattr(live, "learn", learn)
     Learner(None, 1.0)._learn()
-    monkeypatch.setattr(learning, "learn", lambda *_, **__: threading.Lock().release())
+    monkeypatch.setattr(live, "learn", lambda *_, **__: threading.Lock().release())
     with pytest.raises(RuntimeError, match="release unlocked lock"):
         Learner(None, 1.0)._learn()
+
+
+# -- the light for the kinematics ---------------------------------------------------------------------------
+
+X, Y = np.meshgrid(np.arange(40) * 0.01, np.arange(30) * 0.01)
+RATE = 20.0
+PHASE = 30.0 * X + 10.0 * Y
+
+
+def wave_fields(factor=1.0, std=2e-3):
+    """One step of a wave, with w too large by a factor."""
+    k, amplitude = float(np.hypot(30.0, 10.0)), 4e-3
+    omega = np.sqrt(9.81 * k)
+    z, w = amplitude * np.cos(PHASE), factor * amplitude * omega * np.sin(PHASE)
+    u, v = (amplitude * omega * part / k * np.cos(PHASE) for part in (30.0, 10.0))
+    z_x, z_y = (-amplitude * part * np.sin(PHASE) for part in (30.0, 10.0))
+    z_t = amplitude * omega * np.sin(PHASE) - u * z_x - v * z_y
+    noise = np.random.default_rng(1).normal(0, std, X.shape)
+    out = {"z": z, "u": u, "v": v, "w": w + noise, "z_t": z_t, "eps_piv": np.full(X.shape, 0.02)}
+    out |= {f"{name}_std": np.full(X.shape, std) for name in ("u", "v", "w")}
+    out["z_std"] = np.full(X.shape, 0.5 * std / RATE)
+    return out | {"quality": np.full(X.shape, int(Quality.MEASURED), np.uint16)}
+
+
+@pytest.mark.parametrize(("factor", "state"), [(1.0, "good"), (1.07, "doubtful"), (1.4, "bad")])
+def test_water_that_does_not_move_with_its_surface_has_a_light(factor, state):
+    lights = {
+        one.name: one
+        for one in step_lights(summarize_step(wave_fields(factor), X, Y, (-0.05, 0.05), RATE), None)
+    }
+    assert lights["kinematics"].state == state, lights["kinematics"].words
+
+
+def test_a_step_of_which_nothing_is_measured_has_no_verdict_on_its_kinematics():
+    nothing = wave_fields() | {"z": np.full(X.shape, np.nan)}
+    lights = {one.name: one for one in step_lights(summarize_step(nothing, X, Y, (-0.05, 0.05), RATE), None)}
+    assert lights["kinematics"].state == "unknown"

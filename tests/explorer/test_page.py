@@ -1,21 +1,31 @@
-"""The page without a browser: built for any cube, at any place; it goes on when something is amiss."""
+"""The page without a browser: built for any cube, at any place; what its panels draw, against numpy."""
 
 import re
-import time
 from collections import Counter
 
 import numpy as np
 import pytest
+import xarray as xr
 from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from explorer_cases import create_cube, make_cube, write_cube_block
+from matplotlib import colormaps
+from matplotlib.colors import to_rgb
+from scipy import signal
 
-from wavefield.explorer.look_page import LookPage
-from wavefield.explorer.place import TABS, Place
-from wavefield.explorer.server import middle_node
-from wavefield.explorer.session import LookSession
-from wavefield.explorer.whole_record import request_of
+from wavefield.errors import WavefieldError
+from wavefield.explorer.map import arrows
+from wavefield.explorer.node import longest_run, nearest_probe, spectrum
+from wavefield.explorer.page import LookPage
+from wavefield.explorer.parts import envelope, image_data, palette
+from wavefield.explorer.place import COLOUR_MAPS, TABS, Place
+from wavefield.explorer.record import LookSession
+from wavefield.explorer.save import FILES, as_csv, node_series, step_fields
+from wavefield.explorer.server import make_server, middle_node
+from wavefield.figures.display import DERIVED, display
 from wavefield.store.verdict import Remark, Verdict
+
+DT = 0.05
 
 
 def build(path, place=None):
@@ -33,33 +43,26 @@ def cube(tmp_path_factory):
     return path
 
 
-def test_a_page_without_faults_prints_nothing_in_the_terminal(cube):
-    found = check_integrity(list(build(cube)[1].models))
-    assert (found.error, found.warning) == ([], [])
-
-
-def test_every_variable_and_view_can_be_shown(cube):
+def test_every_variable_and_view_can_be_shown_and_models_have_different_names(cube):
     page, document = build(cube)
+    found = check_integrity(list(document.models))  # what Bokeh would print in the terminal
+    assert (found.error, found.warning) == ([], [])
     for k, name in enumerate(page.session.record.names):
         for tab in ("surface", TABS[k % len(TABS)]):  # what the others show is the same for every variable
             page.change(show=name, tab=tab)
             page.redraw()
-        assert page.panels.map.figure.title.text.startswith(f"{name}: ")
+        assert page.map.layout.title.text.startswith(f"{name}: ")
     document.to_json()
-
-
-def test_models_have_different_names(cube):
-    _, document = build(cube)
     names = Counter(model.name for model in document.models if model.name)
     assert [name for name, count in names.items() if count > 1] == []
 
 
-def test_a_place_is_shown_at_once(cube):
-    place = Place("z", 17, node=(0.1, 0.1), line=(-0.2, 0, 0.2, 0), area=(-0.1, -0.1, 0.1, 0.1))
-    page, _ = build(cube, place)
+def test_a_place_is_shown_at_once_and_counted_from_one(cube):
+    page, _ = build(cube, Place("z", 17, node=(0.1, 0.1)))
     assert page.controls["step"].value == 17
-    assert page.controls.link.text == place.query()
-    assert len(page.panels.map.sources["node"].data["x"]) == 1
+    assert page.controls["step"].title == "Step 18 of 120, t = 0.875 s"
+    assert page.link.text == page.place.query()
+    assert len(page.map.sources["node"].data["x"]) == 1
 
 
 def test_it_opens_at_the_measured_node_nearest_to_the_middle(cube):
@@ -72,73 +75,36 @@ def test_it_opens_at_the_measured_node_nearest_to_the_middle(cube):
     assert middle_node(record, 0) == (record.x[4], record.y[3])
 
 
-def test_the_head_shows_the_significant_height_and_the_verdict(cube, tmp_path):
+def test_a_node_shows_its_values_series_and_spectrum(tmp_path):
+    fields = make_cube(tmp_path / "cube.zarr")
+    page, _ = build(tmp_path / "cube.zarr", Place(step=7, node=(0.175, 0.125)))  # column 13, row 10
+    page._show_picked()
+    w, std = 100 * fields["w"][:, 10, 13], 100 * fields["w_std"][:, 10, 13]
+    drawn = page.node.sources["w_series"].data
+    np.testing.assert_allclose(drawn["value"], w, atol=6e-3)
+    np.testing.assert_allclose(0.5 * (drawn["high"] - drawn["low"]), std, rtol=0.02)
+    reading = re.search(r"w ([\d.\u2212]+) ± ([\d.]+) cm/s", page.node.words.text)
+    assert float(reading[1].replace("\u2212", "-")) == pytest.approx(w[7], rel=0.01)
+    density = spectrum(100 * fields["z"][:, 10, 13].astype(float), DT).density
+    np.testing.assert_allclose(page.node.sources["spectrum"].data["e"], density, rtol=0.05)
+    assert page.node.spectrum.title.text.endswith(" times the curve")
+    page.node.other.value = "eps_piv"
+    series = page.node.sources["other_series"].data["value"]
+    np.testing.assert_allclose(series, fields["eps_piv"][:, 10, 13], atol=6e-4)
+
+
+def test_the_head_gives_the_height_of_the_analysis_with_its_uncertainty(tmp_path):
     path = tmp_path / "cube.zarr"
-    fields = make_cube(path)
-    focus = Remark("cam1", "focus", "remark", "its <images> are blurred")
-    Verdict.of([focus]).save(path)
+    make_cube(path)
+    Verdict.of([Remark("cam1", "focus", "remark", "its <images> are blurred")]).save(path)
     page, _ = build(path)
-    height = float(re.search(r"Hs ([\d.]+) cm", page.header.state.text)[1])
-    assert height == pytest.approx(400 * np.nanstd(fields["z"]), rel=0.01)
-    assert "sound with remarks" in page.header.verdict.text
-    assert "cam1: its &lt;images&gt; are blurred" in page.header.verdict.text
-
-
-@pytest.mark.parametrize("average", ["mean", "rms"])
-def test_a_mean_over_time_is_shown_with_its_own_colours(cube, average):
-    page, _ = build(cube)
-    wait_for = page.averages
-    page.change(show="w", average=average)
-    page.redraw()
-    for _ in range(200):
-        if wait_for.get(request_of(page.session.record, page.place), None) is not None:
-            break
-        time.sleep(0.02)
-    page.redraw()
-    values = np.array([page.session.record.field("w", k) for k in range(120)])
-    shown = page.panels.map.sources["image"].data["image"][0]
-    expected = values.mean(axis=0) if average == "mean" else values.std(axis=0)
-    np.testing.assert_allclose(shown, 100 * expected, atol=2e-3)
-    assert page.panels.map.figure.title.text.endswith(f"{average} over time")
-    assert (page.panels.map.mapper.low == 0) == (average == "rms")
-    page.change(show="quality")
-    page.redraw()
-    assert "t = " in page.panels.map.figure.title.text
-
-
-def test_phase_averages_need_a_period_and_are_shown_at_the_phase_of_the_step(cube):
-    page, _ = build(cube)
-    page.change(show="z", average="phase", step=3)
-    page.redraw()
-    assert page.controls["period"].visible
-    assert "enter the period of the waves" in page.panels.map.figure.title.text
-    page.change(period=0.8)
-    page.redraw()
-    for _ in range(200):
-        if page.averages.get(request_of(page.session.record, page.place), None) is not None:
-            break
-        time.sleep(0.02)
-    page.redraw()
-    assert re.search(r"phase average over 0\.8 s, phase \d+°", page.panels.map.figure.title.text)
-    assert Place.read({"average": "phase", "period": "0.8"}).period == 0.8
-    assert Place.read({"period": "-1"}).period is None
-    page.change(average="mean")
-    page.redraw()
-    assert not page.controls["period"].visible
-
-
-def test_logarithmic_colours_are_those_of_magnitudes(cube):
-    page, _ = build(cube)
-    page.change(show="w", log=True, colours="viridis")
-    page.redraw()
-    w = 100 * np.abs(page.session.record.field("w", 0))
-    shown = page.panels.map.sources["image"].data["image"][0]
-    np.testing.assert_allclose(10 ** shown[5:], w[5:], rtol=1e-4)
-    assert page.panels.map.mapper.palette[0].lower() == "#440154"
-    assert page.panels.map.hover.tooltips[0] == ("|w|", "@image{custom} cm/s")
-    page.change(log=False)
-    page.redraw()
-    assert page.panels.map.hover.tooltips[0] == ("w", "@image{custom} cm/s")
+    assert "Hs" not in page.state.text  # of so short a record, four times the rms could be far off
+    assert "sound with remarks" in page.verdict.text
+    assert "cam1: its &lt;images&gt; are blurred" in page.verdict.text
+    found = xr.Dataset({"significant_height": 0.05, "significant_height_std": 0.004})
+    vars(page.session.run)["wave_group"] = lambda name: found
+    page._show_head()
+    assert "<b>Hs 5 ± 0.4 cm</b>" in page.state.text
 
 
 def test_fitted_colours_are_nobodys_wish(cube):
@@ -147,32 +113,182 @@ def test_fitted_colours_are_nobodys_wish(cube):
     assert page.place.limits is None
     page.controls["low"].value, page.controls["high"].value = -3.0, 4.0
     assert page.place.limits == (-3.0, 4.0)
+    page._fit()
+    page.redraw()
+    assert page.map.mapper.low == -page.map.mapper.high == page.controls["low"].value
 
 
-def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(cube, tmp_path):
+def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(tmp_path):
     path = tmp_path / "cube.zarr"
     make_cube(path)
     next((path / "w" / "c").glob("0/0/0")).write_bytes(b"nonsense")
     page, document = LookPage(LookSession(path), Place(step=1)), Document()
     page.attach(document)
-    assert "w of steps 0 to 39 is lost" in page.header.state.text
+    assert "w of steps 0 to 39 is lost" in page.state.text
     page.change(step=50)
     page.redraw()
-    assert np.isfinite(page.panels.map.sources["image"].data["image"][0]).any()
+    assert np.isfinite(page.map.sources["image"].data["image"][0]).any()
 
 
 def test_an_empty_cube_is_shown_as_such(tmp_path):
     path = tmp_path / "cube.zarr"
     create_cube(path)
     page, _ = build(path, Place(node=(0.0, 0.0), tab="surface"))
-    assert "not measured yet" in page.panels.map.figure.title.text
-    assert "measured so far: 0 (0 %)" in page.header.state.text
+    page._show_picked()
+    assert "not measured yet" in page.map.layout.title.text
+    assert "measured so far: 0 (0 %)" in page.state.text
+    assert page.node.spectrum.title.text.startswith("No spectrum: it needs 32 steps")
     write_cube_block(path, 0)
     page.recheck()
-    assert "measured so far: 40" in page.header.state.text
+    assert "measured so far: 40" in page.state.text
 
 
 def test_what_is_missing_beside_a_cube_is_a_sentence(cube):
     page, _ = build(cube)
-    assert "no waves yet" in page.session.run.reason("waves")
-    assert "no images" in page.panels.cameras().words.text
+    assert page.waves.body.children[0].text.endswith("Loading …</span>")
+    page.change(tab="waves")
+    page.redraw()
+    assert "no waves yet" in page.waves().words.text
+    assert "no images" in page.cameras().words.text
+
+
+def test_probes_are_marked_and_only_one_at_the_node_is_drawn_over_it(cube):
+    page, _ = build(cube, Place(node=(0.125, 0.125)))
+    at = {"probe_x": ("probe", [0.12, 0.3, 9.0]), "probe_y": ("probe", [0.1, 0.1, 0.0])}
+    time = np.arange(0, 6, 0.02)
+    probes = xr.Dataset(
+        {"elevation": (("time", "probe"), 0.01 * np.sin(7 * time)[:, None] * np.ones(3))},
+        {"time": time, "probe": ["here", "there", "far"]} | at,
+    )
+    page._show_probes(probes)
+    page._show_picked()
+    assert page.map.sources["probes"].data["align"] == ["right", "right", "right"]  # inwards
+    assert page.trouble == "probes outside the map: far"
+    assert "Dashed: here, " in page.node.words.text
+    assert np.abs(page.node.sources["probe_series"].data["value"]).max() == pytest.approx(1.0, rel=0.01)
+    assert len(page.node.sources["probe_spectrum"].data["f"])
+    page.pick(-0.3, 0.1)
+    page._show_picked()
+    assert len(page.node.sources["probe_series"].data["t"]) == 0
+    assert nearest_probe(probes, 0.2, 0.1, 0.05) is None
+
+
+# -- what is drawn and saved -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [name for name in COLOUR_MAPS if name])
+def test_colours_are_those_of_matplotlib_which_saved_maps_have(name):  # of two versions of cividis
+    drawn = np.array([to_rgb(colour) for colour in palette(name)])
+    np.testing.assert_allclose(drawn, colormaps[name](np.linspace(0, 1, 256))[:, :3], atol=0.1)
+
+
+def test_colours_are_balanced_where_there_is_a_sign():
+    values = np.linspace(-1, 3, 1000)
+    low, high = display("w").limits(values)
+    assert low == -high
+    assert display("z_std").limits(np.abs(values))[0] == 0.0
+    assert display("z_std").limits(np.linspace(0.9, 1.0, 50)) == (0.9, 1.0)  # a map of more than one colour
+    assert display("z_std").limits(np.full(50, 0.9)) == (0.0, 0.9)
+
+
+def test_arrows_point_where_the_water_goes_and_are_as_long_as_it_is_fast():
+    x, y = np.linspace(0, 1, 25), np.linspace(0, 1, 25)
+    u, v = np.full((25, 25), 0.3), np.full((25, 25), -0.4)
+    u[3, 4] = np.nan
+    xs, ys, metres = arrows(u, v, x, y, 0.5)
+    xs, ys = xs.reshape(-1, 7), ys.reshape(-1, 7)
+    assert len(xs) == 25 * 25 - 1
+    np.testing.assert_allclose(xs[:, 1] - xs[:, 0], 0.3 * metres)
+    np.testing.assert_allclose(ys[:, 1] - ys[:, 0], -0.4 * metres)
+    assert np.isnan(np.concatenate([xs[:, 6], ys[:, 6]])).all()  # no line from arrow to arrow
+    assert metres * 0.5 == pytest.approx(1.2 / 24)
+
+
+def test_images_are_centred_on_their_nodes():
+    data = image_data(np.zeros((3, 5)), np.linspace(-1, 1, 5), np.linspace(0, 1, 3))
+    assert (data["x"], data["dw"]) == ([-1.25], [2.5])
+    assert (data["y"], data["dh"]) == ([-0.25], [1.5])
+
+
+def test_an_envelope_keeps_extremes_gaps_and_ends():
+    rng = np.random.default_rng(3)
+    x, y = np.arange(12000.0), rng.normal(size=12000)
+    y[5000:6000] = np.nan
+    thin_x, thin_y, other = envelope(x, y, 2 * y)
+    assert thin_x.size <= 1000
+    assert np.nanmax(thin_y) == np.nanmax(y)
+    assert np.nanmin(thin_y) == np.nanmin(y)
+    assert np.isnan(thin_y[(thin_x > 5050) & (thin_x < 5950)]).all()
+    np.testing.assert_array_equal(other, 2 * thin_y)
+    assert np.all(np.diff(thin_x) > 0)
+
+
+def test_spectra_are_those_of_scipy_and_their_intervals_hold_the_truth():
+    rng = np.random.default_rng(5)
+    inside = []
+    for _ in range(60):
+        found = spectrum(rng.normal(size=2048), DT)
+        part = found.density[3:-3]
+        inside.append(np.mean((part * found.low < 2 * DT) & (2 * DT < part * found.high)))
+    assert 0.93 < np.mean(inside) < 0.97
+    values = rng.normal(size=333)
+    found = spectrum(values, DT)
+    _, density = signal.welch(values, fs=1 / DT, nperseg=round(1 / (found.frequency[0] * DT)))
+    np.testing.assert_allclose(found.density, density[1:], rtol=1e-10)
+    assert spectrum(np.full(50, np.nan), DT) is None
+
+
+def test_gaps_are_bridged_up_to_two_steps_and_split_the_record_beyond():
+    values = np.sin(np.arange(100) / 5.0)
+    holed = values.copy()
+    holed[[20, 21, 60, 61, 62]] = np.nan
+    run = longest_run(holed)
+    assert run.size == 60
+    np.testing.assert_allclose(np.delete(run, [20, 21]), np.delete(values[:60], [20, 21]))
+
+
+def test_saved_files_hold_what_is_shown(tmp_path):
+    fields = make_cube(tmp_path / "cube.zarr")
+    session = LookSession(tmp_path / "cube.zarr")
+    session.record.preview.load()
+    place = Place(node=(0.175, 0.125), step=41)
+    series, step = node_series(session.record, place), step_fields(session.record, place)
+    np.testing.assert_allclose(series.w.values, fields["w"][:, 10, 13], atol=6e-5)
+    np.testing.assert_array_equal(step.u.values, fields["u"][41])
+    assert set(DERIVED) <= set(step)
+    assert "w (m s-1)" in as_csv(series).split(b"\n", 1)[0].decode()
+    starts = {"map.png": b"\x89PNG", "map.svg": b"<?xml", "step.nc": b"\x89HDF", "node.nc": b"\x89HDF"}
+    for name, start in (starts | {"node.csv": b"time,"}).items():
+        assert FILES[name][1](session.record, place).startswith(start), name
+    with pytest.raises(WavefieldError, match="click one on the map"):
+        node_series(session.record, Place())
+
+
+# -- links -------------------------------------------------------------------------------------------------
+
+
+def test_a_link_shows_the_same_place_again():
+    place = Place("eps_piv", 77, "waves", (-2.5, 2.5), "viridis", "nothing", (0.1, -0.25))
+    query = dict(pair.split("=") for pair in place.query().split("&"))
+    assert Place.read(query, ("w", "eps_piv"), 100) == place
+    assert Place.read({"step": "5000"}, ("w",), 100).step == 99
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        {"show": "nonsense"}, {"step": "1e5"}, {"node": "1,2,3"}, {"node": "a,b"}, {"node": "nan,0"},
+        {"limits": "3,1"}, {"tab": "<script>"}, {"unknown": "1"}, {"line": "0,0,1,1"},
+    ],
+)  # fmt: skip
+def test_links_that_make_no_sense_show_the_usual_place(query):
+    assert Place.read(query, ("w", "z"), 100, 4) == Place(step=4)
+
+
+def test_a_port_that_is_taken_is_a_sentence():
+    first = make_server(lambda document: None, 0)
+    try:
+        with pytest.raises(WavefieldError, match=rf"port {first.port} is taken; choose another with --port"):
+            make_server(lambda document: None, first.port)
+    finally:
+        first.stop()

@@ -18,15 +18,15 @@ from explorer_cases import create_cube, make_cube
 
 from wavefield.commands.look import _link_file
 from wavefield.errors import ExperimentError, StoreError
-from wavefield.explorer.follow_page import FollowPage, follow_server
-from wavefield.explorer.follower import FollowedSet, Follower
+from wavefield.explorer.follow import FollowPage, follow_server
 from wavefield.explorer.lights import StatusLight
-from wavefield.explorer.look_page import LookPage
+from wavefield.explorer.live import FollowedSet, Follower
 from wavefield.explorer.notebook import look
+from wavefield.explorer.page import LookPage
 from wavefield.explorer.place import TABS, Place
+from wavefield.explorer.record import LookSession
 from wavefield.explorer.save import FILES
 from wavefield.explorer.server import ServedPage
-from wavefield.explorer.session import LookSession
 from wavefield.series import Experiment
 
 POINTS = ["", "?step=3", "ws", "metadata", "autoload.js?bokeh-autoload-element=x", "static/js/bokeh.min.js",
@@ -157,7 +157,7 @@ def test_probes_that_cannot_be_read_are_reported(tmp_path, text):
     make_cube(tmp_path / "cube.zarr", experiment_file="experiment.yaml")
     page = LookPage(LookSession(tmp_path / "cube.zarr"), Place())
     page.attach(Document())
-    assert "gauges.csv" in page.header.state.text
+    assert "gauges.csv" in page.state.text
 
 
 def test_any_value_that_is_not_offered_is_another_one(own):
@@ -172,16 +172,16 @@ def test_any_value_that_is_not_offered_is_another_one(own):
         assert 0 <= page.place.step < page.session.record.layout.steps
     page.redraw()
     assert page.place.show in page.session.record.names
-    assert page.controls.entered("drag") == "move"
+    assert page.entered("drag") == "move"
 
 
 def test_a_disabled_button_writes_nothing(own):
     page, _, path = own
     before = path.read_bytes()
     for corner in ((0, 0), (1, 1), (math.nan, 0), (0, math.inf)):
-        page.panels.masks()._save()
-        page.panels.masks().add("water", corner)
-    page.panels.masks()._save()
+        page.masks()._save()
+        page.masks().add("water", corner)
+    page.masks()._save()
     assert path.read_bytes() == before
 
 
@@ -192,9 +192,9 @@ def test_a_mask_goes_into_the_file_of_the_session_whose_rights_stay(own):
     for count, mode in enumerate((0o600, 0o640, 0o664), 1):
         path.chmod(mode)
         for corner in ((0, 0), (0.1, 0), (0, 0.1)):
-            page.panels.masks().add("water", corner)
-        page.panels.masks()._save()
-        assert f"Saved in {path}" in page.panels.masks().words.text
+            page.masks().add("water", corner)
+        page.masks()._save()
+        assert f"Saved in {path}" in page.masks().words.text
         assert len(Experiment.load(path).mask["water"]) == count
         assert stat.S_IMODE(path.stat().st_mode) == mode
         assert {p.name for p in path.parent.iterdir()} == names
@@ -207,9 +207,8 @@ def mark(name):
     return f"<img src=x onerror=hit('{name}')>"
 
 
-LOOK = ("folder", "experiment file", "camera", "frame message", "probe", "pose", "preview",
-        "waves", "derived")  # fmt: skip
-FOLLOW = ("light", "watch", "trouble", "target")
+LOOK = ("folder", "experiment file", "camera", "frame message", "probe", "preview", "waves")
+FOLLOW = ("light", "watch", "trouble")
 
 
 class Tags(HTMLParser):
@@ -275,14 +274,13 @@ def shown(tmp_path_factory):
         return page, document
 
     page, document = page_of()
-    page.panels.masks().add("water", (0, 0))
+    page.masks().add("water", (0, 0))
     for corner in ((1, 0), (0, 1)):
-        page.panels.masks().add("water", corner)
-    page.panels.masks()._save()
+        page.masks().add("water", corner)
+    page.masks()._save()
     collect(document)
     page.session.record.preview.trouble = mark("preview")
-    page.header.show()
-    page.panels.node._reader._on_error(mark("derived"))
+    page._show_head()
     collect(document)
     at = {"probe_x": ("probe", [0.0]), "probe_y": ("probe", [0.0])}
     probes = xr.Dataset(
@@ -290,8 +288,7 @@ def shown(tmp_path_factory):
         {"time": np.arange(4.0), "probe": [mark("probe")]} | at,
     )
     page, document = page_of(frames={mark("camera"): Frames()}, probes=probes)
-    plain += map(str, page.panels.map.sources["probes"].data["name"])
-    page.panels.cameras()._targets = SimpleNamespace(poses=lambda camera: [mark("pose")])
+    plain += map(str, page.map.sources["probes"].data["name"])
     page.change(tab="cameras")
     page.redraw()
     collect(document)
@@ -303,20 +300,14 @@ def shown(tmp_path_factory):
             raise StoreError(mark("waves"))
 
     page.session.run = Damaged()
-    page.panels.waves().show(page.place)
+    page.waves().show(page.place)
     collect(document)
 
     follower = Follower(Experiment.load(experiment_file(folder)))
-    targets = SimpleNamespace(words="", found={})
-    follow, document = FollowPage(follower, targets), Document()
+    follow, document = FollowPage(follower), Document()
     follower.watch.trouble["cam1"] = mark("watch")
     follow.attach(document)
     collect(document)
-    from wavefield.explorer.target_watch import TargetWatch
-
-    targets = TargetWatch(follower.experiment)
-    targets._lines = {"cam1": mark("target")}
-    follow._targets = targets
     lights = tuple(StatusLight("focus", mark("light"), state, mark("light")) for state in ("bad", "doubtful"))
     follower.latest = FollowedSet(1, {}, {}, lights, 0.0, 1, 0, mark("trouble"))
     follower.count = 1

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from wavefield.atomic_write import CHECKSUMS
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.explorer.cube_record import CubeRecord
+from wavefield.explorer.record import CubeRecord
 from wavefield.pipeline import open_cube, open_run, run, status
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "20"))

@@ -86,8 +86,8 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     the RUN, unless only one of its runs has a cube.
     """
     from wavefield.errors import StoreError
+    from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import session_server
-    from wavefield.explorer.session import LookSession
     from wavefield.store.ledger_files import check_chunks
 
     session = LookSession(find_cube(source, run), waves)
@@ -120,8 +120,8 @@ def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool
     show brightness, saturation, seeding, focus, synchronisation, consistency and coverage; most of them work
     before there is a rig. Writes nothing.
     """
-    from wavefield.explorer.follow_page import follow_server
-    from wavefield.explorer.follower import Follower
+    from wavefield.explorer.follow import follow_server
+    from wavefield.explorer.live import Follower
     from wavefield.series import Experiment
 
     follower = Follower(Experiment.load(experiment), rig)

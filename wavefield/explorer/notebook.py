@@ -38,8 +38,8 @@ def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None 
         ...
     wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
     """
+    from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import ServedPage, session_server
-    from wavefield.explorer.session import LookSession
 
     session = LookSession(Path(str(cube).removeprefix("file://")), waves)
     loading = session.load()

@@ -24,10 +24,9 @@ from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.look_page import LookPage
+from wavefield.explorer.page import LookPage
 from wavefield.explorer.place import Place
-from wavefield.explorer.session import LookSession
+from wavefield.explorer.record import CubeRecord, LookSession
 
 DEFAULT_PORTS = range(5006, 5026)
 _HOSTS = ("localhost", "127.0.0.1")
@@ -51,10 +50,9 @@ class SaveHandler(RequestHandler):
             raise HTTPError(404)
         content_type, make = FILES[name]
         query = {key: self.get_query_argument(key) for key in self.request.query_arguments}
-        frames = int(query["frames"]) if query.get("frames", "").isdecimal() else 100
         record = self.session.record
         try:
-            content = await asyncio.to_thread(make, record, record_place(self.session, query), frames)
+            content = await asyncio.to_thread(make, record, record_place(self.session, query))
         except WavefieldError as error:
             self.set_status(409)
             self.finish(str(error))

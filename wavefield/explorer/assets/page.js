@@ -1,4 +1,4 @@
-// Keys, and what the page does when the program goes away. Widgets keep their own keys.
+// Keys of the page; widgets keep their own keys.
 const find = (name) => window.Bokeh && Bokeh.documents.length ? Bokeh.documents[0].get_model_by_name(name) : null
 const step = (by) => {
   const slider = find("step")
@@ -17,8 +17,7 @@ const keys = {
   ArrowRight: () => step(1), ArrowLeft: () => step(-1), PageUp: () => step(20), PageDown: () => step(-20),
   Home: () => { find("step").value = find("step").start }, End: () => { find("step").value = find("step").end },
   " ": () => { find("play").active = !find("play").active },
-  p: () => { find("drag").value = "move" }, l: () => { find("drag").value = "line" },
-  r: () => { find("drag").value = "rectangle" }, m: () => { find("drag").value = "mask" },
+  p: () => { find("drag").value = "move" }, m: () => { find("drag").value = "mask" },
   a: () => { find("overlay").value = find("overlay").value == "nothing" ? "arrows" : "nothing" },
   1: () => { find("views").active = 0 }, 2: () => { find("views").active = 1 },
   3: () => { find("views").active = 2 }, 4: () => { find("views").active = 3 },

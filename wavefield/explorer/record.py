@@ -1,8 +1,13 @@
-"""The cube behind a page: any variable at any step, and its thinned preview in memory."""
+"""The cube behind a page: any variable at any step, its thinned preview in memory, and what belongs to it.
+
+The preview is int16 (variable, y, x, time): value = scale * stored, -32768 is missing.
+"""
 
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.explorer.selections import MISSING, decode
 from wavefield.figures.display import BALANCE, DERIVED
 from wavefield.store import preview as previews
 from wavefield.store.checked import chunk_path
@@ -18,14 +22,29 @@ from wavefield.store.cube_group import CubeGroup
 from wavefield.store.ledger_files import LEDGER, check_chunks
 from wavefield.store.metadata import WATCHED
 from wavefield.store.read import mark_discontinuous, open_group, read_layout
+from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
 
 if TYPE_CHECKING:  # slow to import: the first map does not need it
     import xarray as xr
 
+    from wavefield.pipeline import Run
+
+MISSING = -32768
 _CACHED_FIELDS = 160  # steps of single variables in memory
 _STEPS_PER_READ = 8  # a chunk of the store holds so many or more
-_ALL = slice(None)
+
+
+def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
+    """Values of 16-bit integers in units of scale; NaN where missing."""
+    values = stored.astype(np.float32) * np.float32(scale)
+    values[stored == MISSING] = np.nan
+    return values
+
+
+def nearest(positions: NDArray[np.floating], requested: float) -> int:
+    """Index of the position nearest to the requested one."""
+    return int(np.argmin(np.abs(positions - requested)))
 
 
 class CubeRecord:
@@ -71,7 +90,7 @@ class CubeRecord:
 
     @property
     def steps_done(self) -> int:
-        """Steps that were tried."""
+        """Number of steps that the run has tried."""
         return int(np.count_nonzero(self.ledger))
 
     def first_step(self) -> int:
@@ -81,10 +100,8 @@ class CubeRecord:
 
     def field(self, name: str, step: int) -> NDArray[np.float32]:
         """A variable at one step, (ny, nx), in stored units."""
-        if name in DERIVED and self.layout.steps < 2:
-            return np.full((self.y.size, self.x.size), np.nan, np.float32)
         if name in DERIVED:
-            return np.asarray(self.derived(step, step + 1, cached=True)[name].values[0])
+            return self._derived(name, step)
         with self._lock:
             if (name, step) not in self._cache:
                 self._check_chunk(name, step)
@@ -112,31 +129,19 @@ class CubeRecord:
                 "copy the complete cube again, or see `wavefield verify`"
             )
 
-    def steps(self, name: str, start: int, stop: int) -> NDArray[np.float32]:
-        """A variable at some steps, (n, ny, nx), in stored units; nothing of it is kept in memory."""
-        if name in DERIVED:
-            return np.asarray(self.derived(start, stop)[name].values)
-        self._check_chunk(name, start)
-        return np.asarray(previews.read_steps(self.group, name, start, stop))
-
-    def derived(
-        self, start: int, stop: int, rows: slice = _ALL, columns: slice = _ALL, *, cached: bool = False
-    ) -> "xr.Dataset":
-        """The derived variables at some steps of a part of the cube, as `kinematics` gives them.
-        cached: read whole fields, which stay in memory.
-        """
+    def _derived(self, name: str, step: int) -> NDArray[np.float32]:
+        """A variable that `kinematics` derives, at one step: time derivatives need its neighbours."""
         import xarray as xr
 
         from wavefield.waves.nonlinear.kinematics import kinematics
 
-        first, last = max(start - 1, 0), min(stop + 1, self.layout.steps)
-        if cached:
-            fields = {n: np.array([self.field(n, k) for k in range(first, last)]) for n in BALANCE}
-        else:
-            fields = {n: previews.read_steps(self.group, n, first, last, rows, columns) for n in BALANCE}
-        coords = {"time": self.time[first:last], "y": self.y[rows], "x": self.x[columns]}
-        cube = self.annotated(xr.Dataset({n: (CUBE_DIMS, values) for n, values in fields.items()}, coords))
-        return kinematics(cube).isel(time=slice(start - first, stop - first))
+        if self.layout.steps < 2:
+            return np.full((self.y.size, self.x.size), np.nan, np.float32)
+        first, last = max(step - 1, 0), min(step + 2, self.layout.steps)
+        fields = {n: (CUBE_DIMS, np.array([self.field(n, k) for k in range(first, last)])) for n in BALANCE}
+        coords = {"time": self.time[first:last], "y": self.y, "x": self.x}
+        cube = self.annotated(xr.Dataset(fields, coords))
+        return np.asarray(kinematics(cube)[name].values[step - first])
 
     def annotated(self, dataset: "xr.Dataset") -> "xr.Dataset":
         """Values of this cube with units, names and the length of its paths."""
@@ -171,7 +176,7 @@ class Preview:
 
     @property
     def count(self) -> int:
-        """Chunks in memory: what is drawn from them is drawn anew when it changes."""
+        """Number of chunks in memory: what is drawn from them is drawn anew when it changes."""
         return int(self.loaded.sum())
 
     def load(self, progress: Callable[[int, int], None] | None = None) -> None:
@@ -222,14 +227,40 @@ class Preview:
         except Exception as error:  # of any library that reads a damaged preview: the cube has all of it
             self.trouble = f"the preview cannot be stored: {error}"
 
-    def scale(self, name: str) -> float:
-        """Value = scale * stored."""
-        return self.thin.scales[self.thin.names.index(name)]
-
     def stored(self, name: str) -> NDArray[np.int16]:
         """One variable, (y, x, time), as stored; missing where it is not read yet."""
         return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
         """A variable at one node of the preview, (time,), in stored units."""
-        return decode(self.stored(name)[j, i], self.scale(name))
+        return decode(self.stored(name)[j, i], self.thin.scales[self.thin.names.index(name)])
+
+
+class LookSession:
+    """What all pages of one server share: a cube, also an unfinished or damaged one, and its run."""
+
+    def __init__(self, path: str | Path, waves: str | Path | None = None) -> None:
+        self.record = CubeRecord(path)
+        usual = beside(self.record.path, "waves", ".zarr")
+        self.waves_path = Path(waves) if waves is not None else usual
+
+    @cached_property
+    def run(self) -> "Run":
+        """Rig, experiment, images, waves and probes of the cube; slow to import, so after the first map."""
+        import xarray as xr
+
+        from wavefield.pipeline import Run
+
+        attrs = dict(self.record.group.attrs)
+        axes = xr.Dataset(coords={name: getattr(self.record, name) for name in CUBE_DIMS}, attrs=attrs)
+        return Run(axes, self.record.path, self.waves_path)
+
+    def reopen(self) -> None:
+        """Read the run again when it is next used: its files have changed."""
+        self.run = replace(self.run)
+
+    def load(self) -> threading.Thread:
+        """Read the preview in the background."""
+        thread = threading.Thread(target=self.record.preview.load, daemon=True, name="preview")
+        thread.start()
+        return thread

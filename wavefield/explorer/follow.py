@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,13 @@ from jinja2 import Environment
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer import plot_parts as parts
-from wavefield.explorer.camera_panel import show_frame
-from wavefield.explorer.follower import FollowedSet, Follower
+from wavefield.explorer import parts
+from wavefield.explorer.cameras import keep_pixels_square, show_frame
 from wavefield.explorer.lights import State, StatusLight, red_lights, state_runs
-from wavefield.explorer.map_fields import arrows, palette, top_speed
+from wavefield.explorer.live import FollowedSet, Follower
+from wavefield.explorer.map import arrows, top_speed
+from wavefield.explorer.parts import plain
 from wavefield.explorer.server import PageServer, make_server
-from wavefield.explorer.target_watch import TargetWatch
-from wavefield.explorer.template import apply_template, asset
 from wavefield.figures.display import display
 from wavefield.text import spell_time
 
@@ -47,53 +45,51 @@ def lights_table(lights: tuple[StatusLight, ...], history: History = ()) -> str:
     cells = {(light.name, light.camera): light for light in of_cameras}
     names = list(dict.fromkeys(light.name for light in of_cameras))
     others = [light for light in lights if light not in of_cameras]
-    template = Environment(autoescape=True).from_string(asset("lights.html"))
+    template = Environment(autoescape=True).from_string(parts.asset("lights.html"))
     return template.render(cameras=cameras, names=names, cells=cells, others=others, past=past)
 
 
 class CameraView:
-    """The newest image of one camera, with the nodes of the target in it."""
+    """The newest image of one camera."""
 
     def __init__(self, name: str) -> None:
-        self.sources = parts.make_sources(name, image=parts.IMAGE, nodes="x y")
+        self.source = parts.make_sources(name, image=parts.IMAGE)["image"]
         self.figure = parts.make_figure(
             f"{name}_view", tools="pan,wheel_zoom,reset", x_range=(0, 100), y_range=(100, 0),
             aspect_ratio=1.25, min_border_left=34, min_width=300, title=name,
         )  # fmt: skip
         self.figure.grid.grid_line_color = None
-        parts.keep_pixels_square(self.figure)
-        self.figure.image("image", source=self.sources["image"], color_mapper=parts.grey_mapper())
-        cross = {"marker": "cross", "size": 8, "line_color": parts.SKY, "line_width": 1.6}
-        self.figure.scatter("x", "y", source=self.sources["nodes"], **cross)
+        keep_pixels_square(self.figure)
+        self.figure.image("image", source=self.source, color_mapper=parts.grey_mapper())
 
-    def show(self, image: NDArray[Any], nodes: NDArray[np.float64] | None = None) -> None:
-        """Show an image, with nodes (n, 2) in its pixels."""
-        show_frame(self.figure, self.sources["image"], image, _MAX_CAMERA_PX)
-        x, y = ([], []) if nodes is None else nodes.T
-        if len(x) or len(self.sources["nodes"].data["x"]):
-            self.sources["nodes"].data = {"x": x, "y": y}
+    def show(self, image: NDArray[Any]) -> None:
+        """Show an image."""
+        show_frame(self.figure, self.source, image, _MAX_CAMERA_PX)
 
 
 class FollowPage:
     """One reader's page."""
 
-    def __init__(self, follower: Follower, targets: TargetWatch, probes: xr.Dataset | None = None) -> None:
-        self._follower, self._targets = follower, targets
+    def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
+        self._follower = follower
         self._count = -1  # of the sets that were published, when the page was drawn
-        self._lights: tuple[tuple[StatusLight, ...], int] = (), 0  # that are drawn, and of how many states
-        names = {"state": "state_words", "verdict": "verdict", "lights": "lights", "target": "target_words"}
+        self._shown: tuple[object, ...] = ()  # lights and words that are drawn, and of how many states
+        names = {"state": "state_words", "verdict": "verdict", "lights": "lights"}
         self.words = {key: parts.words_of(name, html=True) for key, name in names.items()}
         self.variable = Select(
             title="Map of", value="w", options=parts.named(_VARIABLES), name="show", width=230
         )
         self.variable.on_change("value", lambda attr, old, new: self._redraw())
         self.mapper = LinearColorMapper(
-            palette=palette(display("w").colour_map), nan_color=parts.GREY, low=-1, high=1
+            palette=parts.palette(display("w").colour_map), nan_color=parts.GREY, low=-1, high=1
         )
-        self.sources = parts.make_sources("map", image=parts.IMAGE, arrows="x y", probes="x y name")
+        self.sources = parts.make_sources(
+            "map", image=parts.IMAGE, arrows="x y", probes="x y name align offset"
+        )
         if probes is not None:
-            positions = {"x": probes.probe_x.values, "y": probes.probe_y.values}
-            self.sources["probes"].data = positions | {"name": [str(name) for name in probes.probe.values]}
+            gauges, x, y = [str(name) for name in probes.probe.values], probes.probe_x, probes.probe_y
+            columns = parts.probe_columns(gauges, x.values, y.values, float(x.mean()))
+            self.sources["probes"].data = columns
         self.map = self._draw_map()
         self.cameras = {name: CameraView(name) for name in follower.experiment.cameras}
 
@@ -119,13 +115,15 @@ class FollowPage:
             "state": [self.words["state"]],
             "controls": [self.words["verdict"]],
             "views": [self.variable, self.map],
-            "picked": [self.words["lights"], self.words["target"]],
+            "picked": [self.words["lights"]],
             "cameras": [camera_row],
         }
         for name, children in roots.items():
             document.add_root(column(*children, sizing_mode="stretch_width", name=name))
         title = self._follower.experiment.name
-        apply_template(document, title, "follow", ("controls", "views", "picked", "cameras"), keys=False)
+        parts.apply_template(
+            document, title, "follow", ("controls", "views", "picked", "cameras"), keys=False
+        )
         document.add_periodic_callback(self.refresh, _REFRESH_MS)
         self.refresh()
 
@@ -138,42 +136,47 @@ class FollowPage:
     def refresh(self) -> None:
         """Show what is new."""
         latest = self._follower.latest
-        self.words["target"].text = self._targets.words
         if latest is None:
-            for name, found in self._targets.found.items():
-                if name in self.cameras and found.image is not None:
-                    self.cameras[name].show(found.image, found.pixel)
-            trouble = "<br>".join(map(_plain, self._follower.watch.trouble.values()))
+            trouble = "<br>".join(map(plain, self._follower.watch.trouble.values()))
             self.words["verdict"].text = _large("Waiting for frames", "#57606a", trouble)
             return
         history = list(self._follower.history.entries)
-        if self._lights != (latest.lights, len(history)):
-            self._lights = latest.lights, len(history)
-            self._show_lights(latest.lights, history)
+        shown = latest.lights, bool(latest.fields), latest.trouble, len(history)
+        if self._shown != shown:
+            self._shown = shown
+            self._show_lights(latest, history)
         if self._follower.count != self._count:
             self._count = self._follower.count
             self._show_set(latest)
 
-    def _show_lights(self, lights: tuple[StatusLight, ...], history: History) -> None:
+    def _show_lights(self, latest: FollowedSet, history: History) -> None:
+        lights = latest.lights
         self.words["lights"].text = lights_table(lights, history)
-        heading, colour, words = "Sound", "#007a5a", "all lights are good"
         doubtful = [f"{light.name} {light.camera}".strip() for light in lights if light.state == "doubtful"]
-        if doubtful:
-            heading, colour, words = "Sound with remarks", "#7a5200", f"check {', '.join(doubtful)}"
-        if red := red_lights(lights):
+        red = red_lights(lights)
+        if red:
             cameras: dict[str, list[str]] = {}
             for light in red:
                 cameras.setdefault(light.name, []).append(light.camera)
             heading = "; ".join(f"{name} {', '.join(of)}".strip() for name, of in cameras.items())
             colour, words = "#a83d00", "; ".join(dict.fromkeys(light.words for light in red))
-        self.words["verdict"].text = _large(heading, colour, _plain(words))
+        elif not latest.fields:
+            heading, colour = "Waiting for the first measured step", "#57606a"
+            words = "the lights below are those of the images"
+        elif doubtful:
+            heading, colour, words = "Sound with remarks", "#7a5200", f"check {', '.join(doubtful)}"
+        else:
+            heading, colour, words = "Sound", "#007a5a", "all lights are good"
+        self.words["verdict"].text = _large(heading, colour, plain(words))
 
     def _show_set(self, latest: FollowedSet) -> None:
         delay = f"{latest.delay:.1f} s" if latest.delay < 60 else spell_time(latest.delay)
-        words = (
-            f"frame {latest.number}; measured {latest.measured}, skipped {latest.skipped}; latency {delay}"
-        )
-        self.words["state"].text = f"{words}. {_plain(latest.trouble)}" if latest.trouble else words
+        words = f"frame {latest.number}; "
+        if latest.fields:
+            words += f"measured {latest.measured}, skipped {latest.skipped}; latency {delay}"
+        else:
+            words += "nothing measured yet"
+        self.words["state"].text = f"{words}. {plain(latest.trouble)}" if latest.trouble else words
         for name, image in latest.images.items():
             self.cameras[name].show(image)
         if latest.fields:
@@ -186,7 +189,7 @@ class FollowPage:
         low, high = shown.limits(values)
         if self.map.title.text.startswith(f"{shown.name}:"):  # the scale grows only
             high = max(high, self.mapper.high)
-        self.mapper.update(palette=palette(shown.colour_map), low=-high if low < 0 else 0.0, high=high)
+        self.mapper.update(palette=parts.palette(shown.colour_map), low=-high if low < 0 else 0.0, high=high)
         self.sources["image"].data = parts.image_data(values, x, y)
         u, v = (np.asarray(latest.fields[name], float) for name in "uv")
         xs, ys, _ = arrows(u, v, x, y, top_speed(u, v))
@@ -196,11 +199,7 @@ class FollowPage:
 
 def _large(heading: str, colour: str, words: str) -> str:
     """A heading in a colour, and words (HTML) after it."""
-    return f"<b style='font-size: 19px; color: {colour}'>{_plain(heading)}</b> &nbsp; {words}"
-
-
-def _plain(words: str) -> str:
-    return escape(words, quote=False)
+    return f"<b style='font-size: 19px; color: {colour}'>{plain(heading)}</b> &nbsp; {words}"
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
@@ -209,6 +208,4 @@ def follow_server(follower: Follower, port: int | None = None) -> PageServer:
     with suppress(WavefieldError):  # they are only marked on the map
         if follower.experiment.probes:
             probes = follower.experiment.read_probes()
-    targets = TargetWatch(follower.experiment)
-    targets.start()
-    return make_server(lambda document: FollowPage(follower, targets, probes).attach(document), port)
+    return make_server(lambda document: FollowPage(follower, probes).attach(document), port)

@@ -1,4 +1,4 @@
-"""The thinned preview beside a cube, and its copy in memory."""
+"""The cube behind a page: its fields, derived ones too, and the thinned preview beside it."""
 
 import shutil
 
@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from explorer_cases import create_cube, make_cube, write_cube_block
 
-from wavefield.explorer.cube_record import CubeRecord
+from wavefield.errors import StoreError
+from wavefield.explorer.record import CubeRecord
+from wavefield.figures.display import DERIVED
+from wavefield.pipeline import open_cube
 from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
 from wavefield.store.read import open_group
+from wavefield.waves import kinematics
 
 
 @pytest.fixture
@@ -134,9 +138,24 @@ def test_a_preview_that_cannot_be_kept_is_a_sentence_and_memory_has_it_all(tmp_p
     np.testing.assert_allclose(record.preview.series("z", 6, 6), fields["z"][:, 6, 6], atol=5.1e-6)
 
 
-def test_a_run_writes_a_preview_of_what_it_measures(tmp_path):
+def test_fields_are_those_of_the_cube_and_derived_ones_those_of_the_analysis(tmp_path):
     path = tmp_path / "cube.zarr"
     fields = make_cube(path)
     record = CubeRecord(path)
     for name in record.stored:
         np.testing.assert_array_equal(record.field(name, 17), fields[name][17])
+    expected = kinematics(open_cube(path).load())
+    for name in DERIVED:
+        for step in (0, 41, 119):
+            derived = expected[name].values[step]
+            np.testing.assert_allclose(record.field(name, step), derived, rtol=1e-4, atol=1e-6)
+
+
+def test_half_a_cube_is_a_sentence_that_names_what_is_missing(tmp_path):
+    half = tmp_path / "cube.zarr"
+    make_cube(half)
+    shutil.rmtree(half / "u" / "c" / "1")
+    record = CubeRecord(half)
+    assert np.isfinite(record.field("u", 3)).any()
+    with pytest.raises(StoreError, match=r"u of steps 40 to 79 is not in cube\.zarr.*copy the complete"):
+        record.field("u", 50)

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from wavefield import water
 from wavefield.errors import StoreError
-from wavefield.explorer import plot_parts as parts
-from wavefield.explorer.map_fields import palette
+from wavefield.explorer import parts
+from wavefield.explorer.parts import number
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import number
-from wavefield.explorer.session import LookSession
+from wavefield.explorer.record import LookSession
 from wavefield.figures.display import POSITIVE
 
 DECADES = 6.0  # of the colour scale, below the largest density
@@ -86,7 +85,7 @@ class WavePanel:
 
     def _draw(self) -> dict[str, figure]:
         source = self.sources
-        mapper = LinearColorMapper(palette=palette(POSITIVE), low=-DECADES, high=0, nan_color="#00224e")
+        mapper = LinearColorMapper(palette=parts.palette(POSITIVE), low=-DECADES, high=0, nan_color="#00224e")
         spectrum = parts.make_figure(
             "wave_spectrum", height=340, tools="pan,wheel_zoom,box_zoom,reset,save", toolbar_location="above",
             x_axis_label="k / 2π (1/m)", y_axis_label="ω / 2π (Hz)", x_range=Range1d(0, 1),

@@ -1,11 +1,12 @@
-"""Measuring single steps as they arrive, with the masks of their frames and what is learned of them."""
+"""The work behind `wavefield follow`: the newest frames watched, measured and assessed."""
 
 import logging
+import os
 import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,26 +14,105 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import FrameError, RigError, WavefieldError
-from wavefield.explorer.lights import PairSummary, StepSummary, summarize_step
-from wavefield.explorer.watch import FrameSet
+from wavefield.explorer import lights
+from wavefield.explorer.lights import FrameFeatures, PairSummary, StatusLight, StepSummary
 from wavefield.measurement import GridGeometry, Model, learn, measure, pair_surface
 from wavefield.measurement.frame import ready, usable
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.camera_mask import CameraMask
 from wavefield.series.frames import subtracted
-from wavefield.series.listing import number_frames
+from wavefield.series.listing import newest_frames, number_frames
 from wavefield.series.masks import covered_series, footprints
 from wavefield.series.mean_images import read_backgrounds, refuse_other_images
+from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
+_STEPS_BACK = 3  # tried if the newest frames cannot be read yet
+_LISTED_FRAMES = 1000  # the newest ones: no camera that still sends is so many behind the others
+_MAX_DELAY_S = 1.0  # behind the newest frame of the others, of a camera that still sends
 _STEPS = 2  # the newest ones, that are learned from
 _MIN_PAUSE_S = 5.0  # from one learning to the next
 _PAUSE_PER_DURATION = 3.0  # of the learning, so that the measurement has the machine to itself
 Fields = dict[str, NDArray[Any]]
 Frames = Mapping[str, NDArray[Any] | None]
 Masks = Mapping[str, NDArray[np.bool_]]
+_TILT_STEPS = 200  # over which the tilt is averaged
+_PAUSE_S = 0.15  # between polls of the folders
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """The newest two frames of every camera that still sends."""
+
+    number: int  # of the first frame
+    images: dict[str, tuple[NDArray[Any], NDArray[Any]]]  # both frames, by camera
+    written: float  # when the last of them was written, s since the epoch
+
+
+class FolderWatch:
+    """The frames of an experiment as they arrive."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.experiment = experiment
+        self.newest: dict[str, int] = {}  # number of the newest frame of each camera
+        self.written: dict[str, float] = {}  # when that was written, s since the epoch
+        self.trouble: dict[str, str] = {}
+        self._polled = time.monotonic()
+        self._noticed = dict.fromkeys(experiment.cameras, self._polled)  # when the newest frame was
+        self._frames: dict[str, dict[int, FrameEntry]] = {}
+
+    def poll(self) -> None:
+        """List the folders."""
+        self._polled = time.monotonic()
+        for name, section in self.experiment.cameras.items():
+            try:
+                listed = newest_frames(section.images, self.experiment.image_folder, name, _LISTED_FRAMES)
+            except WavefieldError as error:
+                self.trouble[name] = str(error)
+                continue
+            self.trouble.pop(name, None)
+            self._frames[name] = {number + section.offset: entry for number, entry in listed.items()}
+            number = max(self._frames[name])
+            if number != self.newest.get(name):
+                self.newest[name] = number
+                self.written[name] = _written(self._frames[name][number])
+                self._noticed[name] = self._polled
+
+    def silent(self) -> dict[str, float]:
+        """For how long no new frame of each camera had come at the last poll, s, by this clock."""
+        return {name: self._polled - when for name, when in self._noticed.items()}
+
+    def newest_set(self, after: int = -1) -> FrameSet | None:
+        """The newest step after a number of which all cameras that still send have both frames."""
+        latest = max(self.written.values(), default=0.0)
+        sending = [name for name, when in self.written.items() if latest - when <= _MAX_DELAY_S]
+        if not sending:
+            return None
+        top = min(self.newest[name] for name in sending) - 1
+        for number in range(top, max(top - _STEPS_BACK, after), -1):
+            images = {name: both for name in sending if (both := self._read(name, number)) is not None}
+            if len(images) == len(sending):
+                written = max(_written(self._frames[name][number + 1]) for name in sending)
+                return FrameSet(number, images, written)
+        return None
+
+    def _read(self, name: str, number: int) -> tuple[NDArray[Any], NDArray[Any]] | None:
+        frames = self._frames[name]
+        if number not in frames or number + 1 not in frames:
+            return None
+        try:
+            return read_entry(frames[number]), read_entry(frames[number + 1])
+        except FrameError:  # not written to its end yet
+            return None
+
+
+def _written(entry: FrameEntry) -> float:
+    try:
+        return os.stat(Path(entry.path)).st_mtime
+    except OSError:
+        return time.time()
 
 
 class LiveMeasurement:
@@ -74,7 +154,7 @@ class LiveMeasurement:
             return {}, None
         self.trouble = self._masks.absent if self._masks else ""
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
-        return fields, summarize_step(fields, geometry.x, geometry.y, geometry.z_range, rate)
+        return fields, lights.summarize_step(fields, geometry.x, geometry.y, geometry.z_range, rate)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
         """Consistency of each pair of cameras on the second frame; nothing without a rig."""
@@ -210,3 +290,128 @@ class LiveMasks:
             except (WavefieldError, FrameError) as error:
                 self.absent = f"what moves in the view of {name} is measured, too: {error}"
         return mask.covered(0)
+
+
+@dataclass(frozen=True)
+class FollowedSet:
+    """The newest frames and what was measured in them."""
+
+    number: int  # of the first frame
+    images: Mapping[str, NDArray[Any]]  # the second frame, by camera
+    fields: Fields  # (ny, nx): the measured step; empty without a rig
+    lights: tuple[StatusLight, ...]
+    delay: float  # from the last byte of the frames until they were measured, s
+    measured: int  # steps so far
+    skipped: int  # steps so far
+    trouble: str  # why nothing is measured, a sentence
+
+
+class Follower:
+    """Follows an experiment in a thread of its own."""
+
+    def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
+        self.experiment = experiment
+        self.latest: FollowedSet | None = None
+        self.count = 0  # of the sets that were published
+        self.history = lights.LightHistory()
+        self.watch = FolderWatch(experiment)
+        self._measurer = LiveMeasurement(experiment, rig)
+        self._baseline = lights.Baseline()
+        self._summaries: deque[StepSummary] = deque(maxlen=_TILT_STEPS)
+        self._stop = threading.Event()
+        self._first: int | None = None  # number of the first frame that was taken
+        self._measured = 0
+        self._thread = threading.Thread(target=self._work, daemon=True, name="follow")
+
+    @property
+    def nodes(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Nodes along x and y, metres; empty without a rig."""
+        learner = self._measurer.learner
+        if learner is None:
+            return np.empty(0), np.empty(0)
+        return learner.geometry.grid.x_nodes, learner.geometry.grid.y_nodes
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a step that is being measured is finished first."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(20)
+        if self._measurer.learner is not None:
+            self._measurer.learner.wait()
+
+    def _work(self) -> None:
+        while not self._stop.is_set():
+            try:
+                new = self.poll()
+            except Exception as error:  # whatever happens with one set of frames, the next ones are measured
+                log.warning("a set of frames was passed over", exc_info=True)
+                new = False
+                if self.latest is not None:
+                    words = f"a set of frames was passed over: {error}"
+                    self.latest = replace(self.latest, trouble=words)
+                    self.count += 1
+            if not new:
+                self._stop.wait(_PAUSE_S)
+
+    def poll(self) -> bool:
+        """List the folders once, and measure the newest frames if they are new."""
+        self.watch.poll()
+        frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
+        if frames is not None:
+            self._take(frames)
+        elif self.latest is not None:  # a camera that has stopped shows without a new set
+            others = (light for light in self.latest.lights if light.name not in lights.ARRIVALS)
+            self.latest = replace(self.latest, lights=(*self._arrivals(), *others))
+        if self.latest is not None:
+            self.history.add(self.latest.lights)
+        return frames is not None
+
+    def _arrivals(self) -> list[StatusLight]:
+        watch = self.watch
+        return lights.arrival_lights(watch.silent(), watch.written, watch.newest, self.experiment.frame_rate)
+
+    def _take(self, frames: FrameSet) -> None:
+        if self._first is None:
+            self._first = frames.number
+        found = {name: lights.frame_features(both[1]) for name, both in frames.images.items()}
+        measurer = self._measurer
+        if measurer.learner is None and not measurer.trouble:  # this takes a minute: show the images first
+            self._publish(frames, {}, self._assess(found, {}, None), "getting ready to measure")
+        fields, summary = measurer.measure(frames)
+        pairs = measurer.pairs(frames)
+        for values in (found, pairs, {} if summary is None else {"": summary}):
+            for name, numbers in values.items():
+                self._baseline.add(name, numbers)
+        self._measured += 1
+        self._publish(frames, fields, self._assess(found, pairs, summary), measurer.trouble)
+
+    def _publish(self, frames: FrameSet, fields: Fields, found: list[StatusLight], trouble: str) -> None:
+        assert self._first is not None
+        self.latest = FollowedSet(
+            number=frames.number,
+            images={name: both[1] for name, both in frames.images.items()},
+            fields=fields,
+            lights=tuple(found),
+            delay=time.time() - frames.written,
+            measured=self._measured,
+            skipped=max(frames.number - self._first + 1 - self._measured, 0),
+            trouble=trouble,
+        )
+        self.count += 1
+
+    def _assess(
+        self, frames: Mapping[str, FrameFeatures], pairs: Mapping[str, PairSummary], step: StepSummary | None
+    ) -> list[StatusLight]:
+        first, out = self._baseline, self._arrivals()
+        for name, found in frames.items():
+            out += lights.frame_lights(name, found, first.of(FrameFeatures, name))
+        for name, pair in pairs.items():
+            out.append(lights.pair_light(name, pair, first.of(PairSummary, name)))
+        if step is not None:
+            self._summaries.append(step)
+            out += [*lights.step_lights(step, first.of(StepSummary)), lights.tilt_light(self._summaries)]
+        return out

@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Callable
-from html import escape
 
 import cv2
 import numpy as np
@@ -11,15 +10,15 @@ from bokeh.models import Button
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
+from wavefield.explorer.parts import alert, plain, words_of
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import alert, words_of
-from wavefield.explorer.session import LookSession
+from wavefield.explorer.record import LookSession
 from wavefield.series.mask_file import add_polygons
 from wavefield.series.masks import WATER
 
 Corner = tuple[float, float]
 _HOW = (
-    "Choose <b>mask</b> under <i>Drag mode</i> (key M), then click corner after corner on the map (the "
+    "Choose <b>mask</b> under <i>Clicks</i> (key M), then click corner after corner on the map (the "
     "water) or in a camera's image. What is inside will not be measured."
 )
 
@@ -87,7 +86,7 @@ class MaskPanel:
             return
         experiment = self._session.run.experiment
         if experiment is None:
-            reason = escape(self._session.run.reason("experiment"), quote=False)
+            reason = plain(self._session.run.reason("experiment"))
             self.words.text = f"There is no experiment file to save masks in: {reason}"
             return
         try:
@@ -97,8 +96,8 @@ class MaskPanel:
             return
         self._session.reopen()
         self._keep([])
-        file = escape(str(experiment.path.absolute()), quote=False)
-        command = escape(shlex.quote(str(experiment.path.absolute())), quote=False)
+        file = plain(experiment.path.absolute())
+        command = plain(shlex.quote(str(experiment.path.absolute())))
         self.words.text = (
             f"Saved in {file}. This cube was measured without the mask: "
             f"<code>wavefield run {command} -o masked.zarr</code> measures again."

@@ -1,4 +1,4 @@
-"""A camera's frame with the nodes of the grid in it, their displacements and their quality."""
+"""The frames of a camera with the nodes of the grid, their displacements and their quality."""
 
 from typing import Any
 
@@ -6,16 +6,14 @@ import cv2
 import numpy as np
 from bokeh.events import Tap
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, Range1d, Select
+from bokeh.models import ColumnDataSource, CustomJS, Range1d, Select
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from wavefield.explorer import plot_parts as parts
-from wavefield.explorer.mask_panel import outlines_of
+from wavefield.explorer import parts
+from wavefield.explorer.masks import outlines_of
 from wavefield.explorer.place import Place
-from wavefield.explorer.selections import nearest
-from wavefield.explorer.session import LookSession
-from wavefield.explorer.target_images import TargetImages
+from wavefield.explorer.record import LookSession, nearest
 from wavefield.figures.quality_kinds import KINDS, quality_kind
 from wavefield.rig import Camera
 
@@ -24,10 +22,16 @@ MAX_SCREEN_PX = 1100  # along the longer side
 _NODES = 34  # drawn along the longer side of the grid
 _GRID_LINES = 9  # in each direction
 _EXAGGERATION = 5.0  # of displacements
-_TARGET = "target: "  # before the name of a pose
 _MOTION = ("u", "v", "w")
 Fields = dict[str, NDArray[np.floating]]
 Image = NDArray[Any]
+_SQUARE = """
+const [width, height] = made.tags, [w, h] = [made.inner_width, made.inner_height]
+if (!width || !w || !h) return
+const px = Math.max(width / w, height / h), dx = (px * w - width) / 2, dy = (px * h - height) / 2
+made.x_range.setv({start: -dx, end: width + dx, reset_start: -dx, reset_end: width + dx})
+made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset_end: -dy})
+"""
 
 
 def shrink(image: Image, max_px: int = MAX_SCREEN_PX) -> tuple[NDArray[np.uint8], int]:
@@ -43,11 +47,27 @@ def shrink(image: Image, max_px: int = MAX_SCREEN_PX) -> tuple[NDArray[np.uint8]
     return np.clip((small - low) * (255.0 / max(high - low, 1e-6)), 0, 255).astype(np.uint8), factor
 
 
+def keep_pixels_square(made: figure) -> None:
+    """Let the browser show the whole image of `fit_image` with square pixels."""
+    square = CustomJS(args={"made": made}, code=_SQUARE)
+    for changed in ("inner_width", "inner_height", "tags"):
+        made.js_on_change(changed, square)
+
+
+def fit_image(made: figure, shape: tuple[int, ...]) -> None:
+    """Fit the view to an image (row, column), px, if its shape has changed."""
+    height, width = shape
+    if made.tags != [width, height]:
+        made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
+        made.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
+        made.tags = [width, height]
+
+
 def show_frame(made: figure, source: ColumnDataSource, image: Image, max_px: int = MAX_SCREEN_PX) -> int:
     """Show a frame, shrunk, in the pixels of the camera; returns how many of them one of the screen averages.
     Bokeh draws row 0 at y, and the axis points downwards: dh is positive.
     """
-    parts.fit_image(made, image.shape)
+    fit_image(made, image.shape)
     small, factor = shrink(image, max_px)
     h, w = small.shape
     source.data = {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
@@ -75,13 +95,12 @@ class CameraPanel:
     def __init__(self, session: LookSession, events: parts.PanelEvents) -> None:
         self._session, self._picked, self._took_corner = session, events.picked, events.took_corner
         run = session.run
-        self._targets = TargetImages(run.experiment) if run.experiment is not None else None
         self._nodes: Fields = {}  # as `visible_nodes`, of the displayed frame
         cameras = [name for name in run.frames if run.rig is None or name in run.rig.cameras]
         self.camera = Select(
             title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera"
         )
-        self.frame = Select(title="Image", value=FRAMES[0], options=self._images(), name="camera_frame")
+        self.frame = Select(title="Image", value=FRAMES[0], options=list(FRAMES), name="camera_frame")
         self.overlay = Select(
             title="Overlay", value="nodes", options=["nodes", "displacements", "nothing"], name="camera_over"
         )
@@ -91,7 +110,7 @@ class CameraPanel:
         self.words = parts.words_of("camera_words", f"no images: {absent}" if absent else "")
         self.sources = parts.make_sources(
             "camera", image=parts.IMAGE, nodes="X Y kind", moves="X0 Y0 X1 Y1", grid="xs ys", node="X Y",
-            target="X Y", mask="x y", masks="xs ys",
+            mask="x y", masks="xs ys",
         )  # fmt: skip
         self.figure = self._draw()
         self.layout = column(
@@ -107,7 +126,7 @@ class CameraPanel:
             aspect_ratio=float(np.clip(width / height, 1.15, 2.2)),
         )  # fmt: skip
         made.grid.grid_line_color = None
-        parts.keep_pixels_square(made)
+        keep_pixels_square(made)
         source = self.sources
         made.image("image", source=source["image"], color_mapper=parts.grey_mapper())
         made.multi_line("xs", "ys", source=source["grid"], color=parts.SKY, line_alpha=0.85, line_width=1.2)
@@ -116,17 +135,10 @@ class CameraPanel:
             fill_color={"field": "kind", "transform": parts.quality_mapper()},
         )  # fmt: skip
         made.segment("X0", "Y0", "X1", "Y1", source=source["moves"], color=parts.YELLOW, line_width=1.6)
-        made.scatter(
-            "X", "Y", source=source["target"], marker="cross", size=9, line_color=parts.SKY, line_width=1.8
-        )
         parts.draw_ring(made, source["node"], "X", "Y", parts.VERMILION, 15)
         parts.draw_masks(made, source["mask"], source["masks"])
         parts.on_click(made, self._clicked)
         return made
-
-    def _images(self) -> list[str]:
-        poses = self._targets.poses(parts.chosen(self.camera)) if self._targets is not None else []
-        return [*FRAMES, *(f"{_TARGET}{pose}" for pose in poses)]
 
     # -- showing ---------------------------------------------------------------------------------------
 
@@ -135,14 +147,7 @@ class CameraPanel:
         name = parts.chosen(self.camera)
         if not name:
             return
-        self.frame.options = self._images()
-        if self.frame.value not in self.frame.options:
-            self.frame.value = FRAMES[0]
-        if self.frame.value.startswith(_TARGET):
-            self._show_target(name, self.frame.value.removeprefix(_TARGET))
-            return
-        parts.clear(self.sources["target"])
-        second = self.frame.value == FRAMES[1]
+        second = parts.chosen(self.frame) == FRAMES[1]
         series, index = self._session.run.frames[name], place.step + int(second)
         frame = series.read(index)
         self.figure.title.text = f"{name}, frame {series.first + index}"
@@ -160,24 +165,12 @@ class CameraPanel:
     def _show_image(self, image: Image | None, message: str) -> None:
         if image is None:
             self.words.text = f"{message}; the other images can be shown."
-            parts.fit_image(self.figure, self._session.run.frames[parts.chosen(self.camera)].shape)
+            fit_image(self.figure, self._session.run.frames[parts.chosen(self.camera)].shape)
             parts.clear(self.sources["image"])
             return
         factor = show_frame(self.figure, self.sources["image"], image)
         averaged = f"Every pixel here is the mean of {factor} x {factor} of the camera's."
         self.words.text = averaged if factor > 1 else ""
-
-    def _show_target(self, name: str, pose: str) -> None:
-        """The target in a pose, with the nodes that are found in it."""
-        assert self._targets is not None
-        found = self._targets.found(name, pose)
-        self.figure.title.text = f"{name}, target: {pose}"
-        self._show_image(found.image, found.words)
-        if found.image is not None:
-            self.words.text = f"{found.words}. {self.words.text}"
-        self._nodes = {}
-        parts.clear(*(self.sources[key] for key in ("nodes", "moves", "grid", "node", "masks")))
-        self.sources["target"].data = {"X": found.pixel[:, 0], "Y": found.pixel[:, 1]}
 
     def _show_nodes(self, camera: Camera, place: Place, second: bool) -> None:
         record, overlay = self._session.record, parts.chosen(self.overlay)
@@ -214,9 +207,9 @@ class CameraPanel:
 
     def _clicked(self, event: Tap) -> None:
         name = parts.chosen(self.camera)
-        if name and self._took_corner(name, (float(event.x), float(event.y))):
+        if name and self._took_corner(name, float(event.x), float(event.y)):
             return
         nodes = self._nodes
         if nodes and nodes["X"].size:  # the nearest node that is drawn gives the point on the water
             k = int(np.argmin(np.hypot(nodes["X"] - event.x, nodes["Y"] - event.y)))
-            self._picked("node", (float(nodes["x"][k]), float(nodes["y"][k])))
+            self._picked(float(nodes["x"][k]), float(nodes["y"][k]))

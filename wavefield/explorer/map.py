@@ -1,0 +1,253 @@
+"""The map of a variable with arrows of the velocity, and the surface in three dimensions."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from bokeh.models import (
+    BoxZoomTool,
+    CustomJS,
+    CustomJSHover,
+    FixedTicker,
+    HoverTool,
+    Label,
+    LinearColorMapper,
+    PanTool,
+    ResetTool,
+    SaveTool,
+    WheelZoomTool,
+    ZoomInTool,
+    ZoomOutTool,
+)
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from wavefield.explorer import parts
+from wavefield.explorer.parts import asset, number
+from wavefield.explorer.place import Place
+from wavefield.explorer.record import CubeRecord
+from wavefield.figures.display import display, limit
+from wavefield.figures.quality_kinds import KINDS, drawn_kind
+
+Field = NDArray[np.floating]
+_WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
+_ARROWS = 24  # along the longer side of the grid
+_HEAD = 0.32  # of an arrow's length
+_RELIEF = 80  # nodes of the surface along the longer side
+INITIAL_VIEW = {"turn": [-0.7], "tilt": [0.62]}  # radians
+_LIFT = 0.1  # height of the highest water, in diagonals of the grid
+_MOST_LIFT = 1e4  # beyond, the water is flat
+
+
+def map_aspect(ratio: float) -> float:
+    """Width to height of a map with axes and colour bar that a field of this ratio fills at 900 px."""
+    return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
+
+
+def top_speed(u: Field, v: Field) -> float:
+    """Speed of the longest arrows of a velocity field, m/s; 0 where nothing was measured."""
+    speed = np.hypot(u, v)
+    return limit(speed, 98) if np.isfinite(speed).any() else 0.0
+
+
+def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
+    """Arrows xs, ys (7 n,), metres, of u, v (ny, nx), m/s, some 24 along the longer side; metres per m/s.
+    Each of n arrows has six points and a NaN that separates it from the next.
+    """
+    every = max(1, round(max(len(x), len(y)) / _ARROWS))
+    thin = slice(every // 2, None, every)
+    gap = every * float(np.mean(np.diff(x)))
+    metres = 1.2 * gap / fastest if fastest > 0 else 0.0
+    px, py = np.meshgrid(x[thin], y[thin])
+    dx, dy = metres * u[thin, thin], metres * v[thin, thin]
+    drawn = np.hypot(dx, dy) > 0.04 * gap  # False where NaN
+    px, py, dx, dy = (part[drawn] for part in (px, py, dx, dy))
+    tip_x, tip_y, end = px + dx, py + dy, np.full_like(px, np.nan)
+    left_x, left_y = tip_x - _HEAD * (dx - 0.5 * dy), tip_y - _HEAD * (dy + 0.5 * dx)
+    right_x, right_y = tip_x - _HEAD * (dx + 0.5 * dy), tip_y - _HEAD * (dy - 0.5 * dx)
+    xs = np.array([px, tip_x, left_x, tip_x, right_x, tip_x, end])
+    ys = np.array([py, tip_y, left_y, tip_y, right_y, tip_y, end])
+    return xs.T.ravel(), ys.T.ravel(), metres
+
+
+class MapPanel:
+    """The map of one variable."""
+
+    def __init__(self, record: CubeRecord, picked: Callable[[float, float], None]) -> None:
+        self._record = record
+        self._fitted: dict[str, tuple[float, float]] = {}  # limits of the colours, by variable
+        self._fastest = 0.0  # speed of the longest arrows, m/s
+        self.mapper = LinearColorMapper(palette=parts.palette("RdBu_r"), nan_color=parts.GREY)
+        self.bar = parts.colour_bar(self.mapper)
+        self.arrow_key = Label(
+            x=8, y=8, x_units="screen", y_units="screen", text="", text_font_size="12px",
+            background_fill_color="white", background_fill_alpha=0.8, padding=3,
+        )  # fmt: skip
+        self.sources = parts.make_sources(
+            "map", image=parts.IMAGE, arrows="x y", node="x y", mask="x y", masks="xs ys",
+            probes="x y name align offset",
+        )  # fmt: skip
+        self.layout = self._draw()
+        parts.on_click(self.layout, lambda event: picked(event.x, event.y))
+
+    def _draw(self) -> figure:
+        record, source = self._record, self.sources
+        width, height = float(np.ptp(record.x)) or 1.0, float(np.ptp(record.y)) or 1.0
+        move, wheel = PanTool(), WheelZoomTool()
+        zoom = BoxZoomTool(match_aspect=True), wheel, ZoomInTool(), ZoomOutTool()
+        made = parts.make_figure(
+            "map", tools=[move, *zoom, ResetTool(), SaveTool()], active_scroll=wheel, active_drag=move,
+            match_aspect=True, toolbar_location="above", x_axis_label="x (m)", y_axis_label="y (m)",
+            aspect_ratio=map_aspect(width / height),
+        )  # fmt: skip
+        made.x_range.range_padding = made.y_range.range_padding = 0.0
+        made.grid.grid_line_color = None
+        made.background_fill_color = "#f6f8fa"
+        image = made.image("image", source=source["image"], color_mapper=self.mapper)
+        made.x_range.renderers = made.y_range.renderers = [image]
+        made.line("x", "y", source=source["arrows"], color=parts.INK, line_width=1.1)
+        parts.draw_masks(made, source["mask"], source["masks"])
+        parts.draw_probes(made, source["probes"])
+        parts.draw_ring(made, source["node"], "x", "y", parts.INK, 13)
+        made.add_layout(self.bar, "right")
+        made.add_layout(self.arrow_key)
+        self.hover = HoverTool(renderers=[image])
+        made.add_tools(self.hover)
+        return made
+
+    # -- showing ---------------------------------------------------------------------------------------
+
+    def show(self, place: Place) -> None:
+        """Draw a step."""
+        record, shown = self._record, display(place.show)
+        values = record.field(place.show, place.step)
+        if place.show == "quality":
+            fresh = parts.quality_mapper()
+            self.mapper.update(palette=fresh.palette, low=fresh.low, high=fresh.high)
+            words = [words for _, words, _ in KINDS]
+            ticks = FixedTicker(ticks=list(range(len(words))))
+            self.bar.update(ticker=ticks, major_label_overrides=dict(enumerate(words)))
+            self._name_values(place, f"return {words}[value] ?? 'none'")
+            drawn = drawn_kind(values)
+        else:
+            drawn = values * np.float32(shown.factor)
+            low, high = self.limits(place)
+            if self._name_values(place, "return Number(value.toPrecision(4))"):
+                self.bar.update(ticker=parts.colour_bar(self.mapper).ticker, major_label_overrides={})
+            colours = parts.palette(place.colour_map)
+            if self.mapper.palette != colours:  # 256 colours take 10 ms to check
+                self.mapper.palette = colours
+            self.mapper.update(low=low, high=high)
+        self.sources["image"].data = parts.image_data(drawn, record.x, record.y)
+        self._show_arrows(place)
+        self.mark(place.node)
+
+    def _name_values(self, place: Place, code: str) -> bool:
+        """Name the value under the pointer, formatted by a script; returns whether the name has changed."""
+        shown = display(place.show)
+        rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
+        changed = bool(self.hover.tooltips != rows)
+        if changed:  # what is set is sent
+            self.hover.formatters = {"@image": CustomJSHover(code=code)}
+            self.hover.tooltips = rows
+        return changed
+
+    def limits(self, place: Place) -> tuple[float, float]:
+        """Ends of the colour scale, in the displayed unit: as entered, or fitted to the first step shown."""
+        name = place.coloured
+        if name not in self._fitted:
+            values = self._record.field(name, place.step)
+            if not np.isfinite(values).any():
+                return place.limits or (-1.0, 1.0)
+            shown = display(name)
+            self._fitted[name] = shown.limits(values * shown.factor)
+        return place.limits or self._fitted[name]
+
+    def refit(self, place: Place) -> None:
+        """Fit the colours, and the arrows, again to the next step that is shown."""
+        self._fitted.pop(place.coloured, None)
+        self._fastest = 0.0
+
+    def _show_arrows(self, place: Place) -> None:
+        record = self._record
+        self.arrow_key.text = ""
+        if place.overlay == "nothing" or not {"u", "v"} <= set(record.stored):
+            parts.clear(self.sources["arrows"])
+            return
+        u, v = (record.field(name, place.step) for name in "uv")
+        self._fastest = self._fastest or top_speed(u, v)  # of the first step that is shown
+        xs, ys, metres = arrows(u, v, record.x, record.y, self._fastest)
+        speed = number(float(f"{100 * self._fastest:.1g}"))
+        self.arrow_key.text = f"longest arrows: {speed} cm/s" if metres else ""
+        self.sources["arrows"].data = {"x": xs, "y": ys}
+
+    def mark(self, node: tuple[float, float] | None) -> None:
+        """Draw the picked node."""
+        data = {"x": [node[0]], "y": [node[1]]} if node else {"x": [], "y": []}
+        if dict(self.sources["node"].data) != data:  # each source that is sent is painted
+            self.sources["node"].data = data
+
+    def mark_probes(self, names: Sequence[str], x: Field, y: Field) -> None:
+        """Draw the positions of probes, metres."""
+        self.sources["probes"].data = parts.probe_columns(names, x, y, float(np.mean(self._record.x)))
+
+
+class SurfacePanel:
+    """The relief of z, coloured by the displayed variable; the browser projects and turns it."""
+
+    def __init__(self, record: CubeRecord, limits: Callable[[Place], tuple[float, float]]) -> None:
+        self._record, self._limits = record, limits
+        self._highest = 0.0  # of z at the first step that is shown, m
+        self._diagonal = float(np.hypot(np.ptp(record.x), np.ptp(record.y)))
+        self.sources = parts.make_sources(
+            "surface", field="x y height value", quads="xs ys value", frame="x y", words="x y text",
+            view="turn tilt",
+        )  # fmt: skip
+        self.sources["view"].data = INITIAL_VIEW
+        self.mapper = LinearColorMapper(palette=parts.palette("RdBu_r"), low=-1, high=1, nan_color=parts.GREY)
+        size = 0.56 * self._diagonal
+        made = parts.make_figure(
+            "surface", tools="wheel_zoom,reset,save", toolbar_location="above", aspect_ratio=1.4,
+            x_range=(-size, size), y_range=(-0.72 * size, 0.72 * size),
+            x_axis_type=None, y_axis_type=None, min_border_left=4,
+        )  # fmt: skip
+        made.grid.grid_line_color = None
+        made.line("x", "y", source=self.sources["frame"], color="#8b949e", line_dash=[5, 4], line_width=1.3)
+        colour = {"field": "value", "transform": self.mapper}
+        made.patches(
+            "xs", "ys", source=self.sources["quads"], fill_color=colour, line_color=colour, line_width=0.6
+        )
+        made.text(
+            "x", "y", "text", source=self.sources["words"], text_align="center", text_baseline="middle",
+            text_color=parts.INK,
+        )  # fmt: skip
+        made.add_layout(parts.colour_bar(self.mapper), "right")
+        self.note = Label(x=8, y=8, x_units="screen", y_units="screen", text="", text_font_size="12px")
+        made.add_layout(self.note)
+        project = CustomJS(args=self.sources, code=asset("relief.js"))
+        for changed in (self.sources["field"], self.sources["view"]):
+            changed.js_on_change("data", project)
+        for event in ("panstart", "pan"):
+            made.js_on_event(event, project)
+        self.layout = made
+
+    def show(self, place: Place) -> None:
+        """Draw a step."""
+        record, shown = self._record, display(place.coloured)
+        thin = slice(None, None, max(1, -(-max(record.x.size, record.y.size) // _RELIEF)))
+        z, values = (record.field(name, place.step)[thin, thin] for name in ("z", shown.name))
+        if not self._highest and np.isfinite(z).any():
+            self._highest = limit(z)
+        lift = _LIFT * self._diagonal / self._highest if self._highest else 0.0
+        low, high = self._limits(place)
+        self.mapper.update(palette=parts.palette(place.colour_map), low=low, high=high)
+        moment = f"t = {record.time[place.step]:.3f} s"
+        self.layout.title.text = f"elevation z, coloured by {shown.label}, {moment}"
+        raised = f"height × {number(lift, 2)}; " if lift < _MOST_LIFT else ""
+        self.note.text = f"{raised}drag to turn" if lift else "nothing measured here"
+        x, y = record.x[thin], record.y[thin]
+        self.sources["field"].data = {
+            "x": [np.asarray(x - x.mean(), np.float32)],
+            "y": [np.asarray(y - y.mean(), np.float32)],
+            "height": [np.ascontiguousarray(z * np.float32(lift))],
+            "value": [np.ascontiguousarray(values * np.float32(shown.factor), np.float32)],
+        }

@@ -1,0 +1,347 @@
+"""Time series at a node with their uncertainty and quality, its spectrum, and a wave probe beside it."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import Select, Span
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from wavefield.explorer import parts
+from wavefield.explorer.parts import number
+from wavefield.explorer.place import Place
+from wavefield.explorer.record import CubeRecord, nearest
+from wavefield.figures.display import display
+from wavefield.figures.quality_kinds import KINDS, quality_kind
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.floating]
+MAX_PROBE_DISTANCE_M = 0.05  # a probe farther away measures other phases of short waves
+_MAIN = ("z", "u", "v", "w")
+_SERIES_PX = 84  # height of a series
+_ZOOM_DELAY_MS = 120  # one refinement per burst of wheel turns
+LONGEST_BRIDGED_GAP = 2  # steps: as in the analysis, longer gaps split a record
+MIN_STEPS_OF_SPECTRUM = 32
+_CONFIDENCE = 0.95
+
+
+class Spectrum(NamedTuple):
+    """A one-sided spectrum with its confidence interval."""
+
+    frequency: Array  # (n,): Hz; without 0
+    density: Array  # (n,): unit of the values squared, per Hz; its sum times the step is the variance
+    low: float  # the true density is in [low, high] times the density with 95 % confidence
+    high: float
+
+
+def longest_run(values: Array) -> Array:
+    """Longest stretch of a series (n,) without a gap of more than two steps; shorter ones are filled."""
+    finite = np.flatnonzero(np.isfinite(values))
+    if not finite.size:
+        return np.empty(0)
+    pieces = np.split(finite, np.flatnonzero(np.diff(finite) > LONGEST_BRIDGED_GAP + 1) + 1)
+    longest = max(pieces, key=lambda piece: int(piece[-1] - piece[0]))
+    steps = np.arange(longest[0], longest[-1] + 1)
+    return np.asarray(np.interp(steps, longest, values[longest]))
+
+
+def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
+    """Welch spectrum of the longest run of a series (n,); None for less than 32 steps without a gap.
+    Hann windows that overlap by half, at least eight where the record allows it.
+    """
+    from scipy import signal, stats  # takes most of a second to import
+
+    run = longest_run(np.asarray(values, float))
+    if run.size < MIN_STEPS_OF_SPECTRUM:
+        return None
+    segment = min(1024, 1 << int(np.log2(max(MIN_STEPS_OF_SPECTRUM, 2 * run.size / 9))))
+    if segment_s is not None:
+        segment = max(round(segment_s / dt), 2)
+    segment = min(segment, run.size)
+    frequency, density = signal.welch(run, fs=1 / dt, nperseg=segment, detrend="constant")
+    count = max(1, (run.size - segment // 2) // (segment - segment // 2))
+    dof = 2.0 * count * 18.0 / 19.0 if count > 1 else 2.0  # Hann windows that overlap by half
+    tails = stats.chi2.ppf([0.5 + _CONFIDENCE / 2, 0.5 - _CONFIDENCE / 2], dof)
+    low, high = dof / tails
+    return Spectrum(frequency[1:], density[1:], float(low), float(high))
+
+
+class NearProbe(NamedTuple):
+    """A wave probe near a node."""
+
+    probe: "xr.Dataset"  # elevation (time,), metres
+    distance: float  # metres
+
+    @property
+    def words(self) -> str:
+        """Its name and distance."""
+        return f"{self.probe.probe.item()}, {100 * self.distance:.0f} cm away"
+
+
+def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float) -> NearProbe | None:
+    """The nearest of the probes to a point, metres, if it is within reach."""
+    if probes is None:
+        return None
+    distance = np.nan_to_num(np.hypot(probes.probe_x.values - x, probes.probe_y.values - y), nan=np.inf)
+    k = int(np.argmin(distance))
+    return NearProbe(probes.isel(probe=k), float(distance[k])) if distance[k] <= reach else None
+
+
+class NodePanel:
+    """The values of the cube at one node."""
+
+    def __init__(self, record: CubeRecord) -> None:
+        self._record = record
+        self.probes: xr.Dataset | None = None  # of the experiment, when they are read
+        self._node: tuple[float, float] | None = None  # the picked one, m
+        self._refining = False
+        self._main = tuple(name for name in _MAIN if name in record.stored)
+        others = [n for n in record.stored if n not in (*_MAIN, "quality") and not n.endswith("_std")]
+        self.words = parts.words_of("node_words", "Click a node of the map.", html=True)
+        self.other = Select(
+            title="Fifth series", value=others[0] if others else "", options=others, name="node_other"
+        )
+        self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
+        # One source per figure: what arrives together is painted once, and all of it must fit a browser's
+        # buffer of 128 kB, or half of it is painted first.
+        series = {f"{name}_series": "t value low high" for name in self._main}
+        more = {"other_series": "t value", "quality": "left right kind", "probe_series": "t value"}
+        spectra = {"spectrum": "f e low high", "probe_spectrum": "f e"}
+        self.sources = parts.make_sources("node", **series, **more, **spectra)
+        self.now = Span(dimension="height", location=0, line_color=parts.INK, line_dash="dotted")
+        self.figures: dict[str, figure] = {}
+        for name in (*self._main, "other"):
+            self.figures[name] = self._draw_series(name)
+        self.spectrum = self._draw_spectrum()
+        self.other.on_change("value", lambda attr, old, new: self._show_other())
+        self.which.on_change("value", lambda attr, old, new: self._show_spectrum())
+        self.layout = column(
+            self.words, *self.figures.values(), self._draw_strip(), row(self.other, self.which),
+            self.spectrum, sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def _draw_series(self, name: str) -> figure:
+        time, source = self._record.time, self.sources[f"{name}_series"]
+        x_range = next(iter(self.figures.values())).x_range if self.figures else (time[0], time[-1])
+        shown = parts.chosen(self.other) if name == "other" else name
+        made = parts.make_figure(
+            f"node_{name}_figure", height=_SERIES_PX, x_range=x_range,
+            y_axis_label=display(shown).label if shown else "",
+        )  # fmt: skip
+        if not self.figures:
+            made.x_range.on_change("start", lambda attr, old, new: self._zoomed())
+        made.xaxis.visible = False
+        if name == "other":
+            made.line("t", "value", source=source, color=parts.BLUE, line_width=1.1)
+            parts.add_hover(made, mode="vline")
+        else:
+            parts.draw_band(made, source, "t", "value", line_width=1.1)
+            rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {display(name).unit}")
+            parts.add_hover(made, *rows, renderers=made.renderers[1:2], mode="vline")
+        if name == "z":
+            made.line(
+                "t", "value", source=self.sources["probe_series"], color=parts.VERMILION, line_width=1.3,
+                line_dash="dashed",
+            )  # fmt: skip
+        made.add_layout(self.now)
+        return made
+
+    def _draw_strip(self) -> figure:
+        made = parts.make_figure(
+            "node_strip", height=66, x_range=self.figures["other"].x_range, y_range=(0, 1),
+            x_axis_label="t (s); strip: quality",
+        )  # fmt: skip
+        colour = {"field": "kind", "transform": parts.quality_mapper()}
+        made.quad("left", "right", 0, 1, source=self.sources["quality"], fill_color=colour, line_color=None)
+        made.yaxis.update(ticker=[], axis_label="")
+        made.ygrid.visible = False
+        return made
+
+    def _draw_spectrum(self) -> figure:
+        made = parts.make_figure(
+            "node_spectrum_figure", height=190, x_axis_type="log", y_axis_type="log",
+            x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset",
+        )  # fmt: skip
+        parts.draw_band(made, self.sources["spectrum"], "f", "e", legend_label="this node")
+        made.line(
+            "f", "e", source=self.sources["probe_spectrum"], color=parts.VERMILION, line_width=1.6,
+            line_dash="dashed", legend_label="probe",
+        )  # fmt: skip
+        parts.add_hover(made, renderers=made.renderers[1:2], mode="vline")
+        made.legend.update(
+            location="bottom_left", label_text_font_size="11px", background_fill_alpha=0.7, padding=4
+        )
+        return made
+
+    # -- showing ---------------------------------------------------------------------------------------
+
+    def show(self, place: Place) -> None:
+        """Show the node of a place."""
+        self.show_step(place)
+        if self._node is not None:
+            self._show_series()
+            self._show_quality()
+            self._show_spectrum()
+
+    def show_step(self, place: Place) -> None:
+        """Show the values at the node at another step: the series stay."""
+        record, self._node = self._record, place.node
+        self.now.location = float(record.time[place.step])
+        if self._node is None:
+            return
+        j, i = self._index(record.y, record.x)
+        values = {name: float(record.field(name, place.step)[j, i]) for name in record.stored}
+        kind = quality_kind(np.array([int(values.get("quality", 0))]))[0]
+        others = [str(option) for option in self.other.options]
+        every, near = record.preview.thin.every, self._near()
+        self.words.text = (
+            f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, "
+            f"t {record.time[place.step]:.3f} s:</b> "
+            f"{', '.join(_reading(name, values) for name in (*self._main, *others))}; "
+            f"{KINDS[kind][1] if kind < len(KINDS) else 'nothing measured'}."
+            + (f" Series: nearest node of the preview (every {_ordinal(every)})." if every > 1 else "")
+            + (f" Dashed: {parts.plain(near.words)}." if near is not None else "")
+        )
+
+    def _index(self, y: Array, x: Array) -> tuple[int, int]:
+        """Row and column of the picked node on a grid."""
+        assert self._node is not None
+        return nearest(y, self._node[1]), nearest(x, self._node[0])
+
+    def _near(self) -> NearProbe | None:
+        """The probe at the picked node of the cube, not at that of the thinner preview."""
+        record = self._record
+        j, i = self._index(record.y, record.x)
+        spacing = abs(float(record.x[-1] - record.x[0])) / max(record.x.size - 1, 1)
+        return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
+
+    def _series(self, name: str, unit_of: str = "") -> Array:
+        """A stored variable at the nearest node of the preview, (time,), in a displayed unit, or its own."""
+        preview, factor = self._record.preview, display(unit_of or name).factor
+        return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
+
+    def _window(self) -> slice:
+        """Steps in view: all of them before anyone zooms."""
+        time, view = self._record.time, self.figures["other"].x_range
+        first = int(np.searchsorted(time, view.start or time[0]))
+        last = int(np.searchsorted(time, view.end or time[-1], side="right"))
+        return slice(max(first - 1, 0), max(last + 1, first + 2))
+
+    def _show_series(self) -> None:
+        part = self._window()
+        time = self._record.time[part]
+        for name in self._main:
+            values = self._series(name)[part]
+            std = np.full_like(values, np.nan)
+            if f"{name}_std" in self._record.stored:
+                std = self._series(f"{name}_std", unit_of=name)[part]
+            t, value, std = parts.envelope(time, values, std)
+            low, high = parts.band(value, std, thinned=t.size < time.size)
+            self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
+        self._show_probe(part)
+        self._show_other()
+
+    def _show_probe(self, part: slice) -> None:
+        """Draw the elevation at the probe over that of the node."""
+        data: dict[str, Array] = {"t": np.empty(0), "value": np.empty(0)}
+        found = self._near()
+        if found is not None:
+            time, half_step = self._record.time[part], 0.5 / self._record.frame_rate
+            near = found.probe.sel(time=slice(time[0] - half_step, time[-1] + half_step))
+            values = near.elevation.values * display("z").factor
+            data = dict(zip(("t", "value"), parts.envelope(near.time.values, values)))
+        if data["t"].size or len(self.sources["probe_series"].data["t"]):
+            self.sources["probe_series"].data = data
+
+    def _show_other(self) -> None:
+        name = parts.chosen(self.other)
+        if self._node is None or not name:
+            return
+        shown, part = display(name), self._window()
+        self.figures["other"].yaxis.axis_label = shown.label
+        rows = [("t", "@t{0.000} s"), (name, f"@value{{0.[0000]}} {shown.unit}")]
+        self.figures["other"].hover.tooltips = rows
+        t, value = parts.envelope(self._record.time[part], self._series(name)[part])
+        self.sources["other_series"].data = {"t": t, "value": value}
+
+    def _show_quality(self) -> None:
+        record = self._record
+        if "quality" not in record.stored:
+            return
+        stored = record.preview.stored("quality")[self._index(record.preview.y, record.preview.x)]
+        kinds = quality_kind(np.maximum(stored, 0))  # missing values are negative
+        starts = np.flatnonzero(np.diff(kinds.astype(int), prepend=-1))
+        ends = np.r_[starts[1:], kinds.size]
+        named = kinds[starts] < len(KINDS)
+        half_step = 0.5 / record.frame_rate
+        self.sources["quality"].data = {
+            "left": record.time[starts[named]] - half_step,
+            "right": record.time[ends[named] - 1] + half_step,
+            "kind": kinds[starts[named]].astype(np.float32),
+        }
+
+    def _show_spectrum(self) -> None:
+        name = parts.chosen(self.which)
+        if self._node is None or not name:
+            return
+        shown = display(name)
+        unit = f"({shown.unit})²/Hz"
+        found = spectrum(self._series(name), 1.0 / self._record.frame_rate)
+        self.spectrum.yaxis.axis_label = f"E {unit}"
+        self.spectrum.hover.tooltips = [("frequency", "@f{0.000} Hz"), (f"E of {name}", f"@e {unit}")]
+        parts.clear(self.sources["spectrum"], self.sources["probe_spectrum"])
+        self.spectrum.legend.visible = False
+        if found is None:
+            self.spectrum.title.text = (
+                f"No spectrum: it needs {MIN_STEPS_OF_SPECTRUM} steps in a row at this node."
+            )
+            return
+        e = found.density
+        self.sources["spectrum"].data = {
+            "f": found.frequency, "e": e, "low": e * found.low, "high": e * found.high,
+        }  # fmt: skip
+        factors = f"{number(found.low, 2)} to {number(found.high, 2)}"
+        self.spectrum.title.text = f"spectrum of {name}; shaded: 95 % interval, {factors} times the curve"
+        near = self._near()
+        if name == "z" and near is not None:
+            self._show_probe_spectrum(near, float(1 / found.frequency[0]))
+
+    def _show_probe_spectrum(self, near: NearProbe, segment_s: float) -> None:
+        """Show the spectrum of a probe over the time of the cube, with segments as long as the node's."""
+        time, t = self._record.time, near.probe.time.values
+        within = (t >= time[0]) & (t <= time[-1])
+        values = near.probe.elevation.values[within] * display("z").factor
+        found = spectrum(values, float(np.mean(np.diff(t))), segment_s)
+        if found is not None:
+            keep = found.frequency <= self._record.frame_rate / 2
+            self.sources["probe_spectrum"].data = {"f": found.frequency[keep], "e": found.density[keep]}
+            self.spectrum.legend.visible = True
+            self.spectrum.legend.items[1].label = {"value": near.words}
+
+    def _zoomed(self) -> None:
+        """Draw finer series for a narrower view."""
+        document = self.layout.document
+        fine = self._record.time.size <= parts.MOST_POINTS
+        if self._node is not None and document is not None and not (fine or self._refining):
+            self._refining = True
+            document.add_timeout_callback(self._refine, _ZOOM_DELAY_MS)
+
+    def _refine(self) -> None:
+        self._refining = False
+        self._show_series()
+
+
+def _reading(name: str, values: dict[str, float]) -> str:
+    """The value of a variable in words, with its uncertainty where it has one."""
+    shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
+    if not np.isfinite(value):
+        return f"{name} none"
+    more = f" ± {number(std * shown.factor, 2)}" if np.isfinite(std) else ""
+    return f"{name} {number(value * shown.factor)}{more} {shown.unit}".rstrip()
+
+
+def _ordinal(count: int) -> str:
+    return {2: "second", 3: "third"}.get(count, f"{count}th")

@@ -1,0 +1,347 @@
+"""What the panels share: figures of one style, data sources, colour bars, series thinned for a screen."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from importlib.resources import files
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from bokeh import palettes
+from bokeh.document import Document
+from bokeh.events import ConnectionLost, DoubleTap, Tap
+from bokeh.layouts import column
+from bokeh.models import (
+    BasicTicker,
+    ColorBar,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    HoverTool,
+    LinearColorMapper,
+    NumeralTickFormatter,
+    Select,
+    TabPanel,
+    Tabs,
+    UIElement,
+)
+from bokeh.plotting import figure
+from jinja2 import Environment
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from wavefield.explorer.place import Place
+from wavefield.figures.quality_kinds import KINDS
+from wavefield.variables import TABLE
+
+INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
+SKY, YELLOW = "#56B4E9", "#F0E442"
+MOST_POINTS = 1000  # of one line: two per pixel of half a page
+IMAGE = "image x y dw dh"  # columns of a source of an image
+_PALETTES = {
+    "RdBu_r": palettes.RdBu11, "cividis": palettes.Cividis256, "viridis": palettes.Viridis256,
+    "inferno": palettes.Inferno256, "turbo": palettes.Turbo256, "gray": palettes.Greys256,
+}  # fmt: skip
+_KEYS = (
+    ("← →", "step"), ("space", "play"), ("1–4", "views"), ("M", "mask"), ("P", "pick"), ("A", "arrows"),
+    ("Home End", "first, last step"),
+)  # fmt: skip
+_LOADING = '<span class="loading" role="status">Loading …</span>'
+_DEFAULTS: dict[str, object] = {
+    "sizing_mode": "stretch_width", "toolbar_location": None, "tools": "xpan,xwheel_zoom,reset",
+    "min_border_left": 62, "min_border_right": 12, "min_border_top": 4,
+    "output_backend": "canvas", "lod_threshold": None,
+}  # fmt: skip
+Series = NDArray[np.floating]
+
+
+class Panel(Protocol):
+    """What fills a tab."""
+
+    layout: UIElement  # its figures and widgets
+
+    def show(self, place: Place) -> None:
+        """Show a place."""
+        ...
+
+
+P = TypeVar("P", bound=Panel)
+
+
+@dataclass(frozen=True)
+class PanelEvents:
+    """What the page does when something happens in a panel."""
+
+    picked: Callable[[float, float], None]  # a place on the water, metres
+    took_corner: Callable[[str, float, float], bool]  # a click in an image, perhaps a corner of a mask
+    masks_changed: Callable[[], None]
+    image_chosen: Callable[[], None]  # another camera, frame or overlay
+
+
+class LazyPanel(Generic[P]):
+    """A panel that is made when its tab is first opened; until then the tab says that it is loading."""
+
+    def __init__(self, make: Callable[[], P]) -> None:
+        self.body = column(words_of("", _LOADING, html=True), sizing_mode="stretch_width")
+        self._make = make
+        self._made: P | None = None
+
+    @property
+    def made(self) -> bool:
+        """Whether the tab was opened."""
+        return self._made is not None
+
+    def __call__(self) -> P:
+        """The panel, in its tab."""
+        if self._made is None:
+            self._made = self._make()
+            self.body.children = [self._made.layout]
+        return self._made
+
+
+def make_figure(name: str, **settings: object) -> figure:
+    """A figure in the style of the pages: as wide as its place, light grid, no toolbar."""
+    settings = _DEFAULTS | settings
+    if isinstance(settings["tools"], str):
+        wheels = [tool for tool in settings["tools"].split(",") if tool.endswith("wheel_zoom")]
+        settings["active_scroll"] = wheels[0] if wheels else None
+    made = figure(name=name, **settings)
+    made.grid.grid_line_color = "#e4e7ea"
+    made.outline_line_color = "#8b949e"
+    made.axis.axis_label_text_font_style = made.title.text_font_style = "normal"
+    made.axis.axis_label_text_font_size = "12px"
+    made.axis.major_label_text_font_size = "11px"
+    made.axis.axis_label_standoff = 4
+    made.title.text_font_size = "13px"
+    made.title.text_color = INK
+    made.toolbar.logo = None
+    if "height" in settings and settings.get("y_axis_type") != "log":
+        made.yaxis.ticker = BasicTicker(desired_num_ticks=max(3, made.height // 40), num_minor_ticks=0)
+    return made
+
+
+def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
+    """Tabs with titles, never wider than their place; hidden ones take neither room nor time."""
+    tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
+    narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
+    made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
+    for k, body in enumerate(bodies):
+        body.visible = k == active
+    code = "bodies.forEach((body, k) => { body.visible = k == cb_obj.active })"
+    made.js_on_change("active", CustomJS(args={"bodies": list(bodies)}, code=code))
+    return made
+
+
+def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
+    """Empty data sources called `prefix_key`; the names of their columns are separated by spaces.
+
+    Examples
+    --------
+    >>> make_sources("map", node="x y")["node"].name
+    'map_node'
+    """
+    return {
+        key: ColumnDataSource({name: [] for name in names.split()}, name=f"{prefix}_{key}")
+        for key, names in columns.items()
+    }
+
+
+def clear(*sources: ColumnDataSource) -> None:
+    """Empty data sources."""
+    for source in sources:
+        source.data = {name: [] for name in source.data}
+
+
+def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
+    """Call a function with each click: Bokeh has another event for a second click within 0.3 s."""
+    for event in (Tap, DoubleTap):
+        made.on_event(event, handle)
+
+
+def add_hover(
+    made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
+) -> None:
+    """Show names, values and units of what is under the pointer."""
+    drawn = list(renderers) or "auto"
+    made.add_tools(HoverTool(tooltips=list(rows), mode=mode, renderers=drawn, line_policy="nearest"))
+
+
+@cache
+def asset(name: str) -> str:
+    """The text of a file among the assets of this package."""
+    return files("wavefield.explorer").joinpath(f"assets/{name}").read_text(encoding="utf-8")
+
+
+def apply_template(
+    document: Document,
+    heading: str,
+    command: str,
+    places: Sequence[str],
+    keys: bool = True,
+    aspect: float = 1.3,
+) -> None:
+    """Give a document its frame: the roots named in `places` below a heading, with the list of the keys.
+    The views are as wide as a map of an aspect (width to height) can be without reaching below the window.
+    """
+    document.title = f"{heading} – wavefield {command}"
+    document.template = Environment(autoescape=True).from_string(asset("page.html"))
+    document.template_variables.update(
+        heading=heading, command=command, places=list(places), css=asset("page.css"), script=asset("page.js"),
+        keys=_KEYS if keys else (), aspect=f"{aspect:.4f}",
+    )  # fmt: skip
+    document.js_on_event(ConnectionLost, CustomJS(code='document.getElementById("lost").hidden = false'))
+
+
+# -- words ---------------------------------------------------------------------------------------------
+
+
+def words_of(name: str, text: str = "", html: bool = False) -> Div:
+    """A line of text as wide as its place; what is put into HTML must be escaped first."""
+    return Div(
+        text=text, name=name, sizing_mode="stretch_width", render_as_text=not html, disable_math=True
+    )  # fmt: skip
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with so many digits and a typographic minus sign."""
+    return f"{value:.{digits}g}".replace("-", "\u2212")
+
+
+def plain(words: object) -> str:
+    """Words as HTML without tags."""
+    return escape(str(words), quote=False)
+
+
+def alert(error: Exception) -> str:
+    """An error as HTML that screen readers announce."""
+    return f'<span role="alert">{plain(error)}</span>'
+
+
+def chosen(choice: Select) -> str:
+    """The value of a list if it is one of its options, else the first: a browser can send any other."""
+    values = [option if isinstance(option, str) else str(option[0]) for option in choice.options]
+    return str(choice.value) if choice.value in values else next(iter(values), "")
+
+
+def named(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Options of a list of variables, each with its meaning."""
+    return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
+
+
+# -- drawing -------------------------------------------------------------------------------------------
+
+
+def draw_band(made: figure, source: ColumnDataSource, x: str, y: str, **line: object) -> None:
+    """Draw a line with the band between the columns `low` and `high`."""
+    made.varea(x, "low", "high", source=source, fill_color=BLUE, fill_alpha=0.22)
+    made.line(x, y, source=source, **({"line_color": BLUE, "line_width": 1.6} | line))
+
+
+def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: str, size: int) -> None:
+    """Draw a ring on a white ground around a point."""
+    for ring, width in (("white", 5.0), (colour, 2.3)):
+        made.scatter(x, y, source=source, size=size, fill_color=None, line_color=ring, line_width=width)
+
+
+def probe_columns(names: Sequence[str], x: Series, y: Series, middle: float) -> dict[str, list[object]]:
+    """Columns of a source of probes; names right of the middle go to the left, where the map has room."""
+    right = [float(at) > middle for at in x]
+    return {
+        "x": list(x),
+        "y": list(y),
+        "name": list(names),
+        "align": ["right" if one else "left" for one in right],
+        "offset": [-9 if one else 9 for one in right],
+    }
+
+
+def draw_probes(made: figure, source: ColumnDataSource) -> None:
+    """Draw probes with their names, from `probe_columns`."""
+    made.scatter("x", "y", source=source, marker="triangle", size=11, fill_color=YELLOW, line_color=INK)
+    made.text(
+        "x", "y", "name", source=source, x_offset="offset", y_offset=4, text_align="align",
+        text_font_size="11px", padding=2, background_fill_color="white", background_fill_alpha=0.75,
+    )  # fmt: skip
+
+
+def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -> None:
+    """Draw the saved masks, and the corners of the mask that is being drawn."""
+    made.patches(
+        "xs", "ys", source=saved, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
+        hatch_color="white", line_color=INK, line_width=1.5,
+    )  # fmt: skip
+    made.patch("x", "y", source=drawn, fill_alpha=0.25, fill_color=VERMILION, line_color=None)
+    made.line("x", "y", source=drawn, color="white", line_width=4.5)
+    made.line("x", "y", source=drawn, color=VERMILION, line_width=2)
+    made.scatter("x", "y", source=drawn, size=8, fill_color="white", line_color=VERMILION, line_width=2)
+
+
+@cache
+def palette(colour_map: str) -> list[str]:
+    """256 colours of a matplotlib colour map, one of `place.COLOUR_MAPS`."""
+    return list(palettes.interp_palette(_PALETTES[colour_map], 256))
+
+
+def quality_mapper() -> LinearColorMapper:
+    """Colours of the kinds of quality."""
+    return LinearColorMapper(palette=[colour for _, _, colour in KINDS], low=-0.5, high=len(KINDS) - 0.5)
+
+
+def grey_mapper() -> LinearColorMapper:
+    """Grey levels from 0 to 255."""
+    return LinearColorMapper(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
+
+
+def colour_bar(mapper: LinearColorMapper) -> ColorBar:
+    """A colour bar for the right side of a figure."""
+    return ColorBar(
+        color_mapper=mapper, width=14, padding=8, margin=0, major_label_text_font_size="11px",
+        ticker=BasicTicker(desired_num_ticks=7), formatter=NumeralTickFormatter(format="0.[000]"),
+    )  # fmt: skip
+
+
+def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
+    """Columns of an image (ny, nx) whose pixels are centred on nodes."""
+    dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
+    return {
+        "image": [np.ascontiguousarray(values, np.float32)],
+        "x": [float(x[0]) - dx / 2],
+        "y": [float(y[0]) - dy / 2],
+        "dw": [dx * len(x)],
+        "dh": [dy * len(y)],
+    }
+
+
+# -- long series ---------------------------------------------------------------------------------------
+
+
+def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
+    """Series (n,) thinned for a screen to the lowest and the highest value of each bin, in their order.
+    Returns x and the series at the samples where the first of them has these extremes, (m,).
+    """
+    if x.size <= MOST_POINTS:
+        return (x, *series)
+    width = -(-2 * x.size // MOST_POINTS)
+    binned = x.size - x.size % width
+    bins = series[0][:binned].reshape(-1, width)
+    finite = np.isfinite(bins)
+    start = np.arange(bins.shape[0]) * width
+    lowest = start + np.where(finite, bins, np.inf).argmin(axis=1)
+    highest = start + np.where(finite, bins, -np.inf).argmax(axis=1)  # an empty bin keeps its first sample
+    keep = np.unique(np.concatenate([lowest, highest, np.arange(binned, x.size)]))
+    return tuple(part[keep] for part in (x, *series))
+
+
+def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
+    """Lower and upper edge (n,) of the band of uncertainty around a series (n,); NaN in gaps.
+    A thinned series alternates between crests and troughs: its band also encloses the neighbours.
+    """
+    low, high = value - std, value + std
+    if not thinned:
+        return low, high
+    gap = np.isnan(low)
+    # a band that alternates with the line would hide it, and takes a browser seven times as long to fill
+    low = np.fmin.reduce(sliding_window_view(np.pad(low, 1, "edge"), 3), axis=1)
+    high = np.fmax.reduce(sliding_window_view(np.pad(high, 1, "edge"), 3), axis=1)
+    return np.where(gap, np.nan, low), np.where(gap, np.nan, high)
