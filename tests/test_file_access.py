@@ -22,7 +22,6 @@ READERS = {
     "image.tif": [read_image, count_images, lambda path: read_entry(FrameEntry("page", str(path), 1))],
     "image.png": [read_image],
     "image.im7": [read_image],
-    "image.dng": [read_image],
     "film.avi": [count_images],
     "record.cine": [count_images],
     "record.seq": [count_images],

@@ -1,4 +1,4 @@
-"""Damaged files of each kind are reported in one sentence; videos, DNG and DaVis' buffers are read."""
+"""Damaged files of each kind are reported in one sentence; videos and DaVis' buffers are read."""
 
 import cv2
 import numpy as np
@@ -33,13 +33,6 @@ def write_pages(path):
             tiff.write(image, contiguous=False)
 
 
-def write_dng(path):
-    small = images()[0, :16, :16]
-    with tifffile.TiffWriter(path) as tiff:
-        tiff.write(small, subifds=1, photometric="minisblack")
-        tiff.write(images("uint16")[0], photometric=32803)
-
-
 def write_im7(path):
     lvpyio = pytest.importorskip("lvpyio", reason="LaVision's package is an extra: pip install lvpyio")
     lvpyio.write_buffer(lvpyio.arrays_to_buffer(images("uint16")[0]), str(path))
@@ -52,7 +45,6 @@ FILES = {
     "png": lambda p: cv2.imwrite(str(p), images("uint16")[0]),
     "bmp": lambda p: cv2.imwrite(str(p), images()[0]),
     "jpg": lambda p: cv2.imwrite(str(p), images()[0]),
-    "dng": write_dng,
     "im7": write_im7,
     "mjpg.avi": lambda p: write_video(p, "MJPG"),
     "mp4": lambda p: write_video(p, "mp4v"),
@@ -124,26 +116,6 @@ def test_frames_of_a_video_come_in_any_order(tmp_path, name, code):
         assert int(np.argmin(far)) == k
         assert far[k] < 12  # these codecs lose little
     close_files()
-
-
-def test_a_digital_negative_gives_the_sensor_not_its_preview(tmp_path):
-    path, raw = tmp_path / "a.dng", images("uint16")[0]
-    tifffile.imwrite(path, raw)
-    with tifffile.TiffFile(path, mode="r+") as tiff:
-        tiff.pages.first.tags[262].overwrite(34892)  # a sensor without a mosaic
-    np.testing.assert_array_equal(read_image(path), raw)
-    write_dng(path)
-    got = read_image(path)
-    assert got.shape == raw.shape
-    assert got[20, 30] == pytest.approx(
-        (raw[19:22, 29:32] * [[1, 2, 1], [2, 4, 2], [1, 2, 1]]).sum() / 16, abs=0.5
-    )
-    mosaic = np.tile([[100, 200], [200, 400]], (ROWS // 2, COLUMNS // 2)).astype("u2")  # an even colour
-    tifffile.imwrite(path, mosaic, photometric=32803)
-    assert set(read_image(path).ravel()) == {225}
-    tifffile.imwrite(path, mosaic, photometric="minisblack")
-    with pytest.raises(FrameError, match="no sensor's values"):
-        read_image(path)
 
 
 def test_buffers_of_davis_and_sets_of_them(tmp_path):

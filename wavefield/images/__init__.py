@@ -1,128 +1,115 @@
 """Reading and writing image files: one grey image at a time."""
 
-import logging
+import re
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
+import imagecodecs
 import numpy as np
+import simplejpeg
 import tifffile
 
 from wavefield.atomic_write import ANY_FILE, atomic
 from wavefield.errors import FrameError, StoreError
 from wavefield.file_access import accessing
+from wavefield.images import tiff
 from wavefield.images.davis_image import read_buffer
-from wavefield.images.dng import read_dng
-from wavefield.images.jpeg_scan import is_damaged
-from wavefield.images.plain_tiff import read_plain_tiff
-from wavefield.images.tiff_page import page_of, read_page
+from wavefield.text import one_line
 
-logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported here
-TIFF_ENDINGS = (".tif", ".tiff")
-TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-FILE_ENDS = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
+ENDINGS = (*tiff.ENDINGS, ".png", ".bmp", ".jpg", ".jpeg")
 CONVERTED = (np.uint8, np.uint16, np.float32)  # colour images of these types are made grey by OpenCV
-LUMINANCE = np.array([0.114, 0.587, 0.299])  # of blue, green, red, as OpenCV has it
-TAIL_BYTES = 4096  # at the end of a complete file, which contain these
+LUMINANCE = np.array([0.299, 0.587, 0.114])  # of red, green, blue, as OpenCV has it
 
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
-    """Read one grey image, (row, column), as stored: TIFF, PNG, BMP, JPEG, DNG, LaVision's IM7.
-    Of a file of several images the page has to be named; raises `FrameError`.
+    """Read one grey image, (row, column), as stored: TIFF, PNG, BMP, JPEG, LaVision's IM7.
+
+    Of a file with several images the page has to be named. Raises `FrameError`.
     """
+    path = Path(path)
     with accessing(path, FrameError):
-        return _read(path, page)
+        if path.suffix.lower() == ".im7":
+            return read_buffer(path, page or None)
+        try:
+            with path.open("rb") as stream:
+                return _read(stream, str(path), page)
+        except FileNotFoundError:
+            raise FrameError(f"{path}: no such image") from None
+        except IsADirectoryError:
+            raise FrameError(f"{path} is a folder, not an image") from None
+        except OSError as error:
+            raise FrameError(f"{path} cannot be read: {error.strerror or error}") from None
 
 
-def _read(path: str | Path, page: int | None) -> np.ndarray:
-    ending = Path(path).suffix.lower()
-    if ending == ".im7":
-        return read_buffer(path, page or None)
-    if ending == ".dng":
-        return read_dng(path)
-    if ending in TIFF_ENDINGS:
-        return _checked(_read_tiff(Path(path), page), str(path))
-    with _quiet():
-        image = _read_file(path)
-    if image is None:
-        image = _read_otherwise(Path(path), page)
-    return _checked(image, str(path))
+def decode_image(data: bytes, name: str) -> np.ndarray:
+    """Read one grey image, (row, column), from the bytes of a file other than IM7."""
+    return _read(BytesIO(data), name, None)
 
 
-def _read_tiff(path: Path, page: int | None) -> np.ndarray:
-    """Read a page of a TIFF file: plain ones at once, others by OpenCV as far as their tags allow it."""
-    if page is None and (image := read_plain_tiff(path)) is not None:
-        return image
+def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
+    start = stream.read(4)
+    stream.seek(0)
+    if start in tiff.STARTS:
+        images = tiff.TiffImages(stream, name)
+        if page is None and images.count != 1:
+            raise FrameError(
+                f"{name} has {images.count} images; name this file alone to read all, or save each to a file"
+                if images.count
+                else f"{name} is corrupt or truncated: it has no image"
+            )
+        return grey(images.read(page or 0))
     try:
-        with tifffile.TiffFile(path) as tiff:
-            found = page_of(tiff, page, str(path))
-    except FrameError:
-        raise
-    except Exception:  # perhaps another kind of image under this name; else it is reported what is wrong
-        found = page or 0
-    if not isinstance(found, int):
-        return found
-    with _quiet(), suppress(cv2.error):
-        if not found:
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        else:
-            image = next(iter(cv2.imreadmulti(str(path), found, 1, flags=cv2.IMREAD_UNCHANGED)[1]), None)
-        if image is not None:
-            return image
-    return _read_otherwise(path, found)
-
-
-def _checked(image: np.ndarray, name: str) -> np.ndarray:
-    """The image in grey, refused if a damaged header gave it another number of dimensions."""
+        image = _decode(stream.read(), start)
+    except (imagecodecs.PngError, ValueError, cv2.error, MemoryError) as error:
+        words = one_line(error)
+        if re.search("unsupported (jpeg|color)", words, re.IGNORECASE):  # a kind, not a damaged marker
+            raise FrameError(f"{name} is not supported ({words}); save it as TIFF or PNG") from None
+        raise FrameError(f"{name} is corrupt or truncated: {words}; copy it again from the camera") from None
+    if image is None:
+        raise FrameError(_unknown(name, start))
     if image.ndim not in (2, 3) or not image.size:
         raise FrameError(f"{name} is corrupt: its header is that of no image; copy it again from the camera")
     return grey(image)
 
 
-def decode_image(data: bytes, name: str) -> np.ndarray:
-    """Read one grey image, (row, column), from the bytes of a file that is neither DNG nor IM7."""
-    image: np.ndarray | None
-    if data[:4] in TIFF_STARTS:
-        try:
-            with tifffile.TiffFile(BytesIO(data)) as tiff:
-                found = page_of(tiff, None, name)
-                if isinstance(found, int):
-                    image = _decoded(data, name) if not found else None
-                    image = read_page(tiff, found) if image is None else image
-                else:
-                    image = found
-        except FrameError:
-            raise
-        except Exception as error:
-            raise FrameError(f"{name} is corrupt or truncated: {error}") from None
-    else:
-        image = _decoded(data, name)
-    if image is None:
-        state = "not an image, corrupt or truncated" if data else "empty"
-        raise FrameError(f"{name} is {state}; copy it again from the camera")
-    return _checked(image, name)
-
-
-def _decoded(data: bytes, name: str) -> np.ndarray | None:
-    last = FILE_ENDS.get(Path(name).suffix.lower(), b"")
-    jpeg = data[:3] == b"\xff\xd8\xff"
-    if not data or last not in data[-TAIL_BYTES:] or (jpeg and is_damaged(data)):
-        return None
-    with _quiet(), suppress(cv2.error):
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+def _decode(data: bytes, start: bytes) -> np.ndarray | None:
+    """An image by its first bytes, colours red first; None if it is of no kind that is read."""
+    if start == PNG:
+        return np.asarray(imagecodecs.png_decode(data))
+    if start[:3] == JPEG:  # strict: what libjpeg only warns of is an error
+        return np.asarray(simplejpeg.decode_jpeg(data, "GRAY", strict=True))[..., 0]
+    if start[:2] == BMP:
+        with _quiet():
+            image: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise ValueError("its pixels do not fit its header")
+        return image if image.ndim == 2 else image[..., 2::-1]
     return None
 
 
+def _unknown(name: str, start: bytes) -> str:
+    """Why a file without the first bytes of an image cannot be read."""
+    if not start:
+        return f"{name} is empty; copy it again from the camera"
+    ending = Path(name).suffix.lower()
+    if ending in ENDINGS:
+        return f"{name} is corrupt: it does not begin as {ending} does; copy it again from the camera"
+    return f"{name}: {ending or 'a name without ending'} is not supported; export TIFF or PNG"
+
+
 def grey(image: np.ndarray) -> np.ndarray:
-    """Luminance of a colour image, blue first as OpenCV reads it; a grey one is returned as it is."""
+    """Luminance of a colour image (red, green, blue; alpha is ignored); a grey one is returned as it is."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
         return np.ascontiguousarray(image[..., 0])
     if image.dtype in CONVERTED:
-        return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
+        return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_RGB2GRAY)
     luminance = image[..., :3] @ LUMINANCE
     return np.asarray(np.rint(luminance) if image.dtype.kind in "iu" else luminance, image.dtype)
 
@@ -138,45 +125,12 @@ def _quiet() -> Iterator[None]:
             cv2.utils.logging.setLogLevel(before)
 
 
-def _read_file(path: str | Path) -> np.ndarray | None:
-    """Read an image with OpenCV; None if it is damaged or of another kind."""
-    try:
-        if Path(path).suffix.lower() in FILE_ENDS:
-            # checked beforehand: OpenCV decodes the rest of a truncated file, and its libraries complain
-            return _decoded(Path(path).read_bytes(), str(path))
-        return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except (cv2.error, OSError):
-        return None
-
-
-def _read_otherwise(path: Path, page: int | None) -> np.ndarray:
-    """Read what OpenCV cannot, or report what is wrong with the file."""
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(4)
-    except FileNotFoundError:
-        raise FrameError(f"{path}: no such image") from None
-    except OSError as error:
-        raise FrameError(f"{path} cannot be read: {error.strerror}") from None
-    if start in TIFF_STARTS:
-        try:
-            with tifffile.TiffFile(path) as tiff:
-                found = page_of(tiff, page, str(path))
-                return read_page(tiff, found) if isinstance(found, int) else found
-        except FrameError:
-            raise
-        except Exception as error:
-            raise FrameError(f"{path} is corrupt or truncated: {error}") from None
-    state = "not an image, corrupt or truncated" if start else "empty"
-    raise FrameError(f"{path} is {state}; copy it again from the camera")
-
-
 def write_image(path: str | Path, image: np.ndarray) -> None:
     """Write one grey image atomically, as uncompressed TIFF or as PNG by the name's ending."""
     path = Path(path)
     try:
         with atomic(path, ANY_FILE) as draft:
-            if path.suffix.lower() in TIFF_ENDINGS:
+            if path.suffix.lower() in tiff.ENDINGS:
                 tifffile.imwrite(draft, image)
             else:
                 draft.write_bytes(cv2.imencode(path.suffix, image)[1].tobytes())

@@ -5,16 +5,15 @@ from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeVar, cast
 
 import cv2
 import numpy as np
-import tifffile
 
 from wavefield.errors import FrameError
 from wavefield.file_access import accessing
 from wavefield.images import grey, read_image
-from wavefield.images.tiff_page import as_bright, frame_pages, refuse_page
+from wavefield.images.tiff import TiffImages
 from wavefield.series.formats import file_of, open_recording
 from wavefield.series.remote import is_remote, read_remote
 
@@ -54,7 +53,7 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
         return read_remote(entry.path)
     with accessing(entry.path, FrameError), _lock:  # open files keep a position, which threads must not share
         if entry.kind == "page":
-            return _read_page(entry)
+            return grey(_open(entry.path, _open_tiff).read(entry.image))
         if entry.kind == "video":
             return _open(entry.path, _Video).read(entry.image)
         if entry.kind == "recording":
@@ -93,7 +92,9 @@ def _count_images(path: Path, ending: str) -> tuple[Kind, int]:
     if ending == ".zarr" or path.is_dir():
         return "zarr", _open_array(str(path)).count
     if ending in (".tif", ".tiff"):
-        count = _count_pages(path)
+        images = _open_tiff(str(path))
+        images.close()
+        count = images.count
         return ("page", count) if count > 1 else ("file", 1)
     if not path.is_file():
         raise FrameError(f"{path}: no such image")
@@ -125,55 +126,14 @@ def _open(path: str, opener: Callable[[str], Opened]) -> Opened:
     return cast(Opened, _open_files[key])
 
 
-class _Tiff:
-    """A TIFF file of many images; thumbnails among them are left out."""
-
-    def __init__(self, path: str) -> None:
-        try:
-            self.file = tifffile.TiffFile(path)
-            self.pages = frame_pages(self.file)
-        except Exception as error:  # of many kinds, by the damage
-            raise FrameError(f"{path} cannot be read: {error}") from None
-
-    def close(self) -> None:
-        self.file.close()
-
-
-def _count_pages(path: Path) -> int:
-    tiff = _Tiff(str(path))
-    tiff.close()
-    return len(tiff.pages)
+def _open_tiff(path: str) -> TiffImages:
+    return TiffImages(path, path)
 
 
 def _open_array(path: str) -> "ZarrImages":
     from wavefield.series.formats.zarr_array import ZarrImages  # Zarr takes long to import
 
     return ZarrImages(path)
-
-
-def _read_page(entry: FrameEntry) -> np.ndarray:
-    tiff = _open(entry.path, _Tiff)
-    try:
-        number = tiff.pages[entry.image]
-        page: Any = tiff.file.pages[number]
-    except IndexError:
-        raise FrameError(f"{entry.path} has no image {entry.image}: is it truncated?") from None
-    except Exception as error:
-        raise FrameError(f"{entry} cannot be read: {error}") from None
-    if page.compression != tifffile.COMPRESSION.NONE or page.bitspersample not in (8, 16, 32):
-        return read_image(entry.path, number)
-    if page.photometric == tifffile.PHOTOMETRIC.PALETTE:
-        return read_image(entry.path, number)
-    refuse_page(page, str(entry))
-    try:
-        image = as_bright(page, page.asarray())
-    except FrameError:
-        raise
-    except Exception as error:
-        raise FrameError(f"{entry} is corrupt or truncated: {error}") from None
-    if image.ndim not in (2, 3) or not image.size:
-        raise FrameError(f"{entry} is corrupt: its header is that of no image")
-    return grey(image)
 
 
 class _Video:
@@ -199,7 +159,7 @@ class _Video:
             self._next = -1
             raise FrameError(f"{self.path}, image {index}: cannot be decoded")
         self._next = index + 1
-        return grey(image)
+        return grey(image[..., ::-1] if image.ndim == 3 else image)
 
     def close(self) -> None:
         self._capture.release()

@@ -12,8 +12,7 @@ from numba.core.base import BaseContext
 from numba.core.typing.templates import Signature
 
 from wavefield.compiled import compiled
-from wavefield.images.plain_tiff import fill
-from wavefield.series.formats.recording import Pixels, Stream
+from wavefield.series.formats.recording import Pixels, Stream, fill
 
 LANES = 8  # pixels that are unpacked together: of 10 or 12 bits they begin and end with a byte
 LOADED_BYTES = 16  # bytes that are loaded for them, more than they fill

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
-from wavefield.images.plain_tiff import fill
 
 Pixels = NDArray[Any]
 Times = NDArray[np.float64]
@@ -36,6 +35,16 @@ class Recording(Protocol):
 
     def close(self) -> None:
         """Close the file."""
+
+
+def fill(out: Pixels, stream: Stream) -> None:
+    """Read bytes until an array is full; `EOFError` where there are too few."""
+    rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
+    while rest:
+        count = stream.readinto(rest)
+        if not count:
+            raise EOFError
+        rest = rest[count:]
 
 
 def no_times() -> Times:

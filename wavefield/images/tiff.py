@@ -1,0 +1,140 @@
+"""TIFF files, decoded by tifffile and imagecodecs.
+
+Pixels are those of the sensor: an orientation tag turns nothing, because a rig belongs to the images as they
+were stored. Bright is bright: values are inverted where the tags state that the smallest is white.
+"""
+
+import logging
+from collections.abc import Sequence
+from typing import Any, BinaryIO
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+from tifffile import COMPRESSION, PHOTOMETRIC
+
+from wavefield.errors import FrameError
+from wavefield.text import one_line
+
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported here
+ENDINGS = (".tif", ".tiff")
+STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+GREY = (PHOTOMETRIC.MINISBLACK, PHOTOMETRIC.MINISWHITE)
+COLOUR = (PHOTOMETRIC.RGB, PHOTOMETRIC.PALETTE)
+JPEG = (COMPRESSION.JPEG, COMPRESSION.OJPEG)  # their YCbCr is decoded as RGB
+PAGES_TRIED = 4  # for thumbnails: where these have none, no page has
+
+
+class TiffImages:
+    """The images of a TIFF file, (row, column) or (row, column, red-green-blue); thumbnails are left out.
+
+    ImageJ's stacks beyond 4 GB have one directory for all images, which follow one another.
+    """
+
+    def __init__(self, source: str | BinaryIO, name: str) -> None:
+        self.name = name
+        try:
+            self.file = tifffile.TiffFile(source)
+            pages: Any = self.file.pages
+            some = [pages[k] for k in range(min(len(pages), PAGES_TRIED))]
+            self._pages: Sequence[int] = range(len(pages))
+            if not all(map(_is_frame, some)):
+                self._pages = [k for k in self._pages if _is_frame(pages[k])]
+            stacked = int((self.file.imagej_metadata or {}).get("images", 1)) if len(pages) == 1 else 1
+        except FileNotFoundError:
+            raise FrameError(f"{name}: no such image") from None
+        except Exception as error:  # of many kinds, by the damage
+            raise _corrupt(name, error) from None
+        self._stacked = stacked > 1
+        self.count = stacked if self._stacked else len(self._pages)
+
+    def read(self, index: int) -> NDArray[Any]:
+        """Read one image."""
+        try:
+            number = index if self._stacked else self._pages[index]
+            page: Any = self.file.pages[0 if self._stacked else number]
+        except IndexError:
+            raise FrameError(f"{self.name} has no image {index}: is it truncated?") from None
+        except Exception as error:
+            raise _corrupt(self.name, error) from None
+        refuse_page(page, self.name)
+        try:
+            _refuse_missing_parts(page, self.file.filehandle.size)
+            if self._stacked and index:
+                return _as_bright(page, self._in_stack(page, index), self.name)
+            return _as_bright(page, page.asarray(), self.name)
+        except FrameError:
+            raise
+        except Exception as error:
+            raise _corrupt(self.name, error) from None
+
+    def _in_stack(self, page: Any, index: int) -> NDArray[Any]:
+        """An image after the first of a stack with one directory."""
+        if page.compression != COMPRESSION.NONE:
+            raise FrameError(f"{self.name} is a compressed stack with one directory; save each image")
+        handle = self.file.filehandle
+        handle.seek(page.dataoffsets[0] + index * page.nbytes)
+        dtype = page.dtype.newbyteorder(self.file.byteorder)
+        pixels = handle.read_array(dtype, int(np.prod(page.shape)))
+        return np.asarray(pixels.reshape(page.shape), page.dtype)
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+
+def _corrupt(name: str, error: Exception) -> FrameError:
+    return FrameError(f"{name} is corrupt or truncated: {one_line(error)}; copy it again from the camera")
+
+
+def _is_frame(page: tifffile.TiffPage) -> bool:
+    return not (page.is_reduced or page.is_mask)
+
+
+def refuse_page(page: Any, name: str) -> None:
+    """Refuse a page that is not one grey or colour image of real numbers, or of a coding not supported."""
+    if page.dtype is not None and page.dtype.kind == "c":
+        raise FrameError(f"{name} has complex pixels; save their magnitudes")
+    if page.imagedepth > 1:
+        raise FrameError(f"{name} is a volume of {page.imagedepth} slices; save each as an image")
+    if page.compression not in tifffile.TIFF.DECOMPRESSORS:
+        raise FrameError(f"{name}: compression {_words(page.compression)} is not supported; save it plain")
+    ycbcr = page.photometric == PHOTOMETRIC.YCBCR and page.compression in JPEG
+    if page.photometric not in (*GREY, *COLOUR) and not ycbcr:
+        raise FrameError(f"{name}: pixels of kind {_words(page.photometric)} are not supported; save in grey")
+    colours = 1 if page.photometric in (*GREY, PHOTOMETRIC.PALETTE) else 3
+    if page.samplesperpixel - len(page.extrasamples) > colours or len(page.extrasamples) > 1:
+        raise FrameError(f"{name} has {page.samplesperpixel} channels; save one of them as a grey image")
+    if 0 in page.shape:
+        raise FrameError(f"{name} is corrupt: its header is that of no image; copy it again from the camera")
+    if page.dtype is None or len(page.shape) not in (2, 3):
+        raise FrameError(f"{name}: pixels of {page.bitspersample} bits are not supported; save 8 or 16 bits")
+    if page.subifds and any(inner.size > page.size for inner in page.pages):
+        raise FrameError(f"{name} has a larger image inside of another (SubIFD); save that as a plain TIFF")
+
+
+def _words(code: Any) -> str:
+    return getattr(code, "name", str(code))
+
+
+def _refuse_missing_parts(page: Any, size: int) -> None:
+    """Refuse strips or tiles without data, or beyond the end of the file, which tifffile fills with zeros."""
+    ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
+    if not ends or min(page.databytecounts) == 0 or max(ends) > size:
+        raise ValueError("the file ends before its pixels")
+
+
+def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
+    """Pixels of a page: channels last and without alpha, colours from the palette, bright where it was so."""
+    if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
+        image = np.moveaxis(image, 0, -1)
+    if page.extrasamples:
+        image = image[..., : -len(page.extrasamples)]
+        image = image[..., 0] if image.shape[-1] == 1 else image
+    if page.photometric == PHOTOMETRIC.PALETTE:
+        return np.asarray(np.moveaxis(page.colormap[:, image] >> 8, 0, -1), np.uint8)
+    if page.photometric == PHOTOMETRIC.MINISWHITE:
+        if image.dtype.kind not in "ub":
+            raise FrameError(f"{name} is a negative (MinIsWhite) of signed numbers; save it as MinIsBlack")
+        image = ~image if image.dtype == bool else image.dtype.type(2**page.bitspersample - 1) - image
+    return np.where(image, np.uint8(255), np.uint8(0)) if image.dtype == bool else image
