@@ -33,7 +33,7 @@ STATUS = {
     FrameStatus.DONE: "measured",
     FrameStatus.DONE_WITH_FAULTS: "measured, without a frame or with too few nodes",
     FrameStatus.FAILED: "could not be measured; NaN",
-    FrameStatus.DISCONTINUOUS: "over a lost, duplicated or mistimed frame, or beside it; NaN in opened cubes",
+    FrameStatus.DISCONTINUOUS: "over a lost, doubled or late frame, or beside it; NaN",
 }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.quality.quality_limits import RECORD_LIMITS
-from wavefield.quality.stored_values import kinematic_misfit
+from wavefield.quality.time_check import kinematic_misfit
 from wavefield.robust import PER_MEDIAN
 from wavefield.text import spell_time
 from wavefield.variables import Quality

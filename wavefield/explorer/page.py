@@ -35,7 +35,7 @@ _RECHECK_MS = 2000  # between checks of the ledger of a cube that is being writt
 _STATUS_WORDS = {
     FrameStatus.NOT_STARTED: " – not measured yet",
     FrameStatus.FAILED: " – this step could not be measured",
-    FrameStatus.DISCONTINUOUS: " – this step does not continue its neighbours, and opened cubes leave it out",
+    FrameStatus.DISCONTINUOUS: " – a frame was lost, doubled or late here; the step is left out",
 }
 _COLOURS = {"note": "#00664b", "remark": "#7a5200", "grave": "#a83d00"}
 _CODE = re.compile(r"`([^`]+)`")

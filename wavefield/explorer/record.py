@@ -21,7 +21,7 @@ from wavefield.store.checked import chunk_path
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.ledger_files import LEDGER, check_chunks
 from wavefield.store.metadata import WATCHED
-from wavefield.store.read import mark_discontinuous, open_group, read_layout
+from wavefield.store.read import open_group, read_layout
 from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
 
@@ -81,7 +81,7 @@ class CubeRecord:
 
     def refresh(self) -> bool:
         """Read the ledger again; returns whether it has changed."""
-        ledger = mark_discontinuous(np.asarray(self.group["frame_status"][:]), self.group.attrs)
+        ledger = np.asarray(self.group["frame_status"][:])
         changed = ledger != self.ledger
         for key in [key for key in self._cache if changed[key[1]]]:
             self._cache.pop(key, None)

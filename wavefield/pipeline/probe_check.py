@@ -8,7 +8,7 @@ from wavefield.errors import WavefieldError
 from wavefield.pipeline.experiment_of_cube import load_experiment
 from wavefield.quality.probe_remarks import compare_probes, remark_on_fits, remark_on_probe_file
 from wavefield.series import Experiment
-from wavefield.store.read import open_as_measured, open_group
+from wavefield.store.read import open_cube, open_group
 from wavefield.store.verdict import Remark
 
 
@@ -27,7 +27,7 @@ def check_probes(experiment: Experiment, span: tuple[float, float]) -> tuple[lis
         sentence += "; state where they are (`places: {name: [x, y]}` in `probes:`) to compare them with z"
     cube = _own_cube(experiment)
     if cube is not None and not remarks:
-        fits, dt = compare_probes(experiment, open_as_measured(cube))
+        fits, dt = compare_probes(experiment, open_cube(cube))
         remarks += remark_on_fits(fits, dt)
         if fits:
             correlations = ", ".join(f"{fit.name} {fit.best:.2f}" for fit in fits)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -23,20 +24,27 @@ from wavefield.quality.field_remarks import (
     remark_on_eps_piv,
     remark_on_fast_waves,
     remark_on_holes,
-    remark_on_scattered_heights,
     remark_on_unresolved_waves,
 )
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
-from wavefield.quality.stored_values import COMPARED, remark_on_stored_values
+from wavefield.quality.time_check import (
+    COMPARED,
+    remark_on_jitter,
+    remark_on_kinematics,
+    remark_on_steps_left_out,
+    rise_ratios,
+    steps_to_leave_out,
+)
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.ledger import Status
-from wavefield.store.read import open_as_measured
+from wavefield.store.read import open_cube
 from wavefield.store.verdict import Remark, Verdict
+from wavefield.store.write_cube import clear_steps
 from wavefield.text import spell_ranges
-from wavefield.variables import Quality
+from wavefield.variables import FrameStatus, Quality
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,6 @@ class RunLimits:
     instants: int = 4  # of a record, compared before a run and after it
     instants_for_delays: int = 24  # of a record, by which delays of cameras are measured after its run
     instants_for_first_delays: int = 4  # the same before it
-    instants_for_scatter: int = 3  # of a record, at which the scatter of heights is measured
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
     without_camera: tuple[float, float] = (0.01, 0.1)  # fraction of the nodes: more is noted, remarked upon
@@ -113,7 +120,7 @@ def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
 def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
     """The verdict on a cube whose run has ended."""
     experiment, series = prepared.experiment, prepared.series
-    faults, cube = compare_cameras(prepared), open_as_measured(status.store)
+    faults, cube = compare_cameras(prepared), open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
     sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
     sheet = prepared.geometry.settings.sheet_thickness is not None
@@ -127,9 +134,8 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
         *remark_on_probes(experiment, cube, record_span(experiment, series)),
         *_steps(status),
         *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
-        *(remark_on_stored_values(cube, sample) if comparable else ()),
+        *(_stored_values(cube, sample) if comparable else ()),
         *_short_waves(sample, prepared),
-        *remark_on_scattered_heights(*_height_scatter(prepared)),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
 
@@ -193,21 +199,22 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         )
 
 
-def _height_scatter(prepared: PreparedRun) -> tuple[float, float]:
-    """Typical scatter of the heights of single blocks at some frames: variance and third moment."""
-    from wavefield.measurement.height_scatter import height_scatter
+def leave_out_discontinuous_steps(path: Path) -> None:
+    """Clear the steps of a finished cube that lie on both sides of a lost, doubled or late frame.
 
-    geometry, model = prepared.geometry, prepared.model
-    if model is None or geometry.settings.sheet_thickness is not None:
-        return np.nan, np.nan
-    found = []
-    for k in evenly_spaced(prepared.steps + 1, LIMITS.instants_for_scatter):
-        images = {name: one.read(k).image for name, one in prepared.series.items()}
-        covered = {name: one.covered(k) for name, one in prepared.series.items()}
-        if all(image is not None for image in images.values()):
-            found.append(height_scatter(images, geometry, model, covered))
-    variance, third_moment = np.median(found, axis=0) if found else (np.nan, np.nan)
-    return float(variance), float(third_moment)
+    Where a run is cut off meanwhile, the next one finds their status and does the rest.
+    """
+    cube = open_cube(path)
+    found = steps_to_leave_out(rise_ratios(cube).discontinuous(), cube.sizes["time"])
+    before = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
+    if steps := sorted({*found.tolist(), *before.tolist()}):
+        clear_steps(path, steps)
+
+
+def _stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Remark]:
+    yield from remark_on_kinematics(sample)
+    yield from remark_on_steps_left_out(cube)
+    yield from remark_on_jitter(rise_ratios(cube), sample)
 
 
 def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:

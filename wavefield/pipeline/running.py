@@ -37,7 +37,7 @@ from wavefield.store.metadata import mark_complete, restore_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import measured_rate, open_group, read_layout
 from wavefield.store.recipe import check_recipe
-from wavefield.store.relabel import relabel, state_findings
+from wavefield.store.relabel import relabel
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import VERDICT, read_verdict
 from wavefield.store.verify import suspicious
@@ -164,12 +164,12 @@ def process(
             ) from None
     with deferred_signals():  # what only the end needs comes when the rest is done
         from wavefield.pipeline.pair_statistics import store_pair_statistics
-        from wavefield.pipeline.run_quality import assess_run
+        from wavefield.pipeline.run_quality import assess_run, leave_out_discontinuous_steps
     found = status(path)
     if found.complete:
+        leave_out_discontinuous_steps(path)
         store_pair_statistics(prepared, path)
     verdict = assess_run(prepared, found)
-    state_findings(path, {name: value for one in verdict.remarks for name, value in one.values.items()})
     verdict.save(path)
     if found.complete:
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))

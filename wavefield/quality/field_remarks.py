@@ -16,8 +16,6 @@ MAX_USEFUL_EPS_PIV = 0.5  # px: a larger one makes values useless
 MAX_UNRESOLVED = 0.3  # of the variance of w by waves that images do not resolve: more is remarked upon
 MAX_FAST = 0.3  # of the variance of w by waves that frames do not follow: more is remarked upon
 NOTED_FAST = 0.003  # more is noted
-LEAST_HEIGHT_MOMENT = -0.6  # third moment of single blocks over noise: sound seas have -0.45 and more
-MAX_HEIGHT_SCATTER = 3.3  # of single blocks over noise, variance: sound seas have 0.4 to 2.9
 UNRESOLVED_STD = 2.0  # standard uncertainties of w with them over those without: more is noted
 
 
@@ -103,26 +101,3 @@ def remark_on_fast_waves(share: float, wavelength: float, frame_rate: float) -> 
             "take images at twice the frame rate or more; longer waves are sound",
             {"fraction": share, "wavelength": wavelength},
         )
-
-
-def remark_on_scattered_heights(variance: float, third_moment: float) -> Iterator[Remark]:
-    """Report that the heights of single blocks scatter by more than noise, or that some are far too low.
-    Both are over the noise (`height_scatter`).
-    """
-    if variance > MAX_HEIGHT_SCATTER:
-        found = f"heights of neighbouring beads scatter by {variance:.1f} times the variance of noise"
-        limit = f"at most {MAX_HEIGHT_SCATTER}"
-    elif third_moment < LEAST_HEIGHT_MOMENT:
-        found = f"some beads are lower than those around and few higher (third moment {third_moment:.1f})"
-        limit = f"at least {LEAST_HEIGHT_MOMENT}"
-    else:
-        return
-    yield Remark(
-        "surface",
-        "scattered heights",
-        "remark",
-        f"{found}: z and velocities may be off by more than their standard uncertainties",
-        limit,
-        "are beads under the water, wet or sinking? else waves are too short for these pixels",
-        {"variance_ratio": variance, "third_moment": third_moment},
-    )

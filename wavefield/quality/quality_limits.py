@@ -31,9 +31,8 @@ class RecordLimits:
     hours: float = 24.0  # duration of a record
     uneven_interval: float = 0.5  # by which two frames may be further apart than their numbers state
     clock_drift: float = 0.1  # intervals
-    discontinuity: float = 0.3  # of a step's factor, part of the median; sound steps depart by 0.06 at most
+    discontinuity: float = 0.3  # logarithm of a step's ratio over that of its neighbours: `time_check`
     jitter: float = 1.0  # standard uncertainties by which jitter of the frame times makes values wrong
-    jitter_noted: float = 0.5  # of these
     kinematic_misfit: float = 1.6  # sound seas have 0.1 to 1.2
     kinematic_misfit_grave: float = 3.0
 

@@ -13,7 +13,7 @@ from xarray.core import indexing
 from wavefield.series.departures import frame_departures
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
-from wavefield.store.read import FOUND_AFTER_RUN, open_as_measured, open_cube
+from wavefield.store.read import open_cube
 from wavefield.variables import TABLE
 
 CHUNK_BYTES = 100_000_000  # read at once
@@ -132,8 +132,7 @@ class ExperimentBackend(BackendEntrypoint):
 
 def _cube(path: Path) -> xr.Dataset:
     """A cube as `open_cube` gives it; ``chunks={}`` of xarray takes the chunks of the store."""
-    changed = any(name in open_as_measured(path, chunks=None).attrs for name in FOUND_AFTER_RUN)
-    cube = open_cube(path, "auto" if changed else None)  # what differs from the store is computed when read
+    cube = open_cube(path, None)
     for variable in cube.variables.values():
         if "time" in variable.dims:
             steps = {"time": int(cube.attrs["steps_per_block"])}

@@ -187,7 +187,7 @@ def status(store: str | Path) -> Status:
         experiment=str(group.attrs["experiment"]),
         recipe_hash=str(group.attrs["recipe_hash"]),
         steps=layout.steps,
-        done=int(np.count_nonzero(ledger == FrameStatus.DONE)),
+        done=int(np.isin(ledger, (FrameStatus.DONE, FrameStatus.DISCONTINUOUS)).sum()),
         faulty=int(np.count_nonzero(ledger == FrameStatus.DONE_WITH_FAULTS)),
         failed=failed.size,
         failed_steps=tuple((layout.first_frame + failed).tolist()),

@@ -1,13 +1,11 @@
 """Opening a store and reading its description."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
 from wavefield.store.checked import CheckedStore
@@ -16,19 +14,13 @@ from wavefield.store.layout import PACKING, StoreLayout
 from wavefield.store.ledger_files import check_chunks
 from wavefield.store.metadata import check_metadata
 from wavefield.text import one_line
-from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, annotate
+from wavefield.variables import TABLE, annotate
 from wavefield.water import water_coordinates
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
 
 Chunks = dict[str, int] | int | Literal["auto"] | None
-# Jitter of the frame times that a run found when it ended, and no time stamps state: std of the moment of z,
-# frame intervals, and relative error of velocities
-JITTER = ("elevation_jitter", "velocity_jitter")
-# Steps, from 0, that a run found discontinuous when it ended, and those whose six frames lie on both sides
-DISCONTINUOUS_STEPS = "discontinuous_steps"
-FOUND_AFTER_RUN = (*JITTER, DISCONTINUOUS_STEPS)
 
 
 def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
@@ -83,9 +75,8 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     Dataset
         The variables of `wavefield.variables`, attributes with the recipe; steps not yet measured are NaN.
         The water's depth, where it is stated, is a coordinate as well, which every variable keeps.
-        Where the run found jitter of the frame times that no time stamps state, the standard uncertainties
-        contain it (`with_jitter`). Steps over frames that it found lost, duplicated or mistimed are NaN as
-        well; their ``frame_status`` is 4.
+        Steps over frames that the run found lost, doubled or late are NaN as well; their ``frame_status`` is
+        4.
         The names of the cameras and the response to waves (``gain_z``, ...) are coordinates; the recipe, the
         rig, the response and the flags of `quality` are read with ``cube.wavefield``.
 
@@ -115,12 +106,6 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     >>> missing
     True
     """
-    cube = without_discontinuous(with_jitter(open_as_measured(path, chunks)))
-    return annotate(cube.assign_coords(water_coordinates(cube.attrs)))
-
-
-def open_as_measured(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
-    """As `open_cube`, with all values and uncertainties as they were measured, step by step."""
     from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
 
     stored = open_stored(path, chunks)
@@ -134,51 +119,11 @@ def open_as_measured(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked
             cube[name] = cube[name].astype("float32")
-    return cube
-
-
-def with_jitter(cube: "xr.Dataset") -> "xr.Dataset":
-    """Add the jitter of the frame times that a cube's attributes state to its standard uncertainties.
-    It changes all velocities of a step by one factor, and gives its elevation at another moment.
-    """
-    import xarray as xr
-
-    late, factor = (float(cube.attrs.get(name, 0.0)) for name in JITTER)
-    if not late > 0:
-        return cube
-    parts = {name: factor * cube[name] for name in ("u", "v", "w")}
-    parts["z"] = late / float(cube.attrs["frame_rate"]) * cube["z_t"]
-    total = {
-        f"{name}_std": xr.apply_ufunc(
-            np.hypot, cube[f"{name}_std"], part, dask="allowed", keep_attrs="override"
-        )
-        for name, part in parts.items()
-    }
-    return cube.assign(total)
-
-
-def mark_discontinuous(status: NDArray[np.uint8], attributes: Mapping[str, Any]) -> NDArray[np.uint8]:
-    """Status of the steps, (n,), where those that the cube's attributes name are discontinuous."""
-    named = np.isin(np.arange(status.size), attributes.get(DISCONTINUOUS_STEPS, ()))
-    measured = np.isin(status, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
-    return np.where(named & measured, np.uint8(FrameStatus.DISCONTINUOUS), status)
-
-
-def without_discontinuous(cube: "xr.Dataset") -> "xr.Dataset":
-    """Leave out the values of discontinuous steps."""
-    if DISCONTINUOUS_STEPS not in cube.attrs:
-        return cube
-    kept = cube["frame_status"] != int(FrameStatus.DISCONTINUOUS)
-    fields = {name: cube[name] for name in CUBE_FIELDS if name in cube}
-    return cube.assign(
-        {n: one.where(kept, one.dtype.type(0 if n == "quality" else np.nan)) for n, one in fields.items()}
-    )
+    return annotate(cube.assign_coords(water_coordinates(cube.attrs)))
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
-    """Open all that a cube's store holds, as it is stored, but the status of discontinuous steps; parameters
-    and errors as of `open_cube`.
-    """
+    """Open all that a cube's store holds, as it is stored; parameters and errors as of `open_cube`."""
     import xarray as xr
 
     path = Path(str(path).removeprefix("file://"))
@@ -197,7 +142,4 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
             "left, remove it and run `wavefield run EXPERIMENT` again"
         ) from None
     out.encoding["source"] = str(path)
-    if DISCONTINUOUS_STEPS in out.attrs:
-        status = mark_discontinuous(out["frame_status"].values, out.attrs)
-        out["frame_status"] = out["frame_status"].copy(data=status)
     return out

@@ -18,7 +18,7 @@ from wavefield.atomic_write import writing
 from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, gather_metadata
 from wavefield.store.metadata import ARCHIVE, keep_metadata
-from wavefield.store.read import FOUND_AFTER_RUN, measured_rate, open_group
+from wavefield.store.read import measured_rate, open_group
 from wavefield.store.recipe import Recipe, differences
 from wavefield.variables import CUBE_FIELDS, TABLE
 
@@ -44,22 +44,6 @@ def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> lis
         # the recipe is written last, then the metadata are gathered for quick opening
         _write(open_group(path, "r+"), path, recipe, new)
     return changed
-
-
-def state_findings(path: Path, found: Mapping[str, object]) -> None:
-    """State in a cube's attributes what a run found of the frame times when it ended, if anything: jitter
-    and discontinuous steps, which `open_cube` takes into account.
-    """
-    new = {name: found[name] for name in FOUND_AFTER_RUN if name in found}
-    group = open_group(path)
-    if {name: group.attrs[name] for name in FOUND_AFTER_RUN if name in group.attrs} == new:
-        return
-    with writing(path):
-        group = open_group(path, "r+")
-        kept = {name: value for name, value in group.attrs.asdict().items() if name not in FOUND_AFTER_RUN}
-        group.attrs.put(kept | new)
-        gather_metadata(path)
-        keep_metadata(path)
 
 
 def _gathered(path: Path) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from wavefield.atomic_write import make_durable, writing
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
 from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import PACKING, in_16_bits
+from wavefield.store.layout import MISSING, PACKING, in_16_bits
 from wavefield.store.metadata import DESCRIPTIONS, WATCHED
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
@@ -62,13 +62,49 @@ def write_chunk(
         if "camera_shift" in group:
             group["camera_shift"][:, start:last] = _shifts(shifts or {}, layout.cameras, start, last)
         write_preview(path, group, start, fields)
-        chunk = start // layout.chunk_steps
-        _to_disk(path, chunk, WATCHED[:-1])
-        ledger = bytes(frame_status.astype(np.uint8)) + bytes(layout.chunk_steps - frame_status.size)
-        _keep_descriptions(path, group, chunk, ledger)
-        _to_disk(path, chunk, DESCRIPTIONS)
-        group["frame_status"][start:stop] = frame_status
-        _to_disk(path, chunk, ("frame_status",))
+        _to_disk(path, start // layout.chunk_steps, WATCHED[:-1])
+        _write_ledger(path, group, start, frame_status)
+
+
+def clear_steps(path: Path, steps: Sequence[int]) -> None:
+    """Mark measured steps as discontinuous and clear their values: NaN, and 0 in `quality`.
+
+    The status of all steps is written before any value: a run that is cut off finds it and clears the rest.
+    """
+    group = open_group(path, "r+")
+    layout = read_layout(group)
+    with writing(path):
+        cleared = {}
+        for start, stop in layout.chunks():
+            status = np.asarray(group["frame_status"][start:stop])
+            named = np.isin(np.arange(start, stop), steps)
+            named &= ~np.isin(status, (FrameStatus.NOT_STARTED, FrameStatus.FAILED))
+            if named.any():
+                cleared[start] = named, np.where(named, np.uint8(FrameStatus.DISCONTINUOUS), status)
+                _write_ledger(path, group, start, cleared[start][1])
+        for start, (named, status) in cleared.items():
+            fields = {}
+            for name in CUBE_FIELDS:
+                stored = np.asarray(group[name][start : start + named.size])
+                stored[named] = {"f": np.nan, "i": MISSING, "u": 0}[stored.dtype.kind]
+                group[name][start : start + named.size] = stored
+                packed = stored.dtype == np.int16
+                fields[name] = (
+                    np.where(stored == MISSING, np.nan, stored * PACKING[name]) if packed else stored
+                )
+            write_preview(path, group, start, fields)
+            _to_disk(path, start // layout.chunk_steps, WATCHED[:-1])
+            _write_ledger(path, group, start, status)
+
+
+def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.ndarray) -> None:
+    """Write what a chunk's files must be later, then its ledger."""
+    size = read_layout(group).chunk_steps
+    ledger = bytes(frame_status.astype(np.uint8)) + bytes(size - frame_status.size)
+    _keep_descriptions(path, group, start // size, ledger)
+    _to_disk(path, start // size, DESCRIPTIONS)
+    group["frame_status"][start : start + frame_status.size] = frame_status
+    _to_disk(path, start // size, ("frame_status",))
 
 
 def _keep_descriptions(path: Path, group: CubeGroup, number: int, ledger: bytes) -> None:

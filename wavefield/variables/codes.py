@@ -36,7 +36,7 @@ class FrameStatus(IntEnum):
     DONE = 1
     DONE_WITH_FAULTS = 2
     FAILED = 3
-    DISCONTINUOUS = 4  # in opened cubes: measured over a lost, duplicated or mistimed frame, or beside it
+    DISCONTINUOUS = 4  # over a lost, doubled or late frame, or beside it: no values
 
 
 class FrameFault(IntEnum):
