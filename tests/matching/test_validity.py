@@ -1,4 +1,3 @@
-import cv2
 import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth, uniform, wave
@@ -171,41 +170,3 @@ def test_wrong_use_is_refused_with_the_remedy(pair):
 def test_settings_that_make_no_sense_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes)).split("_")[0]):
         MatchSettings.piv(**changes)
-
-
-def weak_pair(like=True):
-    """Few particles hardly above the noise, moved by 3 and -2 px; or other ones in the second image."""
-    rng = np.random.default_rng(4)
-    shape, out = (420, 460), []
-    places = rng.uniform(0, 1, (900, 2)) * [shape[1] + 20, shape[0] + 20] - 10
-    for k in range(2):
-        if k and not like:
-            places = rng.uniform(0, 1, (900, 2)) * [shape[1] + 20, shape[0] + 20] - 10
-        x, y = (places + k * np.array([3.0, -2.0])).T
-        image = np.zeros(shape, np.float32)
-        inside = (x >= 1) & (x < shape[1] - 2) & (y >= 1) & (y < shape[0] - 2)
-        np.add.at(image, (y[inside].round().astype(int), x[inside].round().astype(int)), 300.0)
-        image = cv2.GaussianBlur(image, (0, 0), 1.2)
-        out.append(image + 50 + rng.normal(0, 20, shape).astype(np.float32))
-    return out
-
-
-def test_few_weak_particles_are_given_larger_windows_by_themselves():
-    a, b = weak_pair()
-    usual, chosen = match(a, b, MatchSettings.piv()), match(a, b)
-    assert usual.valid.mean() < 0.5
-    assert chosen.valid.mean() > max(0.7, 2 * usual.valid.mean())
-    assert np.median(np.hypot(chosen.u - 3, chosen.v + 2)[chosen.valid]) < 0.5
-    assert match(*weak_pair(like=False)).valid.mean() < 0.1
-
-
-@pytest.mark.real_data
-def test_the_weak_pair_from_the_platform_is_mostly_measured(shared):
-    from wavefield.images import read_image
-
-    folder = shared / "data" / "piv_samples" / "Milestone" / "Images"
-    a, b = (read_image(folder / f"im00505{letter}.png") for letter in "ab")
-    found = match(a, b)
-    assert found.valid.mean() > 0.6
-    assert np.median(found.u[found.valid]) == pytest.approx(0.71, abs=0.05)
-    assert np.median(found.v[found.valid]) == pytest.approx(-1.16, abs=0.05)

@@ -22,7 +22,7 @@ from wavefield.matching.block_lattice import (
     to_finer,
     window_weights,
 )
-from wavefield.matching.displacement import Displacement, Evaluation, Reason
+from wavefield.matching.displacement import Displacement, Evaluation
 from wavefield.matching.matching_gain import RESTORED_VARIANCE, displacement_area
 from wavefield.matching.matching_kernels import (
     BLOCK,
@@ -30,28 +30,18 @@ from wavefield.matching.matching_kernels import (
     WorkSpace,
     final_sums,
     plain_sums,
-    residual_image,
     robust_sums,
     unweighted_sums,
     work_space,
 )
-from wavefield.matching.matching_settings import MatchSettings, Range
-from wavefield.matching.patch_shifts import confirmed, shifts, widened
+from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level, PreparedImage, level_count, prepare
 from wavefield.matching.search import search
 
 # of the mean trace of the windowed Hessians: keeps steps small where images have little contrast
 RIDGE_FRACTION = 0.01
 MAX_STEP = 1.5  # px
-MIN_VALID_FRACTION = 0.5  # of the blocks: below, larger windows are tried
-MIN_VALID_RATIO = 2.0  # valid blocks of larger windows over those of the usual ones, to use them
 _TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE  # px^2: slopes within blocks depend little on it
-WIDE_WINDOWS = {
-    "window": 64.0,
-    "search_window": 40.0,
-    "min_correlation": 0.15,
-}  # the correlation is three standard deviations of that of unrelated images
-
 Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
 
 
@@ -69,9 +59,8 @@ def match(
     a, b : (h, w) array, or PreparedImage
         The two images; prepare an image that is used in several matches once.
     settings : MatchSettings, optional
-        Default `MatchSettings.piv()`; where most blocks are then invalid, as of large displacements or of few
-        and weak particles, the range of displacements that large patches show, or windows of 64 px that
-        accept a correlation of 0.15, if more than twice as many blocks are valid.
+        Default `MatchSettings.piv()`, which searches 16 px in each direction. For larger displacements give
+        `search_x` and `search_y`; for few or weak particles a larger `window` and a lower `min_correlation`.
     mask : (h, w) bool, optional
         True where pixels of both images may be used; for images that are not prepared.
     initial : Displacement, or (u, v), optional
@@ -105,8 +94,7 @@ def match(
     >>> round(float(np.median(d.u[d.valid])), 2), round(float(np.median(d.v[d.valid])), 2)
     (3.0, 2.0)
     """
-    if settings is None:
-        return _match_with_defaults(a, b, mask, initial)
+    settings = MatchSettings.piv() if settings is None else settings
     a, b = prepared_pair(a, b, settings, mask)
     u, v = _coarse(a, b, settings, initial)
     finest = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
@@ -124,44 +112,6 @@ def _coarse(
         u, v = _plain_steps(pair, u, v, settings.iterations[settings.levels - 1 - number])
         u, v = (to_finer(field, a.levels[number - 1].blocks) for field in (u, v))
     return u, v
-
-
-def _match_with_defaults(
-    a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, mask: np.ndarray | None, initial: Initial
-) -> Displacement:
-    """Match with the default settings, or with wide windows where these give many more valid blocks."""
-    usual = MatchSettings.piv()
-    a, b = prepared_pair(a, b, usual, mask)
-    found = match(a, b, usual, initial=initial)
-    valid_fraction = _valid_fraction(found)
-    if valid_fraction >= MIN_VALID_FRACTION:
-        return found
-    further = _further_range(a, b) if initial is None else None
-    if further is not None:
-        far = match(a, b, MatchSettings.piv(search_x=further[0], search_y=further[1]))
-        if _valid_fraction(far) > MIN_VALID_RATIO * valid_fraction:
-            return far
-    wide = match(a, b, MatchSettings.piv(**WIDE_WINDOWS), initial=initial)
-    return wide if _valid_fraction(wide) > MIN_VALID_RATIO * valid_fraction else found
-
-
-def _further_range(a: PreparedImage, b: PreparedImage) -> tuple[Range, Range] | None:
-    """Ranges along x and y that include the motion of large patches; None if the usual ones suffice."""
-    moved = confirmed(shifts(a.levels[0].image, b.levels[0].image)[:, :2])
-    if not len(moved):
-        return None
-    low, high = moved.min(axis=0), moved.max(axis=0)
-    usual = MatchSettings().search_x
-    assert usual is not None
-    if low.min() >= usual[0] and high.max() <= usual[1]:
-        return None
-    return widened((float(low[0]), float(high[0]))), widened((float(low[1]), float(high[1])))
-
-
-def _valid_fraction(found: Displacement) -> float:
-    """Fraction of the blocks that are not masked whose displacement is valid."""
-    used_blocks = (found.reason & Reason.MASKED) == 0
-    return float(found.valid[used_blocks].mean()) if used_blocks.any() else 1.0
 
 
 def prepared_pair(
@@ -414,7 +364,7 @@ def scores_at(
 ) -> Displacement:
     """Scores of the usable blocks at a displacement near the one that was found, for images of two cameras.
 
-    They do not depend on how bright each bead is in the one and in the other image. Blocks that the match has
+    Unlike `reevaluate` it does not assess the blocks again, which costs half as much: those that the match
     rejected stay rejected.
 
     Parameters
@@ -437,13 +387,6 @@ def scores_at(
     FrameError, ValueError
         As for `match`.
 
-    Notes
-    -----
-    With a the light of the first image above its background and <.> a Gaussian mean, P r = r - a <a r> /
-    (<a a> + e) removes from the residual r what a local factor of the brightness makes of it. Score and
-    Hessian are those of least squares of P r: sums of P g P r and P g P g, with g the gradient of a. Where
-    images of beads overlap, beads that are brighter in one image than in the other else seem to move.
-
     Examples
     --------
     >>> import numpy as np, cv2
@@ -459,12 +402,9 @@ def scores_at(
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
-    beads = pair.a.bead_brightness
-    residual = np.empty(beads.light.shape, np.float32)
     slope = _slopes(u, v)
-    residual_image(pair.a.padded, pair.b.padded, u, v, slope, pair.work, residual)
-    score = beads.scores(residual) * pair.count
-    subtract_strain(score, beads.strain, slope, pair.count)
-    xx, _, yy = pair.a.moments[:3]
-    shared = (found.hessian[0] + found.hessian[2]) / np.maximum(xx + yy, F(1e-12))
-    return replace(found, u=u, v=v, score=score, hessian=beads.hessian * (shared * pair.count))
+    score = _plain_scores(pair, u, v, slope)
+    subtract_strain(score, pair.a.strain, slope, pair.count)
+    own = pair.a.moments[:3]
+    shared = (found.hessian[0] + found.hessian[2]) / np.maximum(own[0] + own[2], F(1e-12))
+    return replace(found, u=u, v=v, score=score, hessian=own * (shared * pair.count))

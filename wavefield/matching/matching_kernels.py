@@ -557,48 +557,6 @@ def unweighted_sums(
 
 
 @njit
-def _residual_of_row(
-    splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, out: Array
-) -> None:
-    s, d = splines
-    ux, uy, vx, vy = slopes
-    for x in range(len(out)):
-        gx, gy = _slope(s, x), _value(d, x)
-        out[x] = _value(s, x) - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
-
-
-@njit
-def residual_image(
-    first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
-) -> None:
-    """The residual r of `unweighted_sums` on every pixel of the blocks, (ny BLOCK, nx BLOCK)."""
-    n = u.shape[1] * BLOCK
-    rows = work.rows
-    splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
-    for by in range(len(u)):
-        _warp_strip(second, by, u[by], v[by], work)
-        _spread_slopes(slopes, by, rows)
-        for j in range(BLOCK):
-            _spline_columns(first, by * BLOCK + j, splines[0], splines[1])
-            _residual_of_row(splines, spread, work.strip[j], F(j) - MID, out[by * BLOCK + j])
-
-
-@njit
-def spline_images(image: Array, work: WorkSpace, out: Array) -> None:
-    """The image smoothed with the quintic B-spline, its gradients along x and y, and its second derivatives
-    along x, along both and along y: (6, h, w) of the blocks.
-    """
-    n = out.shape[2]
-    s, d, e = work.rows[0][: n + 4], work.rows[1][: n + 4], work.rows[2][: n + 4]
-    for y in range(out.shape[1]):
-        _spline_bends(image, y, s, d, e)
-        a, gx, gy, xx, xy, yy = out[0, y], out[1, y], out[2, y], out[3, y], out[4, y], out[5, y]
-        for x in range(len(a)):
-            a[x], gx[x], gy[x] = _value(s, x), _slope(s, x), _value(d, x)
-            xx[x], xy[x], yy[x] = _bend(s, x), _slope(d, x), _value(e, x)
-
-
-@njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
     """Sums per block of a b for b shifted by dy rows and by `first`, `first` + 1, ... columns.
     b (h + 2 margin, w + 2 margin); row (nx BLOCK,); out (ny, shifts, nx + 2 border), its border replicated.

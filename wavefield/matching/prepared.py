@@ -9,12 +9,10 @@ import cv2
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.bead_brightness import BeadBrightness
 from wavefield.matching.matching_kernels import (
     BLOCK,
     PAD,
     gradient_moments,
-    spline_images,
     strain_moments,
     work_space,
 )
@@ -63,14 +61,6 @@ class Level:
         out = np.empty((8, *self.blocks), np.float32)
         strain_moments(self.padded, work_space(self.blocks[1]), out)
         return out
-
-    @cached_property
-    def bead_brightness(self) -> BeadBrightness:
-        """Gradients without the brightness of the beads, kept like `moments`."""
-        ny, nx = self.blocks
-        images = np.empty((6, ny * BLOCK, nx * BLOCK), np.float32)
-        spline_images(self.padded, work_space(nx), images)
-        return BeadBrightness.of(images[0], images[1:3], images[3:])
 
 
 @dataclass(frozen=True)
