@@ -78,7 +78,9 @@ def row(s: float, steps: int, segment: int, draws: int, seed: int) -> None:
             found[name].append(ring["E_w"].sum(over).values)
             found[f"dof_{name}"].append(ring[f"dof_{name}_w"].values)
         S = spectrum(cube["w"], segment=segment)
-        D = directions(S["E"], [1.8, 2.2, 2.6, 3.0], DEPTH, dof=S.attrs["degrees_of_freedom"])
+        D = directions(
+            S["E"], [1.8, 2.2, 2.6, 3.0], DEPTH, current=(0.0, 0.0), dof=S.attrs["degrees_of_freedom"]
+        )
         found["D"].append(D["D"].values)
         found["dof_D"].append(D["dof"].values)
         if before is not None:

@@ -91,17 +91,10 @@ def show_ridge(mine: xr.Dataset, theirs: xr.Dataset) -> None:
     print("    " + "  ".join(f"{f:.2f} Hz {100 * e:+.2f} ({100 * t:+.2f})" for f, e, t in bands))
 
 
-def show_bound(out: xr.DataTree, elevation: xr.DataArray, asked: dict[str, str]) -> None:
+def show_analysis(out: xr.DataTree, elevation: xr.DataArray, asked: dict[str, str]) -> None:
     """What `analyze` gives by itself, with the gain that the cube holds."""
     row("windows undone by the cube's own gain", "", str(out.attrs["windows_undone"])[:16])
     ranges(out["spectra"].to_dataset(), elevation, "as analyze has it", asked)
-    if "bound" in out:
-        part = out["bound"]
-        row(
-            "bound waves, fraction of the energy (a linear sea has none), %",
-            "0",
-            f"{100 * float(part['bound_fraction']):.3f} +- {100 * float(part['bound_fraction_std']):.3f}",
-        )
 
 
 def show_coherence(mine: xr.Dataset, theirs: xr.Dataset) -> None:
@@ -203,7 +196,7 @@ def experiment(
     )
     mine, theirs = out["coherence"].to_dataset(), wv.coherence(exact, segment=segment, record=record)
     show_coherence(mine, theirs)
-    show_bound(wv.analyze(cube, segment=segment), elevation, asked)
+    show_analysis(wv.analyze(cube, segment=segment), elevation, asked)
     crests.print_table(cube, xr.open_zarr(truth, chunks=None, consolidated=False))
     if picture is not None:
         curves = {"truth": elevation} | {

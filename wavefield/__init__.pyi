@@ -31,32 +31,17 @@ from wavefield.store.verify import verify
 from wavefield.store.wave_store import open_waves
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate
-from wavefield.waves.dispersion_relation.current_by_depth import current_by_depth
 from wavefield.waves.dispersion_relation.direction import directions
-from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
-from wavefield.waves.dispersion_relation.ridge_broadening import ridge_broadening
-from wavefield.waves.dispersion_relation.wavelet_directions import wavelet_directions
 from wavefield.waves.estimation.cube_of_fields import cube
-from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
 from wavefield.waves.nonlinear.coherence import coherence
 from wavefield.waves.nonlinear.kinematics import kinematics
-from wavefield.waves.nonlinear.linear_surface import linear_surface
-from wavefield.waves.nonlinear.nonlinear_ratio import nonlinear_ratio
-from wavefield.waves.nonlinear.resonances import resonances
 from wavefield.waves.spectra.field_spectra import E_k, E_omega, komega, spectrum
-from wavefield.waves.spectra.spectral_slope import spectral_slope
-from wavefield.waves.surface.breaking import breaking
 from wavefield.waves.surface.crests import crest_statistics
-from wavefield.waves.surface.drift import stokes_drift, surface_paths
-from wavefield.waves.surface.energy_budget import energy_budget
-from wavefield.waves.surface.energy_flux import energy_flux
 from wavefield.waves.surface.increments import structure_functions
 from wavefield.waves.surface.phase_average import phase_average
 from wavefield.waves.surface.smooth import smooth
 from wavefield.waves.surface.statistics import statistics
-from wavefield.waves.surface.subsurface import subsurface
-from wavefield.waves.surface.vortices import waves_and_vortices
 from wavefield.waves.wave_analysis import analyze
 
 __version__: str
@@ -76,31 +61,22 @@ __all__ = [
     "__version__",
     "analyze",
     "analyze_on_workers",
-    "breaking",
     "calibrate",
     "check",
     "coherence",
     "crest_statistics",
     "cube",
-    "current_by_depth",
-    "directional_spectrum",
     "directions",
-    "energy_budget",
-    "energy_flux",
     "export",
     "find_sheet",
     "fit_dispersion",
-    "free_and_bound",
-    "free_and_bound_fields",
     "kinematics",
     "komega",
     "level",
     "level_frames",
-    "linear_surface",
     "load_rig",
     "look",
     "match",
-    "nonlinear_ratio",
     "open_cube",
     "open_run",
     "open_waves",
@@ -111,21 +87,13 @@ __all__ = [
     "read_probes",
     "reconstruct",
     "report",
-    "resonances",
-    "ridge_broadening",
     "run",
     "run_catalog",
     "simulate",
     "smooth",
-    "spectral_slope",
     "spectrum",
     "statistics",
     "status",
-    "stokes_drift",
     "structure_functions",
-    "subsurface",
-    "surface_paths",
     "verify",
-    "wavelet_directions",
-    "waves_and_vortices",
 ]

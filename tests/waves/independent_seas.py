@@ -362,36 +362,3 @@ def sharma_dean(x, y, depth, sign):
         K = (D - (dot - sign * product)) / np.sqrt(product) + R[:, None] + R
     near = np.abs(below) < 0.1 * slow + 1e-12
     return np.where(np.isfinite(K) & (kappa > 1e-9) & ~near, K, 0.0)
-
-
-def forced_sea(seed, depth, current, side, waves=60, steps=240, dt=0.05, dx=0.035):
-    """Elevation of gravity waves f^-5 of 1.1 to 2.4 Hz, and of all that pairs force, m, (time, y, x)."""
-    rng = np.random.default_rng(seed)
-    f = 1.1 + 1.3 * (np.arange(waves) + rng.random(waves)) / waves
-    table = np.linspace(0.1, 200, 40000)
-    k = np.interp(2 * np.pi * f, np.sqrt(GRAVITY * table * np.tanh(table * depth)), table)
-    angle = rng.uniform(-np.pi, np.pi) + rng.normal(0, 0.8, waves)
-    a = f**-2.5 * (rng.standard_normal(waves) + 1j * rng.standard_normal(waves))
-    a *= 0.008 / np.sqrt((np.abs(a) ** 2).sum() / 2)
-    x, y, omega = k * np.cos(angle), k * np.sin(angle), np.sqrt(GRAVITY * k * np.tanh(k * depth))
-    i, j = np.triu_indices(waves)
-    p, q = np.triu_indices(waves, 1)
-    sums, differences = sharma_dean(x, y, depth, 1), sharma_dean(x, y, depth, -1)
-    forced = [np.concatenate([part[i] + part[j], part[p] - part[q]]) for part in (x, y, omega)]
-    amplitude = np.concatenate(
-        [
-            np.where(i == j, 0.25, 0.5) * sums[i, j] * a[i] * a[j],
-            0.5 * differences[p, q] * a[p] * a[q].conj(),
-        ]
-    )
-    nodes, t = np.arange(round(side / dx)) * dx, np.arange(steps) * dt
-
-    def field(kx, ky, omega, size):
-        turned = omega + kx * current[0] + ky * current[1]
-        ex = np.exp(1j * np.outer(kx, nodes)).astype("c8")
-        ey = np.exp(1j * np.outer(nodes, ky)).astype("c8")
-        z = [((ey * (size * np.exp(-1j * turned * now)).astype("c8")) @ ex).real for now in t]
-        axes = {"time": t, "y": nodes, "x": nodes}
-        return xr.DataArray(np.array(z, "f4"), axes, tuple(axes), attrs={"units": "m"})
-
-    return field(x, y, omega, a), field(*forced, amplitude)

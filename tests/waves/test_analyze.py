@@ -46,8 +46,6 @@ def test_the_store_holds_the_variables_of_the_table(store):
     if "No surface tension was fitted" in store.attrs["notes"]:  # a small field does not give it to 5 %
         left_out |= {"gamma", "gamma_std", "omega_fit"}
     for group in GROUPS:
-        if group == "shear" and "No current by depth" in store.attrs["notes"]:  # nor this
-            continue
         dataset = store[group].to_dataset()
         rows = {row.name: row for row in rows_of(group)}
         assert set(rows) - left_out <= set(dataset.variables), group
@@ -205,13 +203,13 @@ def test_noise_has_no_current_and_what_rests_on_one_is_left_out():
     cube = xr.Dataset(noise, axes, {"water_depth": 0.7})
     waves = wv.analyze(cube, segment=64)
     assert "The dispersion relation was not fitted: no dispersion relation was found" in waves.attrs["notes"]
-    assert not {"directional", "bound", "resonances", "shear"} & set(waves.children)
+    assert not {"directional"} & set(waves.children)
     assert "current_x" not in waves["dispersion"]
     assert "nan" not in waves.attrs["notes"]
     coarse = cube.isel(y=slice(0, 16), x=slice(0, 20))
     coarse = coarse.assign_coords(y=np.arange(16) * 0.05, x=np.arange(20) * 0.05)
     with pytest.raises(CubeError, match="no frequency is left"):
-        wv.directional_spectrum(coarse, current=(0.0, 0.0), segment=16)
+        wv.directions(wv.spectrum(coarse.w, segment=16), current=(0.0, 0.0))
 
 
 def test_what_cannot_be_analysed_is_reported_in_one_sentence(sea, probes, tmp_path):

@@ -79,7 +79,7 @@ def test_most_of_the_energy_is_on_the_ridge(fit):
 
 
 def test_the_sea_has_no_direction(spectrum):
-    D = wv.directions(spectrum.E, [2.0, 2.8], 0.7, dof=float(spectrum.dof))
+    D = wv.directions(spectrum.E, [2.0, 2.8], 0.7, dof=float(spectrum.dof), current=(0.0, 0.0))
     np.testing.assert_allclose(D.D.sum("theta") * 2 * np.pi / 24, 1.0)
     assert float(D.isotropy.min()) > 0.7
     # one sea of finite size: its waves are few per sector, and stay the same all the time
@@ -90,7 +90,7 @@ def test_the_sea_has_no_direction(spectrum):
 
 def test_an_isotropic_sea_is_even_over_the_directions_of_a_rectangle():
     E = GaussianSea().expected_map(38, 50, 128)
-    D = wv.directions(E, [2.0, 2.4, 2.8], 0.7)
+    D = wv.directions(E, [2.0, 2.4, 2.8], 0.7, current=(0.0, 0.0))
     np.testing.assert_allclose(D.D * 2 * np.pi, 1, atol=0.01)
     assert float(D.isotropy.min()) > 0.99
 
@@ -99,7 +99,7 @@ def test_an_isotropic_sea_is_even_over_the_directions_of_a_rectangle():
 def test_mean_direction_and_spread_of_a_known_sea_come_back(power, heading):
     # the mean of the estimate, so that no sampling hides a bias: 1.5 x 2 m, 1.7 Hz is a wave of .54 m
     E = GaussianSea(spread=power, heading=heading).expected_map(38, 50, 128)
-    D = wv.directions(E, [1.7, 2.0, 2.4, 2.8], 0.7)
+    D = wv.directions(E, [1.7, 2.0, 2.4, 2.8], 0.7, current=(0.0, 0.0))
     np.testing.assert_allclose(D.direction, heading, atol=np.radians(1))
     expected = np.sqrt(2 / (power + 1))  # of cos(theta / 2)^(2 power): first harmonic power / (power + 1)
     np.testing.assert_allclose(D.spread, expected, rtol=0.1)
@@ -111,7 +111,7 @@ def test_mean_direction_and_spread_come_back_from_a_record():
     t, y, x = (np.arange(n) * step for n, step in ((576, 0.05), (90, 0.04), (90, 0.04)))
     drawn = sea.draw(0)[:, :90, :90]
     E = wv.spectrum(xr.DataArray(drawn, {"time": t, "y": y, "x": x}, ("time", "y", "x")), segment=128).E
-    D = wv.directions(E, [2.0, 2.4, 2.8], 0.7, bandwidth=0.4)
+    D = wv.directions(E, [2.0, 2.4, 2.8], 0.7, bandwidth=0.4, current=(0.0, 0.0))
     assert np.degrees(float(D.direction.mean()) - 0.8) == pytest.approx(0, abs=1)
     assert float(D.spread.mean()) == pytest.approx(np.sqrt(2 / 11), rel=0.1)
 
@@ -124,7 +124,7 @@ def test_a_swell_has_a_direction():
     wave = np.cos(phase - relation(k, 0.7) * t[:, None, None])
     field = xr.DataArray(wave, {"time": t, "y": y, "x": x}, ("time", "y", "x"))
     E = wv.spectrum(field, segment=128).E
-    D = wv.directions(E, relation(k, 0.7) / (2 * np.pi), 0.7).isel(frequency=0)
+    D = wv.directions(E, relation(k, 0.7) / (2 * np.pi), 0.7, current=(0.0, 0.0)).isel(frequency=0)
     assert float(D.theta[int(np.argmax(D.D.values))]) == pytest.approx(angle, abs=0.14)
     assert float(D.isotropy) < 0.1
 
@@ -133,7 +133,7 @@ def test_a_spectrum_without_a_ridge_is_refused(spectrum):
     with pytest.raises(CubeError, match="no dispersion relation was found"):
         wv.fit_dispersion(spectrum.E * 0, 0.7)
     with pytest.raises(CubeError, match="outside the spectrum"):
-        wv.directions(spectrum.E, [12.0])
+        wv.directions(spectrum.E, [12.0], current=(0.0, 0.0))
 
 
 def labelled(values, dx=0.02, dt=0.05):
@@ -170,7 +170,7 @@ def test_the_interval_of_directions_holds_them_where_the_ridge_is_thinner_than_a
     found = []
     for seed in range(20):
         S = wv.spectrum(sea.field(seed).isel(y=slice(0, 26), x=slice(0, 32)), segment=64)
-        found.append(wv.directions(S.E, [1.8, 2.3, 2.8], 0.7, dof=float(S["dof"])))
+        found.append(wv.directions(S.E, [1.8, 2.3, 2.8], 0.7, dof=float(S["dof"]), current=(0.0, 0.0)))
     D = np.array([one.D.values for one in found])
     strong = D.mean(axis=0) > 0.05 * D.mean(axis=0).max()
     relative = (D.var(axis=0, ddof=1) / D.mean(axis=0) ** 2)[strong].mean()

@@ -1,6 +1,5 @@
 from dataclasses import replace
 
-import dask
 import numpy as np
 import pytest
 import xarray as xr
@@ -26,18 +25,6 @@ def record(measured):
 @pytest.fixture(scope="module")
 def fused(measured, record):
     return wv.fused_spectra(measured, record=record, segment=512)
-
-
-@pytest.fixture(scope="module")
-def part(measured):
-    """Enough of it for time series: nodes are combined each on its own."""
-    return measured.isel(time=slice(0, 768), y=slice(0, 26), x=slice(0, 32))
-
-
-@pytest.fixture(scope="module")
-def best(part, fused):
-    """The combined time series."""
-    return wv.fused_series(part, fused, record=wv.whole_record(part))
 
 
 @pytest.fixture(scope="module")
@@ -334,67 +321,6 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
     assert not bool(out.valid_w.where(deep, False).any())
 
 
-def test_the_combined_time_series_is_better_than_either(part, fused, best):
-    # elevation at mid-time, exact: from the frames by the same sea
-    exact = part.exact
-    wiener = wv.fused_series(part, fused, gain=fused.wiener, record=wv.whole_record(part))
-    # the truth at mid-time: shift frame times by half a step in Fourier space, away from the ends
-    lines = np.fft.rfft(exact.values.astype(float), axis=0)
-    omega = 2 * np.pi * np.fft.rfftfreq(exact.sizes["time"], 0.05)
-    middle = np.fft.irfft(lines * np.exp(0.5j * omega * 0.05)[:, None, None], exact.sizes["time"], axis=0)
-    inner = slice(100, -100)
-    error = {
-        name: float(np.std(series.values[inner] - middle[inner]))
-        for name, series in (("stereo", part.z), ("best", best), ("wiener", wiener))
-    }
-    assert best.shape == part.z.shape
-    assert error["best"] < 0.8 * error["stereo"]
-    assert error["wiener"] < error["best"]
-
-
-def test_the_combined_time_series_of_still_water_takes_of_either_what_its_weight_states(part, fused):
-    still = fused.assign_attrs(current=(0.0, 0.0))
-    few = part.isel(y=slice(0, 8), x=slice(0, 8))
-    record = wv.whole_record(few)
-    combined = wv.fused_series(few, still, record=record)
-    exact = few.exact
-    middle = (9 * (exact[1:-2].values + exact[2:-1].values) - exact[:-3].values - exact[3:].values) / 16
-    inner = slice(100, -100)
-    error, stereo = (float(np.std((a.values[1:-2] - middle)[inner])) for a in (combined, few.z))
-    assert error < 0.75 * stereo
-    # by z alone w does not matter, by w alone z does not, and half of each is their mean
-
-    def mixed(weight, *without):
-        cube = few.assign({name: 0 * few[name] for name in without})
-        return wv.fused_series(cube, still.assign(weight_z=0 * fused.weight_z + weight), record=record).values
-
-    by_z, by_w = mixed(1.0), mixed(0.0)
-    np.testing.assert_array_equal(mixed(1.0, "w"), by_z)
-    np.testing.assert_array_equal(mixed(0.0, "z", "z_t"), by_w)
-    np.testing.assert_allclose(mixed(0.5), (by_z + by_w) / 2, atol=1e-6)
-    assert np.corrcoef(by_z.ravel(), few.z.values.ravel())[0, 1] > 0.99
-    assert np.corrcoef(by_w.ravel(), few.z.values.ravel())[0, 1] > 0.99
-
-
-def test_the_ends_of_the_combined_series_are_as_good(part, best):
-    exact = part.exact
-    middle = (9 * (exact[1:-2].values + exact[2:-1].values) - exact[:-3].values - exact[3:].values) / 16
-    error = best.values[1:-2] - middle
-    assert np.std(error[:30]) < 2 * np.std(error[350:450])
-    assert np.std(error[-30:]) < 2 * np.std(error[350:450])
-
-
-def test_chunks_do_not_matter(measured, fused):
-    short = measured.isel(time=slice(0, 700), y=slice(0, 8), x=slice(0, 10)).drop_vars("exact")
-    whole = wv.fused_series(short, fused, gain=fused.wiener)
-    lazy = wv.fused_series(short.chunk({"time": 211, "x": 5}), fused, gain=fused.wiener)
-    assert dask.is_dask_collection(lazy)
-    xr.testing.assert_equal(lazy.compute(), whole)
-    xr.testing.assert_equal(
-        wv.fused_spectra(short.chunk({"time": 90}), segment=128), wv.fused_spectra(short, segment=128)
-    )
-
-
 def test_what_is_missing_is_named(measured, fused):
     with pytest.raises(CubeError, match="no 'w'"):
         wv.fused_spectra(measured.drop_vars("w"))
@@ -444,30 +370,6 @@ def test_elevation_from_w_is_right_on_a_current(flowing, found):
     ratio = float((out.Ez_w / true)[(out.frequency > 2) & (out.frequency < 4)].mean())
     assert ratio == pytest.approx(1, abs=0.03)
     assert float(out.sigma_dz) == pytest.approx(SIGMA_DZ, rel=0.03)
-
-
-def test_the_combined_time_series_is_better_than_stereo_on_a_current(flowing, found):
-    sea, cube, _ = flowing
-    cube, (out, still) = cube.isel(time=slice(0, 384)), found
-    middle = sea.z(0.025, 384, 0.05, 50, 64)
-    inner = slice(100, -100), slice(8, -8), slice(8, -8)
-    error, stereo = (
-        float(np.std(z.values[inner] - middle[inner])) for z in (wv.fused_series(cube, out), cube.z)
-    )
-    assert error < 0.7 * stereo
-    assert float(np.std(wv.fused_series(cube, still).values[inner] - middle[inner])) > stereo
-
-
-def test_the_combined_time_series_is_better_than_stereo_where_waves_outrun_the_frames():
-    sea = PeriodicSea(n=128, current=(0.45, 0.0))  # the shortest pass at 9 Hz and more, frames see to 10
-    cube = sea.cube(600, 50, 64, noise_z=SIGMA_Z, noise_dz=SIGMA_DZ)
-    record = wv.whole_record(cube)
-    out = wv.fused_spectra(cube, segment=256, record=record, current=sea.current)
-    error = wv.fused_series(cube, out, record=record) - sea.z(0.025, 600, 0.05, 50, 64)
-    stereo = cube.z - sea.z(0.025, 600, 0.05, 50, 64)
-    whole, inner = slice(100, -100), (slice(100, -100), slice(8, -8), slice(8, -8))
-    assert float(error[whole].std()) < 0.96 * float(stereo[whole].std())  # the edges are left to stereo
-    assert float(error[inner].std()) < 0.87 * float(stereo[inner].std())
 
 
 def test_an_analysis_takes_the_current_into_account(flowing):

@@ -130,10 +130,10 @@ class CubeRecord:
             )
 
     def _derived(self, name: str, step: int) -> NDArray[np.float32]:
-        """A variable that `kinematics` derives, at one step: time derivatives need its neighbours."""
+        """A variable that `kinematic_fields` derives, at one step: time derivatives need its neighbours."""
         import xarray as xr
 
-        from wavefield.waves.nonlinear.kinematics import kinematics
+        from wavefield.waves.nonlinear.kinematics import kinematic_fields
 
         if self.layout.steps < 2:
             return np.full((self.y.size, self.x.size), np.nan, np.float32)
@@ -141,7 +141,7 @@ class CubeRecord:
         fields = {n: (CUBE_DIMS, np.array([self.field(n, k) for k in range(first, last)])) for n in BALANCE}
         coords = {"time": self.time[first:last], "y": self.y, "x": self.x}
         cube = self.annotated(xr.Dataset(fields, coords))
-        return np.asarray(kinematics(cube)[name].values[step - first])
+        return np.asarray(kinematic_fields(cube)[name].values[step - first])
 
     def annotated(self, dataset: "xr.Dataset") -> "xr.Dataset":
         """Values of this cube with units, names and the length of its paths."""

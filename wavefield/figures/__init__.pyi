@@ -1,4 +1,5 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
+from wavefield.figures.crest_figures import crest_curves, flatness_curves
 from wavefield.figures.distribution_figures import (
     distributions,
     error_distributions,
@@ -14,8 +15,7 @@ from wavefield.figures.kinematics_figures import (
     plane_coherence_maps,
     vorticity_map,
 )
-from wavefield.figures.nonlinear import bicoherence_map, bound_spectra, quartet_map, resonance_map
-from wavefield.figures.oceans import breaking_map, current_profile
+from wavefield.figures.nonlinear import bicoherence_map
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -36,24 +36,19 @@ from wavefield.figures.spectra_figures import (
     wavevector_map,
 )
 from wavefield.figures.surface_figures import elevation_map, surface_3d, velocity_map
-from wavefield.figures.turbulence import crest_curves, energy_bars, flatness_curves, path_map, vortex_spectra
 
 __all__ = [
     "balance_history",
     "bicoherence_map",
-    "bound_spectra",
-    "breaking_map",
     "camera_frames",
     "coherence_curves",
     "coverage_map",
     "crest_curves",
-    "current_profile",
     "directions",
     "dispersion_ridge",
     "distributions",
     "elevation_map",
     "elevation_spectra",
-    "energy_bars",
     "error_distributions",
     "error_maps",
     "fault_history",
@@ -66,18 +61,14 @@ __all__ = [
     "noise_spectra",
     "nonlinear_maps",
     "nonlinear_ratio_curves",
-    "path_map",
     "plane_coherence_maps",
     "probe_series",
     "quality_shares",
-    "quartet_map",
-    "resonance_map",
     "rest_distributions",
     "rig_views",
     "surface_3d",
     "uncertainty_maps",
     "velocity_map",
-    "vortex_spectra",
     "vorticity_map",
     "wavenumber_spectra",
     "wavevector_map",

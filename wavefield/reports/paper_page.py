@@ -27,7 +27,8 @@ from wavefield.reports.wave_sections import (
 )
 from wavefield.rig.resolution import pixel_size
 from wavefield.store.store_paths import beside
-from wavefield.waves import analyze, kinematics, plane_coherence
+from wavefield.waves import analyze, plane_coherence
+from wavefield.waves.nonlinear.kinematics import kinematic_fields
 
 _METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
 
@@ -142,7 +143,7 @@ def _nonlinear(run: Run) -> ReportSection:
     at = int(np.argmin(np.abs(cube.time.values - float(snap.time))))
     first = min(max(at - 1, 0), max(cube.sizes["time"] - 3, 0))
     around = cube[["z", "z_t", "u", "v", "w"]].isel(time=slice(first, first + 3)).load()
-    terms = kinematics(around.assign_attrs(cube.attrs)).isel(time=at - first)
+    terms = kinematic_fields(around.assign_attrs(cube.attrs)).isel(time=at - first)
     plane = plane_coherence(cube)
     low_k = float(plane.mean_C_tot[: plane.sizes["k"] // 4].mean())
     return ReportSection(

@@ -12,7 +12,7 @@ from wavefield.figures.display import BALANCE, DERIVED, POSITIVE, SIGNED, displa
 from wavefield.figures.quality_kinds import KINDS, quality_kind
 from wavefield.reports.html_page import Picture, Player
 from wavefield.variables import TABLE
-from wavefield.waves.nonlinear.kinematics import kinematics
+from wavefield.waves.nonlinear.kinematics import kinematic_fields
 
 MAX_NODES = 8_000  # per field: a screen shows no more
 MAX_BYTES = 5_500_000  # of the fields before they are compressed, to a third or less
@@ -38,7 +38,7 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
     part = cube[[n for n in (*_VARIABLES, "quality") if n in cube]].isel(time=slice(first, first + steps))
     part = part.transpose("time", "y", "x").load()
     if set(BALANCE) <= set(part):
-        part = part.merge(kinematics(part[list(BALANCE)])[list(DERIVED)])
+        part = part.merge(kinematic_fields(part[list(BALANCE)])[list(DERIVED)])
     return part.isel(x=slice(None, None, thin), y=slice(None, None, thin))
 
 

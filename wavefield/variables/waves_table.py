@@ -37,12 +37,7 @@ GROUPS = {
     "fusion": "Noise of stereo and of the integrated w, and their best combination.",
     "direction": "On the ridge. `isotropy` has its own omega.",
     "directional": "E(f, theta) of the elevation as wavespectra takes it:"
-    " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Like `shear` it is missing where"
-    " the dispersion relation could not be fitted.",
-    "bound": "Free waves, and waves bound to others, which are off the dispersion relation. Missing where no"
-    " energy is on it.",
-    "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without waves, or"
-    " with fewer than 8 segments of 64 steps.",
-    "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",
+    " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Missing where the dispersion"
+    " relation could not be fitted.",
     "higher_order": "Missing where the record holds fewer than four segments.",
 }

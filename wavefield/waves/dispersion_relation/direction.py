@@ -1,5 +1,6 @@
 """Directions of the waves near the dispersion relation, and how isotropic the sea is."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
+from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_relation.sector_covariances import (
     LINES_AROUND,
     harmonic_stds,
@@ -18,8 +20,9 @@ from wavefield.waves.dispersion_relation.sector_covariances import (
     sector_freedom,
 )
 from wavefield.waves.estimation import rings
-from wavefield.waves.estimation.inputs import takes
-from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.estimation.inputs import is_cube
+from wavefield.waves.estimation.transfer_functions import elevation_from_w
+from wavefield.waves.estimation.welch import Welch, frames_of
 from wavefield.waves.estimation.windows import interval
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.plane_input import plane_of
@@ -28,6 +31,10 @@ Array = NDArray[Any]
 
 HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2  # of the ring around the relation: relative to k, and in cells
 BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
+SECTORS = 36  # of the group `directional`: ten degrees, as wave models have them
+BANDWIDTH_HZ = 0.2
+STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
+LOWEST_HZ = 0.5  # the integrated w holds little but drift below
 UNIFORM_STD = np.pi / np.sqrt(3)  # rad, of a direction of which nothing is known
 
 
@@ -86,40 +93,41 @@ class _RingSectors:
         return out, out.sum(axis=1) * self.cell_area / area
 
 
-@takes(plane_of("w", independent=True))
 def directions(
-    density: xr.DataArray,
-    frequency: list[float] | Array,
-    depth: float = np.inf,
+    density: xr.DataArray | xr.Dataset,
+    frequency: Sequence[float] | Array | None = None,
+    depth: float | None = None,
     *,
-    current: tuple[float, float] = (0.0, 0.0),
-    sectors: int = 24,
+    current: tuple[float, float] | None = None,
+    sectors: int = 36,
     dof: float | None = None,
-    gamma: float = GAMMA,
-    bandwidth: float = 0.2,
+    gamma: float | None = None,
+    bandwidth: float | None = None,
 ) -> xr.Dataset:
-    """Directional spectrum of the waves near the dispersion relation at some frequencies.
+    """Directional spectrum of the waves near the dispersion relation.
 
     Parameters
     ----------
     density : DataArray or Dataset
-        Spectrum (omega, ky, kx) of z or w, or the result of `spectrum`; of a field (time, y, x) or of the w
-        of a cube it is computed.
-    frequency : array_like
-        Frequencies in the frame of the water, Hz: without a current those of the cameras.
-    depth : float
-        Depth of the water, m; by default that of the cube, or deep.
-    current : tuple of float
-        Velocity of the water along x and y, m/s (`fit_dispersion`).
+        A cube, of whose w the elevation is integrated; or the spectrum (omega, ky, kx) of one field, the
+        result of `spectrum`, or a field (time, y, x) whose spectrum is computed.
+    frequency : sequence of float, optional
+        Frequencies in the frame of the water, Hz; by default all that segment and grid resolve, 0.1 Hz or a
+        line of the spectrum apart.
+    depth : float, optional
+        Depth of the water, m; by default that of the input, or deep.
+    current : tuple of float, optional
+        Velocity of the water along x and y, m/s; by default it is fitted to the dispersion relation.
     sectors : int
         Number of sectors of the circle.
     dof : float, optional
         Degrees of freedom of a cell of independent segments (attribute ``degrees_of_freedom`` of
-        `spectrum`); needed for ``dof``, ``low``, ``high``. Only of a density alone are they not known.
-    gamma : float
+        `spectrum`); needed for ``dof``, ``low``, ``high`` and the standard uncertainties. A density alone
+        does not state them.
+    gamma : float, optional
         Surface tension over density, m3/s2.
-    bandwidth : float
-        Width of the band around each frequency, Hz.
+    bandwidth : float, optional
+        Width of the band around each frequency, Hz; 0.2 by default, or the step of the default frequencies.
 
     Returns
     -------
@@ -129,12 +137,15 @@ def directions(
         ``direction``, ``spread`` (frequency): mean direction and directional spread, rad, and
         ``direction_std``, ``spread_std``, their standard uncertainties; ``r1``, ``r2``
         (frequency), moduli of the first two harmonics; ``isotropy`` (frequency): 1 - the larger of them,
-        1 for an isotropic sea, 0 for a single direction.
+        1 for an isotropic sea, 0 for a single direction. ``efth`` (freq, dir) is the same spectrum as
+        oceanographers write it: per Hz and degree, ``dir`` in degrees, where waves come from, clockwise from
+        the y axis. With wavespectra installed, ``import wavespectra`` gives the result ``.spec``.
 
     Raises
     ------
     CubeError
-        If a frequency lies beyond the Nyquist frequency, or there is none.
+        If a frequency lies beyond the Nyquist frequency, or there is none, or the fit of the current is
+        refused and none is given.
 
     Notes
     -----
@@ -142,11 +153,101 @@ def directions(
     shared between sectors by area (8 x 8 parts); the k plane's own coverage of each sector is divided out,
     so that a rectangle of nodes does not appear as a direction. The spread is sqrt(2 (1 - r1)) less the
     resolution: a Hann window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width
-    over sqrt(12). D and the harmonics keep that blur. The degrees of freedom are those of the energy of a
-    sector, its cells and lines correlated by the Hann windows, fewer where the relation is narrower than the
-    window and where waves stay in it for longer than a segment, and of the sum over all sectors, which share
-    cells, that D is a fraction of.
+    over sqrt(12). D, the harmonics and ``efth`` keep that blur. The degrees of freedom are those of the
+    energy of a sector, its cells and lines correlated by the Hann windows, fewer where the relation is
+    narrower than the window and where waves stay in it for longer than a segment, and of the sum over all
+    sectors, which share cells, that D is a fraction of.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(32) * 0.05, "x": np.arange(40) * 0.05}
+    >>> w = 0.01 * rng.standard_normal((256, 32, 40))
+    >>> cube = xr.Dataset({"w": (("time", "y", "x"), w)}, axes, {"water_depth": 0.7})
+    >>> found = directions(cube, current=(0.0, 0.0))
+    >>> found.D.dims, found.efth.dims
+    (('frequency', 'theta'), ('freq', 'dir'))
     """
+    given, (density, stated) = density, plane_of("w", independent=True)(density, "directions")
+    depth = stated.get("depth", np.inf) if depth is None else depth
+    gamma = stated.get("gamma", GAMMA) if gamma is None else gamma
+    dof = stated.get("dof") if dof is None else dof
+    if current is None:
+        try:
+            fit = fit_dispersion(density, depth, gamma=gamma)
+        except CubeError as error:
+            raise CubeError(f"{error}; or give the current") from None
+        current = float(fit["current_x"]), float(fit["current_y"])
+    if is_cube(given):
+        density = elevation_density(density, current, frames_of(given))
+    if frequency is None:
+        frequency, step = resolved_frequencies(density, depth, gamma)
+        bandwidth = step * (1 - 1e-9) if bandwidth is None else bandwidth  # a line at either end counts once
+    out = sector_spectrum(
+        density,
+        frequency,
+        depth,
+        current=current,
+        sectors=sectors,
+        dof=dof,
+        gamma=gamma,
+        bandwidth=BANDWIDTH_HZ if bandwidth is None else bandwidth,
+    )
+    return out.assign(oceanographic(out)[["efth"]])
+
+
+def elevation_density(density: xr.DataArray, current: tuple[float, float], frames: int) -> xr.DataArray:
+    """E(omega, ky, kx) of the elevation from that of w, which water at a current, m/s, carries.
+    The rise of a particle that the current carries is integrated at omega - k . U.
+    """
+    omega = density["omega"].values
+    dt = np.pi / float(omega[-1])
+    intrinsic = density["omega"] - density["kx"] * current[0] - density["ky"] * current[1]
+    intrinsic = abs(intrinsic.transpose(*density.dims))
+    factor = elevation_from_w(intrinsic.clip(min=omega[1]), dt, frames)
+    return density * factor.where(intrinsic > omega[1] / 2, 0.0)
+
+
+def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> tuple[Array, float]:
+    """Frequencies, Hz, that the segment and the grid of a spectrum resolve, and their distance."""
+    omega = density["omega"].values
+    line = float(omega[1]) / (2 * np.pi)
+    shortest = dispersion(0.8 * float(density["kx"].max()), depth, gamma) / (2 * np.pi)
+    step = max(STEP_HZ, line)
+    return np.arange(max(LOWEST_HZ, 3 * line), min(shortest, 0.9 * omega[-1] / (2 * np.pi)), step), step
+
+
+def oceanographic(found: xr.Dataset) -> xr.Dataset:
+    """Directional spectrum and its moments as oceanographers write them: degrees, where waves come from."""
+    compass = (270 - np.degrees(found["theta"].values)) % 360
+    order = np.argsort(compass)
+    energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
+    out = xr.Dataset(
+        {
+            "efth": (("freq", "dir"), energy),
+            "dof": (("freq", "dir"), found["dof"].values[:, order]),
+            "mean_direction": ("freq", (270 - np.degrees(found["direction"].values)) % 360),
+            "directional_spread": ("freq", np.degrees(found["spread"].values)),
+            "r1": ("freq", found["r1"].values),
+            "r2": ("freq", found["r2"].values),
+        },
+        {"freq": ("freq", found["frequency"].values), "dir": ("dir", compass[order])},
+    )
+    return annotate(out, "directional")
+
+
+def sector_spectrum(
+    density: xr.DataArray,
+    frequency: Sequence[float] | Array,
+    depth: float = np.inf,
+    *,
+    current: tuple[float, float] = (0.0, 0.0),
+    sectors: int = 24,
+    dof: float | None = None,
+    gamma: float = GAMMA,
+    bandwidth: float = BANDWIDTH_HZ,
+) -> xr.Dataset:
+    """Directional spectrum near the dispersion relation at some frequencies, as `directions` returns it."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -242,7 +343,7 @@ def _with_error_of_current(
             continue
         moved = list(used.velocity)
         moved[i] += std
-        other = directions(
+        other = sector_spectrum(
             density, found["frequency"].values, water[0], current=(moved[0], moved[1]), gamma=water[1]
         )
         for name in ("direction", "spread"):
@@ -257,7 +358,7 @@ def direction_group(
     """Directions at the frequencies of the maps, isotropy at all."""
     current, dof = used.velocity, welch.dof
     lines = density["omega"].values / (2 * np.pi)
-    out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
+    out = sector_spectrum(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
     out = _with_error_of_current(out, density, used, (depth, gamma))
     out = out[["D", "dof", "low", "high", "direction", "direction_std", "spread", "spread_std"]]
     out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")})
@@ -265,17 +366,47 @@ def direction_group(
     highest = min(0.9 * lines[-1], dispersion(0.7 * float(density["kx"].max()), depth, gamma) / (2 * np.pi))
     frequencies = np.arange(max(0.5, 2 * lines[1]), highest, 0.25)
     if frequencies.size:
-        isotropy = directions(density, frequencies, depth, current=current, gamma=gamma)["isotropy"].values
+        isotropy = sector_spectrum(density, frequencies, depth, current=current, gamma=gamma)[
+            "isotropy"
+        ].values
         out = out.assign_coords(omega=2 * np.pi * frequencies).assign(isotropy=("omega", isotropy))
     return annotate(out, "direction").assign_attrs(used.attrs)
 
 
+def directional_group(
+    density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
+) -> xr.Dataset:
+    """E(f, theta) of the elevation as wavespectra takes it."""
+    elevation = elevation_density(density, used.velocity, welch.frames)
+    frequency, step = resolved_frequencies(density, depth, gamma)
+    found = sector_spectrum(
+        elevation,
+        frequency,
+        depth,
+        current=used.velocity,
+        sectors=SECTORS,
+        dof=welch.dof,
+        gamma=gamma,
+        bandwidth=step * (1 - 1e-9),  # a line at either end counts once
+    )
+    current = {f"current_{axis}": speed for axis, speed in zip("xy", used.velocity)}
+    return oceanographic(found).assign_attrs(current | used.attrs)
+
+
 register(
+    Product(
+        "directional",
+        ("density_w", "depth", "gamma", "fitted_or_given_current", "welch"),
+        directional_group,
+        group="directional",
+        without="No directional spectrum",
+        cost=3,
+    ),
     Product(
         "direction",
         ("density_w", "map_lines", "current", "depth", "gamma", "welch"),
         direction_group,
         group="direction",
         cost=1,
-    )
+    ),
 )

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft
 
 from wavefield.errors import CubeError
 from wavefield.water import dispersion
@@ -22,11 +21,7 @@ from wavefield.waves.spectra.field_spectra import density, plane_density
 
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
-Distances = tuple[float, float, float]  # between frames, s; nodes along y and x, m
 
-MARGIN = 16  # nodes by which fields are mirrored beyond the edge
-MEMORY_S = 0.4  # of the integration of w
-RESOLVED = 0.9  # of the Nyquist frequency: faster waves may be folded back
 SLOWEST, FASTEST = 0.5, 1.5  # of the free frequency: the limits of free waves
 _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m
 
@@ -113,64 +108,3 @@ def shortest_waves(omega: Array, water: Water, speed: float) -> Array:
     blocked = np.flatnonzero(np.diff(with_current) <= 0)
     stop = max(int(blocked[0]), 2) if blocked.size else _TABLE_K.size
     return np.asarray(np.interp(omega, with_current[:stop], _TABLE_K[:stop]))
-
-
-def blend(
-    z: Array,
-    w: Array,
-    omega: Array,
-    distances: Distances,
-    current: Any,
-    water: Water,
-    noise: float,
-    frames: int,
-) -> Array:
-    """Best elevation from the transforms of z and w in time, (omega, ny, nx), on a current, m/s.
-    In every cell z and the integrated w are weighted inversely to the noise that they have there.
-    """
-    dt, dy, dx = distances
-    margin = min(MARGIN, *(n - 1 for n in w.shape[1:]))
-    padded = [n + 2 * margin for n in w.shape[1:]]
-    fade = np.outer(*(_fade(n, margin) for n in padded))
-    ky, kx = (2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(padded, (dy, dx)))
-    sigma = dispersion(np.hypot(ky[:, None], kx), *water)
-    # numpy's k points where waves come from
-    doppler_shift = -(kx * current[0] + ky[:, None] * current[1])
-    # waves that pass faster than frames resolve: of omega + 2 pi n / dt the one nearest to their free
-    # frequency is taken
-    folded = sigma + np.abs(doppler_shift) > RESOLVED * np.pi / dt
-    inside = slice(margin, -margin)
-    # what a current carries in from outside is not measured: the edges are left to stereo
-    carried = (MEMORY_S * np.hypot(*current) / step for step in (dy, dx))
-    measured = np.outer(*(_inside(n, nodes) for n, nodes in zip(w.shape[1:], carried)))
-    out = z.copy()
-    for i in range(1, omega.size):
-        turns = np.where(folded, _turns(omega[i], doppler_shift, sigma, dt), 0)
-        intrinsic = intrinsic_frequency(omega[i], doppler_shift - 2 * np.pi * turns / dt, sigma, dt)
-        half = 2j * np.sin(intrinsic * dt / 2)
-        weight = 1 / (1 + 1 / (noise * noise_of_displacement(intrinsic, dt, frames)))
-        to_z = dt / (half * path_factor(intrinsic, dt, frames))
-        # beyond the edges the fields are mirrored and fade
-        planes = fft.fft2(np.pad([z[i], w[i]], ((0, 0), *[(margin, margin)] * 2), mode="reflect") * fade)
-        sign = np.where(turns % 2 == 0, 1.0, -1.0)  # half a step of another turn has the other sign
-        best = weight * planes[1] * to_z + (1 - weight) * sign * planes[0]
-        out[i] += measured * fft.ifft2(best - planes[0])[inside, inside]
-    return out
-
-
-def _turns(omega: float, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """By how many sampling rates the waves measured at omega are faster."""
-    turns = np.array([0, -1, 1])
-    off = np.abs(np.abs(omega + 2 * np.pi * turns[:, None, None] / dt - doppler_shift) - sigma)
-    return np.asarray(turns[off.argmin(axis=0)])
-
-
-def _inside(n: int, edge: float) -> Array:
-    """Weights (n,) that rise from the ends to one within `edge` nodes."""
-    distance = np.minimum(np.arange(n), np.arange(n)[::-1]) + 0.5
-    return np.asarray(np.sin(np.pi / 2 * np.minimum(1.0, distance / max(edge, 0.5))) ** 2)
-
-
-def _fade(n: int, margin: int) -> Array:
-    rise = np.sin(np.pi / 2 * (np.arange(margin) + 0.5) / margin) ** 2
-    return np.concatenate([rise, np.ones(n - 2 * margin), rise[::-1]])

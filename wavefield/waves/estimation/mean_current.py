@@ -26,7 +26,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
     area = slice(*record.y), slice(*record.x)
     task = dask.delayed(_mean_of_step, pure=False)
     means = [[task(piece(cube[name], slice(t, t + 1), *area)) for name in ("u", "v")] for t in chosen]
-    return dask.delayed(_mean_and_uncertainty, pure=False)(means)
+    return dask.delayed(_mean_and_uncertainty, pure=False, nout=2)(means)
 
 
 def _mean_of_step(block: object) -> float:

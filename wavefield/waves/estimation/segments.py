@@ -44,15 +44,6 @@ def segment_length(record: Record, segment: int | None) -> int:
     return segment
 
 
-def short_segments(record: Record, segment: int | None) -> tuple[int, list[int]]:
-    """Length and starts of segments that overlap by half; of twelve, 256 steps at most, if none is given."""
-    if segment is None:
-        longest = min(2 * record.longest // (SHORT_SEGMENTS + 1), MAX_SHORT_SEGMENT)
-        segment = max(longest - longest % 2, 8)
-    segment = segment_length(record, segment)
-    return segment, [a for b, c in record.runs for a in range(b, c - segment + 1, segment // 2)]
-
-
 def count_segments(record: Record, segment: int) -> int:
     """Number of segments, overlapping by half, in all runs of a record."""
     return sum(segment_count(b - a, segment) for a, b in record.runs)

@@ -3,15 +3,18 @@
 from collections.abc import Mapping
 from typing import Any
 
+import dask.array as da
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import stats
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves.estimation import wave_kernels
 from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.wave_record import check_axes
+from wavefield.waves.estimation.mean_current import delayed_current
+from wavefield.waves.estimation.wave_record import check_axes, whole_record
 from wavefield.waves.estimation.welch import along_paths
 from wavefield.waves.products import Product, register
 
@@ -19,6 +22,7 @@ Array = NDArray[Any]
 
 FIELDS = ("z", "z_t", "u", "v", "w")
 OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
+CHANCE = 0.05  # outside the interval
 STENCIL = 8  # nodes along each axis of the interpolation between nodes
 
 
@@ -60,21 +64,23 @@ def terms(
 
 
 @takes(a_cube)
-def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> xr.Dataset:
+def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> xr.Dataset:
     """Slopes, nonlinear term, residual, vorticity and divergence at every node.
 
     Parameters
     ----------
     cube : Dataset
         z, z_t, u, v, w over (time, y, x), m and m/s, at mid-time. Lazy input gives a lazy result.
-    current : tuple of float
-        Mean current U along x and y, m/s, that the nonlinear term is relative to; still water by default.
+    current : tuple of float, optional
+        Current U along x and y, m/s, that the nonlinear term is relative to; by default the mean of u and v
+        over the record.
 
     Returns
     -------
     Dataset
         ``z_x``, ``z_y``, ``nonlinear`` ((u - U) . grad z), ``residual`` (z_t - w + u . grad z),
-        ``vorticity``, ``divergence`` (time, y, x).
+        ``vorticity``, ``divergence`` (time, y, x); ``mean_current_x``, ``mean_current_y``, the U that was
+        used; ``nonlinear_ratio``, the rms of the nonlinear term over that of w.
 
     Raises
     ------
@@ -83,6 +89,8 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> x
 
     Notes
     -----
+    U . grad z is linear: it belongs to the rate of rise in the frame that moves with the water.
+
     Central differences of sixth order, of lower order in the three rows at each edge. With velocities along
     paths the slope in the nonlinear term is that of z at mid-time; with displacements over one
     step it is that of the mean of the step's two frames, which z and z_t give exactly: with
@@ -99,10 +107,33 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> x
     >>> fields = {"z": flat + 0.1 * axes["x"], "z_t": flat, "u": flat + 0.2, "v": flat, "w": flat + 0.02}
     >>> units = {"z": {"units": "m"}} | {name: {"units": "m s-1"} for name in ("z_t", "u", "v", "w")}
     >>> cube = xr.Dataset({name: (at, field, units[name]) for name, field in fields.items()}, axes)
-    >>> terms = kinematics(cube)
+    >>> terms = kinematics(cube, current=(0.0, 0.0))
     >>> print(f"{float(terms.nonlinear.mean()):.3f}, {float(abs(terms.residual).max()):.3f}")
     0.020, 0.000
+
+    Relative to the water that moves at 0.2 m/s there is none.
+
+    >>> print(f"{float(kinematics(cube).nonlinear_ratio):.3f}")
+    0.000
     """
+    checked = _checked(cube)
+    if current is None:
+        (mean, _) = delayed_current(checked, whole_record(checked))
+        lazy = any(array.chunks is not None for array in checked.values())
+        used = da.from_delayed(mean, (2,), np.float64)
+        velocity = xr.DataArray(used if lazy else used.compute(), dims="axis")
+    else:
+        velocity = xr.DataArray(np.asarray(current, np.float64), dims="axis")
+    out = kinematic_fields(cube, velocity)
+    out["mean_current_x"], out["mean_current_y"] = velocity[0], velocity[1]
+    out["nonlinear_ratio"] = np.sqrt((out["nonlinear"] ** 2).mean() / (checked["w"] ** 2).mean())
+    return annotate(out, "kinematics")
+
+
+def kinematic_fields(
+    cube: xr.Dataset, current: xr.DataArray | tuple[float, float] = (0.0, 0.0)
+) -> xr.Dataset:
+    """The fields of `kinematics`, the nonlinear term relative to a current (2,), m/s."""
     cube = _checked(cube)
     dt, dy, dx = check_axes(cube)
     fields = [cube[name].transpose("time", "y", "x") for name in FIELDS]
@@ -110,13 +141,15 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> x
     mean = z if along_paths(cube) else _mean_of_frames(z, z_t, dt)
     fields.append(mean.astype(z.dtype))
 
-    def compute(*arrays: Array) -> tuple[Array, ...]:
-        return tuple(terms(dict(zip((*FIELDS, "mean"), arrays)), dy, dx, current).values())
+    def compute(ux: Array, uy: Array, *arrays: Array) -> tuple[Array, ...]:
+        named = dict(zip((*FIELDS, "mean"), arrays))
+        return tuple(terms(named, dy, dx, (float(ux), float(uy))).values())
 
     results = xr.apply_ufunc(
         compute,
+        *(current[i] for i in (0, 1)),
         *fields,
-        input_core_dims=[["y", "x"]] * len(fields),
+        input_core_dims=[[], [], *[["y", "x"]] * len(fields)],
         output_core_dims=[["y", "x"]] * len(OUTPUTS),
         dask="parallelized",
         output_dtypes=[z.dtype] * len(OUTPUTS),
@@ -145,7 +178,9 @@ def kinematics_at(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> xr.Da
         step = int(np.argmin(np.abs(cube.time.values - float(snapshot.time))))
         first = min(max(step - 1, 0), cube.sizes["time"] - 3)
         around = cube[list(FIELDS)].isel(time=slice(first, first + 3)).load()
-        return kinematics(around.assign_attrs(cube.attrs))[["nonlinear", "residual"]].isel(time=step - first)
+        return kinematic_fields(around.assign_attrs(cube.attrs))[["nonlinear", "residual"]].isel(
+            time=step - first
+        )
     fields = {name: snapshot[name].values for name in FIELDS}
     dy, dx = (float(np.mean(np.diff(snapshot[axis].values))) for axis in ("y", "x"))
     out = terms(fields | {"mean": fields["z"]}, dy, dx)
@@ -289,4 +324,32 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
     return annotate(out, "kinematics")
 
 
-register(Product("kinematics", ("balance_rows", "cube"), balance_group, group="kinematics"))
+def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
+    """The record's mean velocity (2,) and its standard uncertainty, m/s, as the wave store names them."""
+    out, (mean, std) = {}, mean_and_std
+    for i, axis in enumerate(("x", "y")):
+        out[f"mean_current_{axis}"] = ((), float(mean[i]))
+        out[f"mean_current_{axis}_std"] = ((), float(std[i]))
+    return annotate(xr.Dataset(out), "kinematics")
+
+
+def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
+    """Ratio of nonlinear to linear, sqrt(E_nl / E_w), over k and over omega with 95 % intervals."""
+    out: dict[str, Any] = {}
+    for axis, stem in (("k", "E_k"), ("omega", "E")):
+        w, nl = spectra[f"{stem}_w"], spectra[f"{stem}_nl"]
+        power = nl / w.where(w > 0)
+        dof_w, dof_nl = spectra[f"dof_{stem}_w"].values, spectra[f"dof_{stem}_nl"].values
+        upper = stats.f.ppf(1 - CHANCE / 2, dof_nl, dof_w), stats.f.ppf(1 - CHANCE / 2, dof_w, dof_nl)
+        name = f"nonlinear_ratio_{axis}"
+        out[name] = power**0.5
+        out[f"low_{name}"] = (axis, upper[0] ** -0.5)
+        out[f"high_{name}"] = (axis, upper[1] ** 0.5)
+    return annotate(xr.Dataset(out), "kinematics")
+
+
+register(
+    Product("kinematics", ("balance_rows", "cube"), balance_group, group="kinematics"),
+    Product("record_current", ("mean_current",), mean_current_group, group="kinematics"),
+    Product("nonlinear_ratio", ("spectra",), ratio_group, group="kinematics"),
+)

@@ -35,14 +35,3 @@ def plane_of(field: str, independent: bool = False) -> Convert:
         )
 
     return convert
-
-
-def a_dataset_with(variables: tuple[str, ...], source: str) -> Convert:
-    """Converter that lets Datasets with some variables pass, the results of `source`."""
-
-    def convert(given: object, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-        if not isinstance(given, xr.Dataset) or not {*variables} <= {*given.variables}:
-            raise CubeError(f"{name} needs the result of wavefield.{source}, got {described(given)}")
-        return given, {}
-
-    return convert
