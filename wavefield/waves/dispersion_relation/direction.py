@@ -99,10 +99,11 @@ def directions(
     depth: float | None = None,
     *,
     current: tuple[float, float] | None = None,
-    sectors: int = 36,
+    sectors: int = 24,
     dof: float | None = None,
     gamma: float | None = None,
     bandwidth: float | None = None,
+    segment: int | None = None,
 ) -> xr.Dataset:
     """Directional spectrum of the waves near the dispersion relation.
 
@@ -128,6 +129,9 @@ def directions(
         Surface tension over density, m3/s2.
     bandwidth : float, optional
         Width of the band around each frequency, Hz; 0.2 by default, or the step of the default frequencies.
+    segment : int, optional
+        Steps of a Welch segment, where the spectrum of a cube or field is computed; chosen from the record if
+        not given.
 
     Returns
     -------
@@ -168,7 +172,10 @@ def directions(
     >>> found.D.dims, found.efth.dims
     (('frequency', 'theta'), ('freq', 'dir'))
     """
-    given, (density, stated) = density, plane_of("w", independent=True)(density, "directions")
+    given, (density, stated) = (
+        density,
+        plane_of("w", independent=True, segment=segment)(density, "directions"),
+    )
     depth = stated.get("depth", np.inf) if depth is None else depth
     gamma = stated.get("gamma", GAMMA) if gamma is None else gamma
     dof = stated.get("dof") if dof is None else dof

@@ -11,7 +11,7 @@ from wavefield.waves.spectra.field_spectra import spectrum
 PLANE = {"omega", "ky", "kx"}
 
 
-def plane_of(field: str, independent: bool = False) -> Convert:
+def plane_of(field: str, independent: bool = False, segment: int | None = None) -> Convert:
     """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's.
     Degrees of freedom are those of the segments as they are, or of independent ones.
     """
@@ -23,9 +23,9 @@ def plane_of(field: str, independent: bool = False) -> Convert:
         if is_cube(given):
             if field not in given:
                 raise CubeError(f"the cube has no {field!r}, of whose spectrum {name} is made")
-            given = spectrum(given[field]).compute()
+            given = spectrum(given[field], segment=segment).compute()
         elif is_field(given):
-            given = spectrum(given).compute()
+            given = spectrum(given, segment=segment).compute()
         if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
             dof = given.attrs.get("degrees_of_freedom") if independent else given.get("dof")
             return given["E"], water | ({} if dof is None else {"dof": float(dof)})
