@@ -172,26 +172,23 @@ def directions(
     >>> found.D.dims, found.efth.dims
     (('frequency', 'theta'), ('freq', 'dir'))
     """
-    given, (density, stated) = (
-        density,
-        plane_of("w", independent=True, segment=segment)(density, "directions"),
-    )
+    plane, stated = plane_of("w", independent=True, segment=segment)(density, "directions")
     depth = stated.get("depth", np.inf) if depth is None else depth
     gamma = stated.get("gamma", GAMMA) if gamma is None else gamma
     dof = stated.get("dof") if dof is None else dof
     if current is None:
         try:
-            fit = fit_dispersion(density, depth, gamma=gamma)
+            fit = fit_dispersion(plane, depth, gamma=gamma)
         except CubeError as error:
             raise CubeError(f"{error}; or give the current") from None
         current = float(fit["current_x"]), float(fit["current_y"])
-    if is_cube(given):
-        density = elevation_density(density, current, frames_of(given))
+    if is_cube(density):
+        plane = elevation_density(plane, current, frames_of(density))
     if frequency is None:
-        frequency, step = resolved_frequencies(density, depth, gamma)
+        frequency, step = resolved_frequencies(plane, depth, gamma)
         bandwidth = step * (1 - 1e-9) if bandwidth is None else bandwidth  # a line at either end counts once
     out = sector_spectrum(
-        density,
+        plane,
         frequency,
         depth,
         current=current,
