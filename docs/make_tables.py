@@ -1,14 +1,23 @@
-"""Fill the tables of docs/formats.md from the package itself: `python docs/make_tables.py`."""
+"""Fill the tables of the reference pages from the package itself: `python docs/make_tables.py`."""
 
+import dataclasses
 import importlib
+import inspect
 import re
+import types
 from enum import Enum
 from itertools import takewhile
 from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
 
 from wavefield.variables import CUBE_FIELDS, GROUPS, TABLE, FrameStatus, Quality, Variable, rows_of
 
-PAGES = (Path(__file__).with_name("formats.md"),)
+PAGES = tuple(
+    Path(__file__).with_name(f"{name}.md")
+    for name in ("experiment-file", "images", "cube", "waves", "workflows-and-catalogs")
+)
 
 QUALITY = {
     Quality.MEASURED: "found by matching on its own",
@@ -138,7 +147,122 @@ def waves() -> str:
     return "\n".join(parts)
 
 
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The sections that a value may be: models within an annotation."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
+
+
+def _type(annotation: Any) -> str:
+    """An annotation in words."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type(parts[0])
+    if origin is Literal:
+        return " or ".join(f"`{part}`" for part in parts)
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(_type(part) for part in parts if part is not type(None)))
+    if origin is dict:
+        return f"one {_type(parts[1])} per name" if parts[1] is not Any else "mapping"
+    if origin in (list, tuple):
+        return "list"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "section"
+    return {str: "text", int: "whole number", float: "number", bool: "true or false"}.get(annotation, "text")
+
+
+def _default(value: object) -> str:
+    if isinstance(value, BaseModel) or value in (None, "", {}, [], ()):
+        return "-"
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+
+
+def keys(model: type[BaseModel], prefix: str = "") -> list[tuple[str, str, str, str]]:
+    """Rows (key, type, default, meaning) of every key of a section and of those within it."""
+    rows = []
+    for name, field in model.model_fields.items():
+        per_name = get_origin(field.annotation) is dict or any(
+            get_origin(part) is dict for part in get_args(field.annotation)
+        )
+        key = f"{prefix}{name}"
+        example = f"e.g. `{field.examples[0].strip(chr(34))}`" if field.examples else ""
+        inner = _models(field.annotation)
+        first = inner[0].__doc__.strip().splitlines()[0].rstrip(".") if inner else ""
+        meaning = "; ".join(text for text in (field.description or first, example) if text)
+        default = "needed" if field.is_required() else _default(field.get_default(call_default_factory=True))
+        rows.append((f"`{key}`", _type(field.annotation), default, meaning.replace("|", "or")))
+        for section in inner:
+            rows += keys(section, f"{key}.NAME." if per_name else f"{key}.")
+    return rows
+
+
+def settings(kind: type, prefix: str = "") -> list[tuple[str, str, str, str]]:
+    """Rows of the fields of a settings class, with their meanings from its docstring."""
+    text = inspect.getdoc(kind).split("Parameters\n----------\n")[1].split("\n\n")[0]
+    meanings: dict[str, str] = {}
+    for entry in re.split(r"\n(?=\w)", text):
+        names, _, rest = entry.partition(" : ")
+        declared, *words = rest.splitlines()
+        for name in names.split(", "):
+            meanings[name] = f"{declared}\0{' '.join(word.strip() for word in words)}"
+    rows = []
+    for field in dataclasses.fields(kind):
+        if field.name in ("stereo", "piv"):
+            continue
+        declared, meaning = meanings[field.name].split("\0")
+        needed = field.default is dataclasses.MISSING
+        default = "needed" if needed else _default(field.default)
+        rows.append((f"`{prefix}{field.name}`", declared, default, meaning))
+    return rows
+
+
+def key_table(rows: list[tuple[str, str, str, str]]) -> str:
+    """A table of keys."""
+    return rows_to_table(("key", "type", "default", "meaning"), rows)
+
+
+def settings_table() -> str:
+    """Settings of the measurement, and of each of its two matchings with both defaults."""
+    from wavefield.matching import MatchSettings
+    from wavefield.measurement import Settings
+
+    both = Settings()
+    rows = settings(Settings)
+    for key, kind, _, meaning in settings(MatchSettings):
+        name = key.strip("`")
+        defaults = (_default(getattr(one, name)) for one in (both.stereo, both.piv))
+        default = " / ".join(dict.fromkeys(defaults))
+        rows.append((f"`stereo.{name}`, `piv.{name}`", kind, default, meaning))
+    return key_table(rows)
+
+
+def experiment() -> str:
+    """Keys of an experiment file."""
+    from wavefield.series.experiment import Experiment
+
+    return key_table(keys(Experiment))
+
+
+def workflow() -> str:
+    """Keys of a workflow file."""
+    from wavefield.execution.workflow import Workflow
+
+    return key_table(keys(Workflow))
+
+
+def target() -> str:
+    """Keys of a calibration target."""
+    from wavefield.calibration import Target
+
+    return key_table(settings(Target))
+
+
 TABLES = {
+    "experiment": experiment,
+    "settings": settings_table,
+    "workflow": workflow,
+    "target": target,
     "frames": frames,
     "cube": cube,
     "pairs": pairs,

@@ -244,3 +244,21 @@ def test_every_public_name_belongs_to_a_task_of_the_reference(site_parts):
     listed = [name for names in tasks.values() for name in names]
     assert sorted([*listed, "__version__"]) == sorted(wavefield.__all__)
     assert site_parts.OTHER not in tasks, f"add the module of {tasks.get(site_parts.OTHER)} to TASKS"
+
+
+def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_documented():
+    docs = ROOT / "docs"
+    text = (docs / "experiment-file.md").read_text() + (docs / "workflows-and-catalogs.md").read_text()
+    documented = set(re.findall(r"`([\w.]+)`", text))
+    from dataclasses import fields
+
+    from wavefield.calibration import Target
+    from wavefield.execution.workflow import Workflow
+    from wavefield.matching import MatchSettings
+    from wavefield.measurement import Settings
+    from wavefield.series import Experiment
+
+    accepted = {*Experiment.model_fields, *Workflow.model_fields, "preset"}
+    accepted |= {field.name for kind in (Target, Settings) for field in fields(kind)} - {"stereo", "piv"}
+    accepted |= {f"{part}.{field.name}" for part in ("stereo", "piv") for field in fields(MatchSettings)}
+    assert accepted - documented == set()

@@ -16,8 +16,8 @@ from wavefield.rig.rotation import rotation_about
 
 
 def test_the_rig_file_of_the_documentation_is_read(tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
-    text = page.split("## Rig\n")[1].split("```yaml\n")[1].split("```")[0]
+    page = (Path(__file__).parents[2] / "docs" / "rig-file.md").read_text()
+    text = page.split("```yaml\n")[1].split("```")[0]
     (tmp_path / "rig.yaml").write_text(text)
     rig = load_rig(tmp_path / "rig.yaml")
     assert list(rig) == ["cam1", "cam2"]

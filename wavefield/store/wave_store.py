@@ -53,7 +53,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
     -------
     DataTree
         One group per product: ``spectra``, ``komega``, ``coherence``, ...; attributes and variables are in
-        the page on file formats.
+        the page on the wave store.
 
     Raises
     ------
