@@ -1,5 +1,6 @@
 """Fill the tables of the reference pages from the package itself: `python docs/make_tables.py`."""
 
+import ast
 import dataclasses
 import importlib
 import inspect
@@ -14,9 +15,13 @@ from pydantic import BaseModel
 
 from wavefield.variables import CUBE_FIELDS, GROUPS, TABLE, FrameStatus, Quality, Variable, rows_of
 
-PAGES = tuple(
-    Path(__file__).with_name(f"{name}.md")
-    for name in ("experiment-file", "images", "cube", "waves", "workflows-and-catalogs")
+ROOT = Path(__file__).parents[1]
+PAGES = (
+    ROOT / "CONTRIBUTING.md",
+    *(
+        ROOT / "docs" / f"{name}.md"
+        for name in ("experiment-file", "images", "cube", "waves", "workflows-and-catalogs")
+    ),
 )
 
 QUALITY = {
@@ -258,7 +263,29 @@ def target() -> str:
     return key_table(settings(Target))
 
 
+def rooms() -> str:
+    """Floors of the package with what each room holds, from the import contract and the rooms' docstrings."""
+    package = ROOT / "wavefield"
+    contract = (ROOT / ".importlinter").read_text(encoding="utf-8")
+    layers = re.search(r"layers =\n((?:    .*\n)+)", contract)[1].split("\n")
+    floors = [re.findall(r"\w+", line) for line in layers if line.strip() and "__main__" not in line]
+    rows = []
+    for number, names in zip(range(len(floors), 0, -1), floors):
+        small = []
+        for name in names:
+            path = package / name / "__init__.py"
+            if path.exists():
+                first = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))).splitlines()[0]
+                rows.append((str(number), f"`{name}/`", first))
+            else:
+                small.append(f"`{name}.py`")
+        if small:
+            rows.append((str(number), "single files", ", ".join(small)))
+    return rows_to_table(("floor", "room", "holds"), rows)
+
+
 TABLES = {
+    "rooms": rooms,
     "experiment": experiment,
     "settings": settings_table,
     "workflow": workflow,
