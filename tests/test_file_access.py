@@ -19,7 +19,7 @@ from wavefield.series.probes import read_probes
 from wavefield.series.readers import FrameEntry, count_images, read_entry
 
 READERS = {
-    "image.tif": [read_image, count_images, lambda path: read_entry(FrameEntry("page", str(path), 1))],
+    "image.tif": [read_image, count_images, lambda path: read_entry(FrameEntry("images", str(path), 1))],
     "image.png": [read_image],
     "image.im7": [read_image],
     "film.avi": [count_images],

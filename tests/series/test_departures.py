@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavefield.series.departures import frame_departures
+from wavefield.series.clocks import frame_departures
 from wavefield.series.frames import FrameSeries
 
 RATE = 20.0

@@ -156,8 +156,8 @@ def write_stack(path, images, **how):
 def test_pages_mean_the_same_as_files(tmp_path, picture, how):
     path = tmp_path / "a.tif"
     write_stack(path, [picture + np.uint8(k) for k in range(3)], **how)
-    assert count_images(path) == ("page", 3)
-    read = read_entry(FrameEntry("page", str(path), 2))
+    assert count_images(path) == ("images", 3)
+    read = read_entry(FrameEntry("images", str(path), 2))
     np.testing.assert_array_equal(read, 253 - picture if "photometric" in how else picture + 2)
     np.testing.assert_array_equal(read_image(path, 2), read)
     with pytest.raises(FrameError, match="has 3 images; name this file alone to read all"):
@@ -172,13 +172,13 @@ def test_a_stack_of_imagej_with_one_directory_has_all_its_images(tmp_path, order
     stack = np.random.default_rng(1).integers(0, 4000, (12, 48, 64)).astype(f"{order}u2")
     how = {"imagej": True, "byteorder": order, "metadata": {"axes": "TYX"}, "truncate": True}
     tifffile.imwrite(path, stack, **how)
-    assert count_images(path) == ("page", 12)
+    assert count_images(path) == ("images", 12)
     for k in (0, 7, 11):
-        np.testing.assert_array_equal(read_entry(FrameEntry("page", str(path), k)), stack[k])
+        np.testing.assert_array_equal(read_entry(FrameEntry("images", str(path), k)), stack[k])
     path.write_bytes(path.read_bytes()[:-100])
     close_files()
     with pytest.raises(FrameError, match=r"a\.tif is corrupt or truncated"):
-        read_entry(FrameEntry("page", str(path), 11))
+        read_entry(FrameEntry("images", str(path), 11))
 
 
 def test_thumbnails_are_not_frames(tmp_path, picture):

@@ -11,7 +11,6 @@ import tifffile
 import zarr
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.images import read_image
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.formats import open_recording
@@ -269,28 +268,6 @@ def test_several_datasets_are_distinguished_by_name(tmp_path):
     with pytest.raises(FrameError, match="no images called 'cam3/images'"):
         open_recording(tmp_path / "run.h5" / "cam3" / "images")
     close_files()
-
-
-@pytest.mark.parametrize("bits", [10, 12])
-def test_tiff_of_packed_pixels(tmp_path, bits):
-    """Rows begin at whole bytes, as TIFF has it; values fill the 16 bits in which they are read."""
-    image = np.random.default_rng(bits).integers(0, 2**bits, (6, 7)).astype("u2")
-    strip = b"".join(pack(row, bits) for row in image)
-    tags = [
-        (256, 3, 7),
-        (257, 3, 6),
-        (258, 3, bits),
-        (259, 3, 1),
-        (262, 3, 1),
-        (273, 4, 8 + 2 + 12 * 9 + 4),
-        (277, 3, 1),
-        (278, 3, 6),
-        (279, 4, len(strip)),
-    ]
-    directory = struct.pack("<H", len(tags))
-    directory += b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
-    (tmp_path / "a.tif").write_bytes(b"II*\0" + struct.pack("<I", 8) + directory + bytes(4) + strip)
-    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), image << (16 - bits))
 
 
 def test_big_tiff_of_many_pages(tmp_path):

@@ -27,7 +27,7 @@ from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Rig
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries, masks, mean_images
-from wavefield.series.departures import frame_departures
+from wavefield.series.clocks import frame_departures
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 

@@ -1,6 +1,6 @@
-"""Times of a camera's images by its own clock, and their places in the record by these."""
+"""Cameras' clocks: time stamps, the places of images by them, and departures of frames from even times."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,42 +8,90 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
+from wavefield.robust import robust_std
 from wavefield.series.formats import open_recording
+from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import Numbered
-from wavefield.series.rates import recordings_of
+from wavefield.series.rates import is_video, recordings_of
 
 Times = NDArray[np.float64]
 Images = str | Sequence[str | None]
 
 RECORDED = "recorded"  # in place of a file of times: those in the recording
+MIN_INTERVALS = 3  # fewer do not show a rate
+SIGNIFICANCE = 4.0  # standard deviations
 MAX_OFFSET = 0.25  # intervals between an image's time and its place
 RATE_ERROR = 1e-3  # by which the rates of clocks differ
 MAX_PLACES_PER_IMAGE = 10  # more: several records in one file
+RATE_DISAGREEMENT = 0.01  # of a rate: clocks differ by less, and by as much a velocity would be wrong
+_EVEN = 2e-4  # intervals: smaller departures change nothing
+_RATE_ERROR = 1e-4  # of a quartz
+_DECIMALS = 7  # of departures in intervals
+_OTHER_RATE = 0.05  # by which a clock's rate and the stated one differ where frames were left out since
+_DRIFT_FRAMES = 129  # over so many frames the drift of a clock is even
+_RESOLUTIONS = (0.01, 0.001, 0.0001)  # s, to which clocks round
+_ROUNDED = 1.05  # resolutions from the lowest to the highest departure that rounding makes
 
 
-def own_times(images: Images, camera: str, folder: Path) -> Times | None:
-    """Times of a camera's images in its recordings, (n,), s, as they are; None where these hold none."""
-    parts = []
-    for path in recordings_of(images, camera, folder):
+def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
+    """Times of a camera's images in its recordings, (n,), s; None where these hold none.
+
+    A video's times are those of the playback: its usual interval counts as that of the frame rate. Other
+    recordings are refused if their time stamps contradict the frame rate.
+    """
+    parts, paths = [], recordings_of(images, camera, folder)
+    for path in paths:
         try:
             recording = open_recording(path)
         except FrameError:  # reported when the images are opened
             return None
         parts.append(recording.times())
+        stated = recording.rate
         recording.close()
         if not len(parts[-1]):
             return None
     times = np.concatenate(parts) if parts else np.zeros(1)
-    return times if np.ptp(times) > 0 else None
+    if not np.ptp(times) > 0:
+        return None
+    if is_video(paths[0]):
+        intervals = np.diff(times)
+        usual = float(np.median(intervals))
+        # whole multiples of one interval are even, whatever the playback; others are times of their own
+        scale = 1.0 / (usual * frame_rate)
+        return times * scale if len(paths) == 1 and usual > 0 and intervals.min() > 0 else None
+    header = f", its header {stated:g} Hz" if stated else ""
+    refuse_other_rate(times, frame_rate, f"{paths[0]}: its time stamps are at {{rate:g}} Hz{header}")
+    return times
 
 
-def recorded_times(images: Images, camera: str, folder: Path) -> Times:
+def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
+    """Refuse a frame rate that the intervals of time stamps contradict by more than their scatter."""
+    intervals = np.diff(times)
+    if len(intervals) < MIN_INTERVALS:
+        return
+    if intervals.min() > 0:
+        usual = intervals[np.abs(intervals / np.median(intervals) - 1.0) < 0.5]  # without dropped images
+        interval, scatter = float(usual.mean()), float(robust_std(usual)) / np.sqrt(len(usual))
+    else:  # stamps that are rounded to more than an interval
+        interval = float(np.ptp(times)) / len(intervals)
+        scatter = float(intervals.max()) / len(intervals)
+    if not interval > 0:
+        return
+    if abs(interval * frame_rate - 1.0) > max(RATE_DISAGREEMENT, SIGNIFICANCE * scatter / interval):
+        rate = float(f"{1.0 / interval:.4g}")
+        raise ExperimentError(
+            f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: set `frame_rate: {rate:g}`, or "
+            "correct the times (they are in seconds)"
+        )
+
+
+def recorded_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times:
     """As `own_times`, where the experiment file requires them: increasing times."""
     if not recordings_of(images, camera, folder):
         raise ExperimentError(
             f"{camera}: `times: {RECORDED}` needs a recording, and {images} is none; name a file of times"
         )
-    times = own_times(images, camera, folder)
+    times = own_times(images, camera, folder, frame_rate)
     if times is None or np.any(np.diff(times) <= 0):
         raise ExperimentError(
             f"{images} holds no increasing times of its images: leave `times` out, or name a file of them"
@@ -52,28 +100,32 @@ def recorded_times(images: Images, camera: str, folder: Path) -> Times:
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
-    """Times of a camera's frames, (n,), s: one line per image, in order."""
+    """Times of a camera's frames, (n,), s, in order: one per line, or the column `time` of a CSV file."""
     try:
         with accessing(path, ExperimentError):
-            lines = path.read_text().splitlines()
+            lines = path.read_text("utf-8-sig").splitlines()
     except OSError as error:
         raise ExperimentError(f"time stamps of {camera}: {path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ExperimentError(
-            f"time stamps of {camera}: {path} is not a text file of one time per line, in seconds"
+            f"time stamps of {camera}: {path} is not UTF-8 text with one time per line, in seconds"
         ) from None
     times: list[float] = []
+    column, columns = 0, 1
     for number, line in enumerate(lines, 1):
-        words = line.replace(",", " ").replace(";", " ").split()
-        if not words or words[0].startswith("#"):
+        if not line.strip() or line.startswith("#"):
+            continue
+        cells = [cell.strip().strip('"') for cell in line.split(",")]
+        if not times and "time" in cells:
+            column, columns = cells.index("time"), len(cells)
             continue
         try:
-            times.append(float(words[-1]))
+            times.append(float(cells[column] if len(cells) == columns else line))
         except ValueError:
-            if times:
-                raise ExperimentError(
-                    f"{path}, line {number}: {words[-1]!r} is not a time in seconds"
-                ) from None
+            raise ExperimentError(
+                f"{path}, line {number}: {line.strip()[:40]!r} is not one time in seconds; write one a line, "
+                "or a CSV with a column `time`"
+            ) from None
     out = np.array(times)
     if out.size == 0 or np.any(np.diff(out) <= 0):
         raise ExperimentError(f"time stamps of {camera}: {path} must hold increasing times in seconds")
@@ -88,6 +140,7 @@ def place_by_time(
         raise ExperimentError(
             f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
         )
+    refuse_other_rate(times, frame_rate, f"{path}: the times of {camera} are at {{rate:g}} Hz")
     place = (times - start) * frame_rate
     numbers = np.rint(place).astype(int)
     worst = int(np.argmax(np.abs(place - numbers)))
@@ -118,3 +171,75 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
     old = sorted(numbered)
     places = old[0] + np.append(0, np.cumsum(steps)).astype(int)
     return {int(place): numbered[number] for place, number in zip(places, old)}
+
+
+def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Times | None:
+    """By how much later than at even intervals a record's frames were taken, (n,), intervals; None if even.
+    What the cameras' clocks share, less offset and drift: they are triggered together, the rest is noise.
+    """
+    each = [
+        found
+        for one in series.values()
+        if one.times is not None and (found := departures_by_clock(one.times, frame_rate)) is not None
+    ]
+    if not each:
+        return None
+    stack = np.stack(each)
+    count = np.isfinite(stack).sum(axis=0)
+    common = np.nansum(stack, axis=0) / np.maximum(count, 1)
+    freedom = int(np.maximum(count - 1, 0).sum())
+    power = float(np.mean(np.square(common)))
+    if freedom and power:
+        noise = float(np.nansum(np.square(stack - common))) / freedom / len(each)
+        common *= max(power - noise, 0.0) / power
+    return np.round(common, _DECIMALS) if np.abs(common).max() > _EVEN else None
+
+
+def departures_by_clock(times: Times, frame_rate: float) -> Times | None:
+    """The same by one clock, from its times (n,), s; NaN where it has none.
+
+    None where they do not fit even intervals at all.
+
+    Examples
+    --------
+    >>> departures_by_clock(np.array([0.0, 0.052, 0.1, 0.15, 0.2]), 20.0).round(3).tolist()
+    [-0.008, 0.032, -0.008, -0.008, -0.008]
+    """
+    there = np.flatnonzero(np.isfinite(times))
+    if len(there) < 3:
+        return None
+    place, seconds = (there - there[0]).astype(float), times[there] - times[there[0]]
+    rate = place[-1] / seconds[-1]
+    if abs(rate / frame_rate - 1.0) < _OTHER_RATE:
+        rate = frame_rate
+    found = seconds * rate - place
+    found -= _line(place, found)
+    if len(times) > 2 * _DRIFT_FRAMES:
+        import scipy.signal  # takes a second, which short records do not need
+
+        drift = scipy.signal.savgol_filter(np.interp(np.arange(len(times)), there, found), _DRIFT_FRAMES, 1)
+        found -= drift[there]
+    if np.abs(found).max() > MAX_OFFSET:
+        return None
+    if np.ptp(found) <= _ROUNDED * _resolution(times[there]) * rate:
+        found[:] = 0.0
+    out = np.full(len(times), np.nan)
+    out[there] = found
+    return out
+
+
+def _line(x: Times, y: Times) -> Times:
+    """Mean and slope of y(x); the slope as far as it is not jitter, with the error of a clock's rate."""
+    x = x - x.mean()
+    mean, square = y.mean(), float(x @ x)
+    rest = y - mean - x * float(x @ y) / square
+    jitter = float(rest @ rest) / max(len(y) - 2, 1)
+    return np.asarray(mean + x * float(x @ y) / (square + jitter / _RATE_ERROR**2))
+
+
+def _resolution(times: Times) -> float:
+    """Seconds to which times are rounded; 0 where they are not."""
+    for step in _RESOLUTIONS:
+        if np.abs(times / step - np.rint(times / step)).max() < 1e-3:
+            return step
+    return 0.0

@@ -10,7 +10,7 @@ import xarray as xr
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
-from wavefield.series.departures import frame_departures
+from wavefield.series.clocks import frame_departures
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
 from wavefield.store.read import open_cube

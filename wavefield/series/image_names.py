@@ -62,7 +62,8 @@ def image_paths(folder: Path) -> list[str]:
 
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
     """Series of numbered images among paths, wherever in the name the number of the frame is.
-    Names that differ in several numbers are of several series: the frame's is the one with the most values.
+    The frame's number is the one with the most values. Where each name has another, what else varies (a time,
+    say) gets a star; else names that differ in further numbers are of further series.
     """
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
@@ -79,8 +80,15 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
         zeros = any(len(parts[k]) > 1 and parts[k].startswith("0") for parts in names)
         width = min(len(parts[k]) for parts in names)
         frame = f"{{frame:0{width}d}}" if zeros else "{frame}"
+        unique = len({parts[k] for parts in names}) == len(names) > 1
+        others = [
+            j
+            for j in range(1, len(names[0]), 2)
+            if j != k and len({parts[j] for parts in names}) > 1 and not _OF_A_CAMERA.search(texts[j // 2])
+        ]
         for parts in names:
-            numbers["".join([*parts[:k], frame, *parts[k + 1 :]])].append(int(parts[k]))
+            shown = ["*" if unique and j in others else part for j, part in enumerate(parts)]
+            numbers["".join([*shown[:k], frame, *shown[k + 1 :]])].append(int(parts[k]))
     return [NumberedImages(pattern, tuple(sorted(found))) for pattern, found in sorted(numbers.items())]
 
 

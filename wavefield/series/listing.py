@@ -17,8 +17,15 @@ from numpy.typing import NDArray
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
 from wavefield.series.frames import FrameSeries
-from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
-from wavefield.series.remote import is_remote, list_remote
+from wavefield.series.readers import (
+    FrameEntry,
+    Kind,
+    count_images,
+    is_remote,
+    list_remote,
+    read_entry,
+    without_password,
+)
 
 Numbered = dict[int, FrameEntry]
 Images = str | Sequence[str | None]  # as in the experiment file
@@ -26,6 +33,8 @@ Images = str | Sequence[str | None]  # as in the experiment file
 SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
 _OTHER_PLACEHOLDER = re.compile(r"%\d*[diu]|##+|\{\w*(:\d*d?)?\}")  # of other programs
 MAX_TRIED = 20  # frames, for one that can be read
+MAX_FRAMES = 5_000_000  # of a record
+MAX_NUMBERS_PER_FRAME = 1000  # of the range of a record
 _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
@@ -92,9 +101,15 @@ def _from_store(address: str, camera: str) -> Numbered:
 
 def _count_images(path: Path | str, camera: str) -> tuple[Kind, int]:
     try:
-        return count_images(path)
+        kind, count = count_images(path)
     except FrameError as error:
         raise ExperimentError(f"images of {camera}: {error}") from None
+    if count > MAX_FRAMES:
+        raise ExperimentError(
+            f"images of {camera}: {without_password(str(path))} has {count:.3g} images by its header, more "
+            f"than {MAX_FRAMES:,}: is it damaged?"
+        )
+    return kind, count
 
 
 def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
@@ -132,7 +147,7 @@ def list_folder(folder: Path, camera: str) -> list[str]:
 
 def _names(path: Path, camera: str) -> dict[int, str]:
     """Names of the files in a folder that fit a pattern, by frame number."""
-    if has_pattern(str(path.parent)):
+    if re.search(r"[*?]|\{frame", str(path.parent)):
         raise ExperimentError(
             f"images of {camera}: {path} has a pattern in its folder; only the file may vary"
         )
@@ -140,27 +155,49 @@ def _names(path: Path, camera: str) -> dict[int, str]:
 
 
 def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: str) -> dict[int, str]:
-    parts = _FRAME.sub("\0", pattern).split("\0")
-    if len(parts) > 2:
+    if len(_FRAME.findall(pattern)) > 1:
         raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
-    if len(parts) == 2:
-        numbered = _numbers_by_pattern(names, parts[0], parts[1], camera)
-    else:
+    if not _FRAME.search(pattern):
         numbered = _numbers_by_glob(fnmatch.filter(names, pattern), pattern, camera)
+    elif re.search(r"[*?]", pattern):
+        numbered = _numbers_by_mark(names, pattern, camera)
+    else:
+        before, after = _FRAME.sub("\0", pattern).split("\0")
+        numbered = _numbers_by_pattern(names, before, after, camera)
     if not numbered:
         alike = sorted(name for name in names if name.endswith(Path(pattern).suffix)) or sorted(names)
-        hint = f"the folder holds {alike[0]!r} and others" if alike else f"{folder} is empty"
-        raise ExperimentError(f"images of {camera}: no file in {folder} fits {pattern!r}; {hint}")
+        shown = without_password(str(folder))
+        hint = f"the folder holds {alike[0]!r} and others" if alike else f"{shown} is empty"
+        raise ExperimentError(f"images of {camera}: no file in {shown} fits {pattern!r}; {hint}")
     return numbered
 
 
 def _numbers_by_pattern(names: Sequence[str], before: str, after: str, camera: str) -> dict[int, str]:
+    """Numbers between two texts."""
     head, tail = len(before), len(after)
     out: dict[int, str] = {}
     for name in names:
         digits = name[head : len(name) - tail]
         if digits.isdecimal() and name.startswith(before) and name.endswith(after):
             _place(out, int(digits), name, camera)
+    return out
+
+
+def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
+    """Numbers at ``{frame}`` of a pattern with wildcards beside it, as in ``run-*-{frame}.tif``."""
+    parts = re.split(r"(\*|\?|\{frame[^}]*\})", pattern)
+    if re.search(r"[*?]\{frame|\{frame[^}]*\}[*?]", pattern):
+        raise ExperimentError(
+            f"images of {camera}: {pattern} has a wildcard next to {{frame}}: put the character between them"
+        )
+    groups = {"*": ".*", "?": "."}
+    form = re.compile(
+        "".join(r"(\d+)" if p.startswith("{frame") else groups.get(p) or re.escape(p) for p in parts)
+    )
+    out: dict[int, str] = {}
+    for name in names:
+        if match := form.fullmatch(name):
+            _place(out, int(match[1]), name, camera)
     return out
 
 
@@ -186,19 +223,29 @@ def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[in
             "digits); mark the frame number, as in img_{frame:05d}.tif"
         )
     digits = [[int(d) for d in p[1::2]] for p in parts]
-    varying = [k for k in range(len(digits[0])) if len({d[k] for d in digits}) > 1]
-    if len(names) == 1 and digits[0]:
-        varying = [len(digits[0]) - 1]
+    values = [len({d[k] for d in digits}) for k in range(len(digits[0]))]
+    varying = [k for k, count in enumerate(values) if count > 1]
+    if len(names) == 1 and values:
+        varying = [len(values) - 1]
     if len(varying) != 1:
         problem = "more than one number varies" if varying else "no number varies"
         raise ExperimentError(
-            f"images of {camera}: {problem} among the names that fit {pattern!r}; mark the frame "
-            "number, as in img_{frame:05d}.tif"
+            f"images of {camera}: {problem} among the names that fit {pattern!r}; mark the frame number, as "
+            f"in {_marked(parts[0], varying, values) or 'img_{frame:05d}.tif'}"
         )
     out: dict[int, str] = {}
     for numbers, name in zip(digits, names):
         _place(out, numbers[varying[0]], name, camera)
     return out
+
+
+def _marked(parts: Sequence[str], varying: Sequence[int], values: Sequence[int]) -> str:
+    """A name with ``{frame}`` for the number that varies most, and a star for the others that vary."""
+    if not varying:
+        return ""
+    frame = max(varying, key=lambda k: (values[k], k))
+    marks = {2 * k + 1: "{frame}" if k == frame else "*" for k in varying}
+    return "".join(marks.get(k, part) for k, part in enumerate(parts))
 
 
 def make_series(

@@ -4,18 +4,26 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.series.formats import file_of, open_recording
-from wavefield.series.readers import video_rate
+from wavefield.series.formats import VIDEO_ENDINGS, file_of, open_recording
 
 RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
 
 
 def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
     """Frame rates that recordings state, by camera; the cameras are as in the experiment file."""
+    return _rates(cameras, folder, videos=False)
+
+
+def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
+    """Playback rates of cameras whose images are videos; those of high-speed cameras are not frame rates."""
+    return _rates(cameras, folder, videos=True)
+
+
+def _rates(cameras: Mapping[str, object], folder: Path, videos: bool) -> dict[str, float]:
     rates = {}
     for name, images in _images(cameras):
         paths = recordings_of(images, name, folder)
-        if not paths:
+        if not paths or is_video(paths[0]) != videos:
             continue
         try:
             recording = open_recording(paths[0])
@@ -27,15 +35,9 @@ def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, flo
     return rates
 
 
-def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
-    """Playback rates of cameras whose images are videos; those of high-speed cameras are no frame rates."""
-    rates = {}
-    for name, images in _images(cameras):
-        first = images[0] if isinstance(images, list) and images else images
-        rate = video_rate(folder / first.replace("{camera}", name)) if isinstance(first, str) else None
-        if rate is not None:
-            rates[name] = rate
-    return rates
+def is_video(path: Path) -> bool:
+    """Whether a path is that of a video, whose times are those of the playback."""
+    return path.suffix.lower() in VIDEO_ENDINGS
 
 
 def _images(cameras: Mapping[str, object]) -> Iterator[tuple[str, object]]:

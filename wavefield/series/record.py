@@ -17,12 +17,15 @@ from wavefield.series.clocks import (
 )
 from wavefield.series.experiment_parts import CameraSection, RecordSection
 from wavefield.series.frames import FrameSeries
-from wavefield.series.listing import Numbered, make_series, number_frames
+from wavefield.series.listing import (
+    MAX_FRAMES,
+    MAX_NUMBERS_PER_FRAME,
+    Numbered,
+    make_series,
+    number_frames,
+)
 
 Times = NDArray[np.float64]
-
-MAX_FRAMES = 5_000_000  # of a record
-MAX_NUMBERS_PER_FRAME = 1000  # of the range of a record
 
 
 def open_record(
@@ -76,12 +79,15 @@ def _place_by_clocks(
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
     """Frames at their places by the cameras' clocks, and the times of these, of cameras that have one."""
     stamped = {
-        name: _time_stamps(name, section, path, folder)
+        name: _time_stamps(name, section, path, folder, record.frame_rate)
         for name, section in record.cameras.items()
         if section.times is not None
     }
     if not stamped:
-        times = {name: own_times(section.images, name, folder) for name, section in record.cameras.items()}
+        times = {
+            name: own_times(section.images, name, folder, record.frame_rate)
+            for name, section in record.cameras.items()
+        }
         clocks = {name: t for name, t in times.items() if t is not None and len(t) == len(numbered[name])}
         return numbered | {name: place_by_intervals(numbered[name], t) for name, t in clocks.items()}, clocks
     without = [name for name in numbered if name not in stamped]
@@ -97,10 +103,12 @@ def _place_by_clocks(
     return placed, {name: times for name, (_, times) in stamped.items()}
 
 
-def _time_stamps(name: str, section: CameraSection, path: Path, folder: Path) -> tuple[Path, Times]:
+def _time_stamps(
+    name: str, section: CameraSection, path: Path, folder: Path, frame_rate: float
+) -> tuple[Path, Times]:
     """The file that holds a camera's time stamps, and its times, s."""
     if section.times == RECORDED:
-        times = recorded_times(section.images, name, folder)
+        times = recorded_times(section.images, name, folder, frame_rate)
         return folder / str(section.images).replace("{camera}", name), times
     source = path.parent / str(section.times).replace("{folder}", str(folder))
     return source, read_time_stamps(source, name)

@@ -96,7 +96,7 @@ def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple
     # folders with wildcards are a part of the pose, too
     template = [re.sub(r"\*+", "*", part) for part in (*folders, Path(name).stem) if re.search(r"[*?]", part)]
     words = [word.strip("_- ") for word in template] or [Path(name).stem.strip("_- ")]
-    for file in sorted(glob.glob(str(folder / named))):
+    for file in sorted(glob.glob(str(Path(glob.escape(str(folder))) / named))):
         match = expression.fullmatch(os.path.relpath(file, folder)) or expression.fullmatch(file)
         pose = "_".join(words)
         if match:

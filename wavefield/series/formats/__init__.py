@@ -10,6 +10,7 @@ from wavefield.series.formats.hdf5 import open_hdf5
 from wavefield.series.formats.photron import open_photron
 from wavefield.series.formats.recording import Recording
 from wavefield.series.formats.streampix import open_streampix
+from wavefield.series.formats.video import open_video
 from wavefield.text import one_line
 
 _OPENERS: dict[str, Callable[[Path], Recording]] = {
@@ -22,10 +23,15 @@ _OPENERS: dict[str, Callable[[Path], Recording]] = {
     ".h5": open_hdf5,
     ".hdf5": open_hdf5,
     ".nc": open_hdf5,
+    ".avi": open_video,
+    ".mp4": open_video,
+    ".mov": open_video,
+    ".mkv": open_video,
 }
 ENDINGS = tuple(_OPENERS)
+VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")  # the rate in them is that of the playback
 
-__all__ = ["ENDINGS", "Recording", "file_of", "open_recording"]
+__all__ = ["ENDINGS", "VIDEO_ENDINGS", "Recording", "file_of", "open_recording"]
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -33,7 +39,7 @@ def open_recording(path: str | Path) -> Recording:
     path = Path(path)
     file = file_of(path)
     if file is None:
-        raise FrameError(f"{path} is no recording: its name must end in one of {', '.join(ENDINGS)}")
+        raise FrameError(f"{path} is not a recording: its name must end in one of {', '.join(ENDINGS)}")
     if not file.is_file():
         raise FrameError(f"{file}: no such recording")
     try:

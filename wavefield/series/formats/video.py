@@ -1,0 +1,150 @@
+"""Videos, read by FFmpeg (PyAV): each frame by the time that its container gives it.
+
+Pixels are as stored: the luminance of the codec, never turned by a rotation that the container states.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.errors import FrameError
+from wavefield.images import grey
+from wavefield.series.formats.recording import Pixels, Times, no_times, refuse_index
+from wavefield.text import one_line
+
+RATE_TOLERANCE = 0.02  # by which the nominal rate may differ from that of the times
+UNTIMED = (".avi",)  # containers without presentation times: compressed frames are counted by decoding
+
+
+class Video:
+    """The frames of a video that are shown, as a recording."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.first = path, 0
+        self._open()
+        packets = [packet for packet in self._container.demux(self._stream) if packet.size]
+        shown = [packet for packet in packets if not packet.is_discard]
+        stamps = sorted(packet.pts for packet in shown if packet.pts is not None)
+        by_time = path.suffix.lower() not in UNTIMED or all(packet.is_keyframe for packet in packets)
+        self._timed = by_time and len(stamps) == len(shown) and len(set(stamps)) == len(stamps)
+        # presentation and decoding times of the frames that are coded without others
+        self._keys = [
+            (p.pts, p.pts if p.dts is None else p.dts) for p in packets if p.is_keyframe and p.pts is not None
+        ]
+        self._rewind()
+        if self._timed:
+            self._stamps = stamps
+        else:
+            self._stamps = list(range(sum(1 for _ in self._decoded())))
+            self._rewind()
+        self.count = len(self._stamps)
+        if not self.count:
+            raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
+        times = self._seconds()
+        self.rate = self._rate(times)
+        self.times = (lambda: times) if self._timed and self.count > 1 else no_times
+        image = self.read(0)
+        self.shape = (image.shape[0], image.shape[1])
+
+    def _open(self) -> None:
+        try:
+            self._container = av.open(str(self.path))
+            self._stream = self._container.streams.video[0]
+        except (av.FFmpegError, IndexError, ValueError) as error:
+            raise FrameError(
+                f"{self.path} cannot be read as a video ({one_line(error)}); convert it to PNG or TIFF frames"
+            ) from None
+        self._stream.thread_type = "AUTO"
+
+    def _decoded(self) -> Any:
+        try:
+            yield from self._container.decode(self._stream)
+        except (av.FFmpegError, ValueError):
+            return  # what follows damage is not decoded
+
+    def _rewind(self) -> None:
+        """Go back to the first frame."""
+        self._container.close()
+        self._open()
+        self._frames, self._next = self._decoded(), 0
+
+    def _seconds(self) -> Times:
+        """Times of the frames from the first, s."""
+        base = self._stream.time_base
+        return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
+
+    def _rate(self, times: Times) -> float | None:
+        """Frames per second: the nominal rate if the times have it, else that of most intervals."""
+        nominal = float(self._stream.guessed_rate or self._stream.average_rate or 0)
+        if not self._timed or self.count < 2:
+            return nominal or None
+        usual = float(np.median(np.diff(times)))
+        alike = nominal > 0 and abs(nominal * usual - 1) < RATE_TOLERANCE
+        return float(f"{nominal if alike else 1 / usual:.6g}")
+
+    def read(self, index: int) -> Pixels:
+        """Read one frame, (row, column); frames in turn are decoded once."""
+        refuse_index(index, self.count, self.path)
+        stamp = self._stamps[index]
+        if index < self._next or (self._timed and self._key(stamp) > self._key(self._stamps[self._next])):
+            self._seek(stamp)
+        for frame in self._frames:
+            place = frame.pts if self._timed else self._next
+            self._next = index + 1 if place == stamp else self._next + (not self._timed)
+            if place == stamp:
+                return _luminance(frame)
+            if self._timed and place is not None and place > stamp:
+                break
+        self._rewind()
+        raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
+
+    def _key(self, stamp: int) -> int:
+        """Time of the last frame at or before a time that is coded without others."""
+        return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
+
+    def _seek(self, stamp: int) -> None:
+        """Go to where decoding of a frame has to begin."""
+        key = dict(self._keys).get(self._key(stamp))
+        if not self._timed or key is None:
+            self._rewind()
+            return
+        try:
+            self._container.seek(key, stream=self._stream)
+        except av.FFmpegError:
+            self._rewind()
+            return
+        self._frames = self._decoded()
+
+    @property
+    def rotation(self) -> int:
+        """Degrees by which the container states that its frames are to be turned; they are not."""
+        self._rewind()
+        frame = next(iter(self._frames), None)
+        self._rewind()
+        return 0 if frame is None else int(getattr(frame, "rotation", 0))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._container.close()
+
+
+def _luminance(frame: Any) -> NDArray[Any]:
+    """Luminance of a frame as it is stored, (row, column), of 8 or 16 bits."""
+    form = frame.format
+    if form.is_rgb or form.has_palette:
+        return grey(frame.to_ndarray(format="rgb24"))
+    if not (form.is_planar or form.name.startswith("gray")):  # samples of all channels in turn
+        frame = frame.reformat(format="gray")
+    plane, bits = frame.planes[0], frame.format.components[0].bits
+    order = ">" if frame.format.is_big_endian and bits > 8 else "<"
+    rows = np.frombuffer(plane, "u1" if bits <= 8 else f"{order}u2").reshape(frame.height, -1)
+    out = rows[:, : frame.width]
+    return np.ascontiguousarray(out, out.dtype.newbyteorder("="))
+
+
+def open_video(path: Path) -> Video:
+    """Open a video."""
+    return Video(path)
