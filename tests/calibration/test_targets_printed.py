@@ -93,7 +93,7 @@ def picture_with_rings(seed, rings=((3, 3), (5, 3), (3, 4))):
     return pattern_picture(camera, inside, PICTURE, samples=2), camera, mesh, diameter
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_dots_are_numbered_from_their_rings_also_partly_out_of_view(seed):
     image, camera, mesh, diameter = picture_with_rings(seed)
     points = find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
@@ -118,7 +118,7 @@ def test_uneven_paint_and_specks_beside_it_do_not_move_a_dot():
     assert np.abs(found - centre).max() < 0.2
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_rings_are_found_in_uneven_light(seed):
     image, *_, mesh, diameter = picture_with_rings(seed)
     plain = find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
@@ -157,7 +157,7 @@ def marked_dot(kind, mesh, diameter, bright):
     return inside
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_dots_out_of_view_are_numbered_from_an_odd_one(seed):
     rng, mesh = np.random.default_rng(seed), 0.04
     kind = ("box", "circle", "larger", "none")[seed % 4]

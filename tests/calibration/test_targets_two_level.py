@@ -45,7 +45,7 @@ def test_both_levels_are_found_from_any_side(tilt, turn, roll, at, read):
     check(camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0, at), read, MARKS)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_marks_may_be_between_the_dots(seed):
     draw = np.random.default_rng(seed)
     tilt, turn, roll = (draw.uniform(0, 35), *draw.uniform(0, 360, 2)) if seed else (0, 0, 0)
@@ -63,7 +63,7 @@ def check(camera, read, marks):
     np.testing.assert_array_equal(points.z, np.where(points.node[:, 1] % 2, -DEPTH, 0.0))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_specks_beside_the_dots_are_no_dots(seed):
     draw = np.random.default_rng(seed)
     camera = camera_at((416, 320), 20, draw.uniform(0, 360), draw.uniform(0, 360), 0.8, 2150.0)
