@@ -8,7 +8,7 @@ import numpy as np
 
 from wavefield import figures
 from wavefield.pipeline import open_cube
-from wavefield.reports.run_data import snapshot
+from wavefield.reports.numbers import snapshot
 
 PAGE = Path(__file__).with_name("surface.jpg")
 

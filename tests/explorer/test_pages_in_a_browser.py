@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from accessibility import accessibility_faults
 
+from wavefield.figures.style import panels
 from wavefield.reports import report
-from wavefield.reports.calibration_page import CalibrationPicture, calibration_page
+from wavefield.reports.calibration import calibration_page
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,8 @@ def report_page(whole, tmp_path_factory):
 def rig_page(tmp_path_factory):
     pixels = {"rms_px": 0.004, "rms_mm": 0.006, "max_px": 0.02}
     content = {
-        "usable": True, "problems": [], "notes": ["cam1: its lens is held"], "model": "f k1",
+        "usable": True, "problems": [], "sentences": ["On the water a pixel is 1.5 mm."],
+        "notes": ["cam1: its lens is held"], "model": "f k1",
         "models_compared": [],
         "cameras": {n: pixels | {"position_m": [x, 0.0, 3.2], "views": {"flat": {"points": 90}}}
                     for n, x in (("cam1", -3.0), ("cam2", 3.1))},
@@ -33,15 +35,9 @@ def rig_page(tmp_path_factory):
         "parameters": {n: {"fx_px": [2917.0, 0.06]} for n in ("cam1", "cam2")},
     }  # fmt: skip
     path = tmp_path_factory.mktemp("rig") / "index.html"
-    pictures = {"rig.png": "The rig", "residuals_cam1.png": "Residuals of cam1"}
-    drawn = [CalibrationPicture(file, pictures[file], blank(20 + k)) for k, file in enumerate(pictures)]
+    drawn = [("rig", "The rig", panels(1)[0]), ("residuals", "Residuals of cam1", panels(2)[0])]
     path.write_text(calibration_page(content, drawn), encoding="utf-8")
     return path
-
-
-def blank(width):
-    """A grey PNG file."""
-    return cv2.imencode(".png", np.full((20, width), 99, np.uint8))[1].tobytes()
 
 
 def opened(chrome, path, width=1400, height=900, **how):
@@ -74,7 +70,7 @@ def test_the_result_is_on_the_first_screen_and_the_page_has_at_most_eight(chrome
     assert window.locator("table:visible tr").count() <= 24
 
 
-def test_the_surface_moves_in_the_colours_of_the_chosen_variable(chrome, report_page, whole):
+def test_the_surface_moves_with_the_slider_in_the_colours_of_w(chrome, report_page, whole):
     window = opened(chrome, report_page)
     assert not window.locator("#still img").is_visible()
     drawn = "() => ['map', 'relief'].map((id) => document.getElementById(id).toDataURL())"
@@ -82,15 +78,13 @@ def test_the_surface_moves_in_the_colours_of_the_chosen_variable(chrome, report_
     window.locator("#moment").press("ArrowRight")
     after = window.evaluate(drawn)
     assert all(one != other for one, other in zip(before, after))
-    window.locator("#shown").select_option("u")
-    window.wait_for_function(f"(was) => ({drawn})()[0] != was", arg=after[0])
     step = int(window.locator("#moment").input_value())
-    first = (whole[1]["u"].shape[0] - int(window.locator("#moment").get_attribute("max")) - 1) // 2
-    u = whole[1]["u"][first + step]
-    png = base64.b64decode(window.evaluate(drawn)[0].partition(",")[2])
+    first = (whole[1]["w"].shape[0] - int(window.locator("#moment").get_attribute("max")) - 1) // 2
+    w = whole[1]["w"][first + step]
+    png = base64.b64decode(after[0].partition(",")[2])
     image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(int)  # blue, green, red
-    nodes = np.argwhere(np.isfinite(u) & (np.abs(u) > 0.5 * np.nanmax(np.abs(u))))
-    right = [np.sign(_redness(image, u.shape, *node)) == np.sign(u[tuple(node)]) for node in nodes]
+    nodes = np.argwhere(np.isfinite(w) & (np.abs(w) > 0.5 * np.nanmax(np.abs(w))))
+    right = [np.sign(_redness(image, w.shape, *node)) == np.sign(w[tuple(node)]) for node in nodes]
     assert len(right) > 20
     assert np.mean(right) > 0.95
 
@@ -154,11 +148,7 @@ def test_without_scripts_the_surface_is_a_picture_and_all_parts_can_be_unfolded(
 
 def test_the_calibration_page_begins_with_one_sentence(chrome, rig_page):
     window = opened(chrome, rig_page)
-    line = window.locator("header p:not(.verdict)").inner_text()
-    assert line == (
-        "z is good to 0.6 µm near the target's plane (one standard uncertainty, from the fit); the cameras "
-        "are 4.4 to 4.5 m from the origin, and a pixel there is 1.5 mm wide."
-    )
+    assert window.locator("header p:not(.verdict)").inner_text() == "On the water a pixel is 1.5 mm."
     assert "cam1: its lens is held" in window.locator("#what-needs-attention").inner_text()
 
 

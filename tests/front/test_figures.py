@@ -132,7 +132,7 @@ def test_rig_is_drawn_with_its_cameras():
 
 
 def test_pairs_of_cameras_are_compared_in_pixels():
-    from wavefield.reports.pair_section import pair_differences, pair_misfits, pair_rows
+    from wavefield.reports.accuracy import pair_differences, pair_misfits, pair_rows
 
     pixel, centres = 1.8e-3, np.linspace(-4.95, 4.95, 100)
     errors = (  # quantity, cameras, units, rms
@@ -166,7 +166,7 @@ def test_pairs_of_cameras_are_compared_in_pixels():
 
 def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
     from wavefield.calibration import TargetPoints
-    from wavefield.reports.target_pictures import target_points
+    from wavefield.reports.calibration_pictures import target_points
 
     rig = paper_rig(0.2)
     node = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)])

@@ -29,13 +29,10 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     still-water record (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
     trusted the exit status is 1 and the report lists the target images to retake.
     """
-    from concurrent.futures import ProcessPoolExecutor
-
     from wavefield.atomic_write import PAGE, RIG, check_writable
-    from wavefield.calibration.target_images import calibrate_experiment, leave_with_parent, worker_context
-    from wavefield.reports.calibration import NUMBERS, write_calibration
-    from wavefield.reports.rig_sentences import rig_sentences
-    from wavefield.reports.target_pictures import draw_found
+    from wavefield.calibration.target_images import calibrate_experiment
+    from wavefield.reports.calibration import NUMBERS, rig_sentences, write_calibration
+    from wavefield.reports.calibration_pictures import draw_found
     from wavefield.series import Experiment
 
     loaded = Experiment.load(experiment)
@@ -48,10 +45,8 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         solving = progress.stage_of("Solving for the cameras", "models")
         result = calibrate_experiment(loaded, progress, solving)
     calibration = result.calibration
-    starts = worker_context("wavefield.calibration.target_images")
-    with Progress("Drawing the report"), ProcessPoolExecutor(1, starts, leave_with_parent) as pool:
-        drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
-        page = write_calibration(calibration, folder, drawn.result)
+    with Progress("Drawing the report"):
+        page = write_calibration(calibration, folder, lambda: draw_found(result))
     for note in (*result.notes, *calibration.notes):
         click.echo(f"note: {note}")
     if not calibration.usable:

@@ -130,7 +130,7 @@ def report(
 
     For a catalog: the report of every run, and next to the catalog (or as -o) one page that compares them.
     """
-    from wavefield.reports.compose import report as write
+    from wavefield.reports.report import report as write
 
     def work(cube: Path, page: Path | None = None) -> int:
         page = page or beside(cube, "report", ".html")
@@ -146,7 +146,7 @@ def report(
         context.exit(status)
     if waves:
         raise click.UsageError("the waves of a campaign are next to its cubes; leave out --waves")
-    from wavefield.reports.campaign_page import compare
+    from wavefield.reports.campaign import compare
 
     cubes = source.cubes()
     found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
@@ -162,16 +162,15 @@ def report(
 @STORE
 @click.option("--rest", type=_FOLDER, help="Cube of still water, from the same cameras.")
 @click.option("-o", "--output", type=FILE, help="HTML file to write.")
-@click.option(
-    "--waves", type=_FOLDER, help="Wave store; by default the one next to the cube, made if there is none."
-)
+@click.option("--waves", type=_FOLDER, help="Wave store; by default the one next to the cube.")
 def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | None) -> None:
     """Write the figures and numbers of the method's paper.
 
     One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, still water, the
-    pairs of cameras over the whole record, and a table with the paper's numbers.
+    pairs of cameras over the whole record, and a table with the paper's numbers. Needs the waves that
+    `wavefield analyze` writes.
     """
-    from wavefield.reports.paper_page import paper as write
+    from wavefield.reports.paper import paper as write
 
     output = output or beside(store, "paper", ".html")
     with Progress(f"Drawing {output}", "parts") as progress:

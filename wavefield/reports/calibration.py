@@ -1,6 +1,6 @@
-"""The report of a calibration: pictures, numbers as YAML, and a page that shows them."""
+"""The page of a calibration with its pictures and numbers, and its section in a report."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,17 +8,29 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
-from wavefield.atomic_write import PAGE, OwnFile, atomic, marked, write_text
+from wavefield.atomic_write import PAGE, OwnFile, marked, write_text
 from wavefield.calibration.assess import FlatSurface, numbers
 from wavefield.calibration.bundle import Fit
+from wavefield.calibration.model_choice import MODELS
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.result import Calibration
-from wavefield.figures.style import file_of
+from wavefield.errors import RigError
+from wavefield.pipeline import Run
 from wavefield.reports import calibration_pictures as pictures
-from wavefield.reports.calibration_page import CalibrationPicture, calibration_page
+from wavefield.reports.html import Head, Item, Listing, Picture, ReportSection, Table, Text, render
+from wavefield.reports.numbers import number, small
+from wavefield.rig import Rig
+from wavefield.rig.field import common_field
+from wavefield.rig.resolution import pixel_size
 
 NUMBERS = OwnFile("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
-PICTURE = OwnFile("a picture of a calibration", marked(b"Software\0wavefield", start=b"\x89PNG"))
+_PREDICTED = (
+    "rms: of the fitted points. Predicted: standard uncertainty of a pixel within 5 cm of z = 0, from the "
+    "covariance of the fit; judge the rig by it, not by the rms."
+)
+_CORRELATED = "Parameters are correlated with the pose: judge the rig by the predicted errors above."
+CalibrationPicture = tuple[str, str, Figure]  # short name, title, picture
+Content = Mapping[str, Any]  # of numbers.yaml
 _LENS_TERMS = {
     "cx": "_px", "cy": "_px", "k1": "", "k2": "", "p1": "", "p2": "", "k3": "", "k4": "", "tau_x": "_rad",
     "tau_y": "_rad",
@@ -26,31 +38,28 @@ _LENS_TERMS = {
 
 
 def write_calibration(
-    calibration: Calibration, directory: str | Path, target: Callable[[], bytes | None] | None = None
+    calibration: Calibration, directory: str | Path, target: Callable[[], Figure | None] | None = None
 ) -> Path:
-    """Write the report of a calibration into a folder; `target` draws the target in the images as a PNG."""
+    """Write the report of a calibration into a folder; `target` draws the target found in the images.
+    Returns the page, `index.html`; beside it are the numbers, `numbers.yaml`.
+    """
     directory = Path(directory)
     content: dict[str, Any] = {
         "usable": calibration.usable,
         "problems": list(calibration.problems),
         "notes": list(calibration.notes),
+        "sentences": list(rig_sentences(calibration.rig)) if len(calibration.rig) else [],
         "left_out_points": dict(calibration.left_out),
     }
     drawn: list[CalibrationPicture] = []
     if target is not None and (found := target()) is not None:
-        title = "The target as it was found in an image of each camera"
-        drawn.append(CalibrationPicture("target.png", title, found))
+        drawn.append(("target", "The target as it was found in an image of each camera", found))
     observations, fit = calibration.observations, calibration.fit
     if observations is not None and fit is not None and calibration.predicted is not None:
         fitted, surface = numbers(observations, fit, calibration.rig, calibration.reference)
         content |= fitted | _predicted(calibration)
         content["parameters"] = _parameters(calibration, observations, fit)
-        for stem, title, figure in _figures(calibration, observations, fit, surface):
-            png = file_of(figure, metadata={"Software": "wavefield"})
-            drawn.append(CalibrationPicture(f"{stem}.png", title, png))
-    for picture in drawn:
-        with atomic(directory / picture.file, PICTURE) as draft:
-            draft.write_bytes(picture.png)
+        drawn += _figures(calibration, observations, fit, surface)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
     write_text(directory / "numbers.yaml", text, NUMBERS)
     page = directory / "index.html"
@@ -87,7 +96,8 @@ def _predicted(calibration: Calibration) -> dict[str, Any]:
 
 def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
-) -> Iterator[tuple[str, str, Figure]]:
+) -> Iterator[CalibrationPicture]:
+    """The pictures of the page."""
     cameras = [calibration.rig[name] for name in observations.cameras]
     yield "rig", "The rig and the target's poses", pictures.rig_drawing(observations, fit, cameras)
     yield "coverage", "Positions of the target in the images", pictures.coverage(observations)
@@ -95,7 +105,7 @@ def _figures(
         title = f"z of the target in view {calibration.reference}, triangulated"
         yield "flat_target", title, pictures.flat_target(surface, observations.mesh)
     for c, name in enumerate(observations.cameras):
-        yield f"residuals_{name}", f"Residuals of {name}", pictures.residual_map(observations, fit, c)
+        yield "residuals", f"Residuals of {name}", pictures.residual_map(observations, fit, c)
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
@@ -123,3 +133,202 @@ def _parameters(calibration: Calibration, observations: Observations, fit: Fit) 
         rows["translation_std_m"] = std[first + 3 : first + 6].tolist()
         out[name] = rows
     return out
+
+
+# -- the page ------------------------------------------------------------------------------------------
+
+
+def calibration_page(content: Content, drawn: Sequence[CalibrationPicture]) -> str:
+    """The page, from the content of the file of numbers and the pictures."""
+    usable = content["usable"]
+    verdict = "the rig can be used" if usable else "the rig cannot be used"
+    weight = "grave" if not usable else "remark" if content["notes"] else "note"
+    head = Head("Calibration of the rig", content.get("sentences", ()), verdict, weight)
+    return render(head, list(_sections(content, drawn)))
+
+
+def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator[ReportSection]:
+    rows = [("problem", words) for words in content["problems"]]
+    rows += [("note", words) for words in content["notes"]]
+    if rows:
+        table = Table("Problems must be solved before the rig can be used", ("kind", "remark"), rows)
+        yield ReportSection("What needs attention", [table])
+    residuals, general = (
+        [Picture(figure, title, title) for name, title, figure in drawn if (name == "residuals") == misfit]
+        for misfit in (True, False)
+    )
+    if "cameras" not in content:
+        yield ReportSection("Pictures", [*general])
+        return
+    yield ReportSection("Cameras", [_cameras(content), Text(_PREDICTED)])
+    between = ReportSection("Between cameras")
+    if content["epipolar"]:
+        between.items.append(_epipolar(content))
+    if "flat_target" in content:
+        between.items.append(Text(_flat(content)))
+    yield between
+    yield ReportSection("Target and rig", [*general], layout="beside")
+    largest = max(c["max_px"] for c in content["cameras"].values())
+    gist = f"every point, and the mean per cell of the image; at most {largest:.2g} px"
+    yield ReportSection("Residuals", list(residuals), folded=True, gist=gist)
+    items = [*_models(content), _lens(content), Text(_CORRELATED)]
+    strongest = content["predicted"]["strongest_correlations"]
+    words = "\n".join(f"{a} with {b}: {r:.4f}" for a, b, r in strongest)
+    if words:
+        items.append(Listing("Strongest correlations of the parameters", words))
+    yield ReportSection(
+        "Camera model", items, folded=True, gist=f"{model_words(content['model'])}; parameters of the lenses"
+    )
+
+
+def _cameras(content: Content) -> Table:
+    predicted = content["predicted"]
+    head = (
+        "camera", "views", "points", "rms, px", "rms, mm", "largest, px", "predicted, px", "image covered",
+        "position x, y, z, m",
+    )  # fmt: skip
+    rows = [
+        (
+            name,
+            str(len(c["views"])),
+            str(sum(view["points"] for view in c["views"].values())),
+            f"{c['rms_px']:.3g}",
+            f"{c['rms_mm']:.2g}",
+            f"{c['max_px']:.2g}",
+            f"{predicted['reprojection_px'][name]:.2g}",
+            f"{100 * predicted['image_covered'][name]:.0f} %",
+            ", ".join(f"{v:.2f}" for v in c["position_m"]),
+        )
+        for name, c in content["cameras"].items()
+    ]
+    return Table("The target in the images of each camera, and residuals of the fit", head, rows)
+
+
+def _epipolar(content: Content) -> Table:
+    rows = [
+        (pair, str(e["points"]), f"{e['rms_px']:.3f}", f"{e['median_px']:.3f}", f"{e['max_px']:.2f}")
+        for pair, e in content["epipolar"].items()
+    ]
+    head = ("pair", "points", "rms, px", "median, px", "largest, px")
+    return Table("Distance of the points from the epipolar line", head, rows)
+
+
+def _flat(content: Content) -> str:
+    flat, predicted = content["flat_target"], content["predicted"]
+    return (
+        f"z of the {flat['nodes']} nodes of view {flat['view']}, triangulated: rms "
+        f"{small(flat['z_rms_mm'], 'mm')}, {small(flat['z_about_its_plane_rms_mm'], 'mm')} about its plane, "
+        f"tilt {small(flat['tilt_mrad'], 'mrad')}. Predicted from the fit alone: z is determined to "
+        f"{small(predicted['z_mm'], 'mm')}, tilt and level of the target to "
+        f"{small(predicted['z_of_which_tilt_mm'], 'mm')}. The uncertainty of the water's level is found by "
+        "`check` and `run` (`z_level_std`)."
+    )
+
+
+def _models(content: Content) -> list[Item]:
+    rows = [
+        (
+            model_words(m["model"]),
+            str(m["parameters"]),
+            f"{m['rms_over_stated']:.3f}",
+            f"{m['bic']:.0f}",
+            f"{m['expected_px']:.4f}",
+        )
+        for m in content["models_compared"]
+    ]
+    head = ("model", "parameters", "rms over stated uncertainty", "BIC", "expected error, px")
+    return [Table("Models that were compared", head, rows)] if rows else []
+
+
+def model_words(model: str) -> str:
+    """A camera model by its terms, where its name says nothing to a stranger.
+
+    Examples
+    --------
+    >>> model_words("paper p"), model_words("f k1")
+    ('f aspect c k1 p', 'f k1')
+    """
+    return " ".join(MODELS.get(model, (model,)))
+
+
+def with_std(value: float, std: float) -> str:
+    """A value and its uncertainty to the digits that are certain; one that was not fitted is held."""
+    if not std > 0:
+        return f"{value:.6g} (held)"
+    digits = max(0, 1 - int(np.floor(np.log10(std))))
+    form = f".{digits}f" if digits <= 7 else ".2g"
+    return f"{value:{form}} ± {std:{form}}"
+
+
+def _lens(content: Content) -> Table:
+    cameras = content["parameters"]
+    terms = dict.fromkeys(term for values in cameras.values() for term in values)
+    rows = [
+        (term.replace("_", " "), *(with_std(*v[term]) if term in v else "" for v in cameras.values()))
+        for term in terms
+        if not term.startswith(("rotation", "translation"))
+    ]
+    return Table("Parameters of the lenses, with their standard uncertainty", ("parameter", *cameras), rows)
+
+
+def rig_sentences(rig: Rig) -> Iterator[str]:
+    """How far the cameras are from the target, and what they see of the water.
+
+    Examples
+    --------
+    >>> from wavefield.rig import Camera
+    >>> down = Camera(1000, 1000, 499.5, 499.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1000, 1000))
+    >>> print(*rig_sentences(Rig({"cam1": down})), sep="\\n")
+    Distance from the target's origin: cam1 4.00 m; if you measure another, correct `mesh` by that ratio.
+    On the water a pixel is 4 mm; all cameras see x -1.9 to 1.9 m, y -1.9 to 1.9 m.
+    """
+    distances = ", ".join(
+        f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
+    )
+    yield (
+        f"Distance from the target's origin: {distances}; if you measure another, correct `mesh` by that "
+        "ratio."
+    )
+    try:
+        field = common_field(rig.cameras.values())
+        (x0, x1), (y0, y1) = field.x, field.y
+        yield (
+            f"On the water a pixel is {1e3 * pixel_size(rig, field):.2g} mm; all cameras see "
+            f"x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m."
+        )
+    except RigError as error:
+        yield f"What the cameras see of the water: {error}"
+
+
+# -- in a report ---------------------------------------------------------------------------------------
+
+
+def calibration_folder(run: Run) -> Path | None:
+    """Folder that `wavefield calibrate` left next to the rig file; None if there is none."""
+    if run.experiment is None or isinstance(run.experiment.rig, dict):
+        return None
+    rig = run.experiment.resolve(run.experiment.rig or "rig.yaml")
+    folder = rig.with_name(f"{rig.stem}_report")
+    return folder if (folder / "numbers.yaml").is_file() else None
+
+
+def calibration_section(run: Run) -> ReportSection:
+    """Accuracy and residuals of the calibration; its pictures are on its own page."""
+    section = ReportSection("Calibration", folded=True)
+    folder = calibration_folder(run)
+    if folder is None:
+        return section
+    numbers = yaml.safe_load((folder / "numbers.yaml").read_text(encoding="utf-8")) or {}
+    rows = [
+        (name, str(len(c["views"])), number(c["rms_px"]), number(c["rms_mm"]), number(c["max_px"]))
+        for name, c in (numbers.get("cameras") or {}).items()
+    ]
+    if sentences := numbers.get("sentences"):
+        section.gist = sentences[-1].removesuffix(".")
+    if rows:
+        head = ("camera", "views", "rms, px", "rms, mm", "largest, px")
+        section.items.append(Table("Residuals of the fitted points", head, rows))
+    section.items.append(
+        Text(f"Pictures and parameters are on the page of the calibration, `{folder.name}/index.html`.")
+    )
+    return section

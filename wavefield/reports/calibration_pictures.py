@@ -1,16 +1,22 @@
 """Pictures of a calibration: residuals, coverage, the flat target, the rig from the side and from above."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
+from wavefield.calibration import TargetPoints
 from wavefield.calibration.assess import FlatSurface
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.observations import Observations
-from wavefield.figures.style import round_down
+from wavefield.calibration.target_images import TargetRig, is_table
+from wavefield.figures.style import LINES, panels, round_down
+from wavefield.images import read_image
+from wavefield.reports.numbers import small
+from wavefield.rig import Rig
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
 
@@ -53,7 +59,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
 
     _draw_arrows(axes[0], pixel, miss, 0.035 * size[0], 0.0016, COLOURS[0])
     _image_frame(axes[0], size)
-    axes[0].set_title("every point", fontsize=10, loc="left")
+    axes[0].set_title("Residual of every point", fontsize=10, loc="left")
 
     cells = 10, max(3, round(10 * size[1] / size[0]))
     cell = np.floor((pixel + 0.5) / np.array(size) * cells).astype(int).clip(0, np.array(cells) - 1)
@@ -72,7 +78,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
     if enough.any():
         _draw_arrows(axes[1], middle[:, enough].T, mean[:, enough].T, 0.06 * size[0], 0.005, COLOURS[1])
     _image_frame(axes[1], size)
-    axes[1].set_title("means over cells: what is systematic", fontsize=10, loc="left")
+    axes[1].set_title("Mean residual per cell (systematic part)", fontsize=10, loc="left")
     figure.colorbar(picture, ax=axes[1], label="rms (px)", shrink=0.8, pad=0.02)
     figure.suptitle(
         f"{o.cameras[camera]}: {rows.sum()} points, rms {rms:.3g} px, largest {np.abs(miss).max():.3g} px",
@@ -121,8 +127,8 @@ def flat_target(surface: FlatSurface, mesh: float) -> Figure:
     axes.margins(0.06)
     figure.colorbar(dots, label="z (mm)", shrink=0.85)
     axes.set_title(
-        f"rms {1e3 * surface.rms:.3g} mm, about its plane {1e3 * surface.plane.rms:.3g} mm; "
-        f"tilt {surface.tilt:.2g} mrad",
+        f"rms {small(1e3 * surface.rms, 'mm')}, about its plane {small(1e3 * surface.plane.rms, 'mm')}; "
+        f"tilt {small(surface.tilt, 'mrad')}",
         fontsize=10,
         loc="left",
     )
@@ -164,3 +170,49 @@ def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera])
         ax.set_axisbelow(True)
     axes[0].axhline(0.0, color=COLOURS[5], lw=1.2, zorder=1)
     return figure
+
+
+def target_points(
+    images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None, mesh: float
+) -> Figure:
+    """One image (row, column) of the target per camera with the nodes found, and (with a rig) these on z = 0.
+    A circle marks the origin. Counterpart of the paper's calibration grid with its reference points.
+    """
+    figure, axes = panels(len(images), 1 if rig is None else 2, width=4.0, height=3.8)
+    marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
+    for column, (name, image) in zip(axes.T, images.items(), strict=True):
+        found, (h, w) = points[name], image.shape
+        low, high = np.percentile(image, (1, 99.8))
+        column[0].imshow(image, cmap="gray", vmin=low, vmax=max(high, low + 1))
+        column[0].plot(*found.pixel.T, **marks)
+        column[0].set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), xlabel="column (px)", ylabel="row (px)")
+        column[0].set_title(f"{name}: {len(found)} nodes")
+        if rig is None or name not in rig.cameras:
+            continue
+        origin = rig[name].project(0.0, 0.0, 0.0)  # a disc marks it on the target, and hides the node there
+        column[0].plot(*origin, "o", color="#F0E442", fillstyle="none", markersize=14)
+        column[1].plot(*rig[name].unproject(*found.pixel.T), **marks)
+        column[1].set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=f"{name}, at z = 0")
+        for axis in (column[1].xaxis, column[1].yaxis):
+            low, high = axis.get_view_interval()
+            axis.set_major_locator(MultipleLocator(mesh * max(1, round((high - low) / mesh / 6))))
+        column[1].grid(True, color="0.85", linewidth=0.6)
+    return figure
+
+
+def draw_found(result: TargetRig) -> Figure | None:
+    """The nodes found in one image of each camera: in the flat pose where there is one."""
+    poses = {
+        camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
+        for camera, found in result.views.items()
+        if found and not any(is_table(path) for path in result.images[camera].values())
+    }
+    if not poses:
+        return None
+    rig = result.calibration.rig
+    return target_points(
+        {camera: read_image(result.images[camera][pose]) for camera, pose in poses.items()},
+        {camera: result.views[camera][pose] for camera, pose in poses.items()},
+        rig if len(rig) and set(poses.values()) == {"flat"} else None,
+        result.mesh,
+    )

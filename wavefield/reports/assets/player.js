@@ -1,11 +1,9 @@
 "use strict";
 (function () {
   const text = (id) => document.getElementById(id).textContent;
-  const d = JSON.parse(text("field-description"));
-  const field = {}, about = Object.fromEntries(d.fields.map((f) => [f.name, f]));
+  const d = JSON.parse(text("field-description")), field = {};
   // bytes (time, y, x) of an element: differences along x and y, compressed, in base 64
   async function load(name, nx, ny) {
-    if (field[name]) return;
     const packed = Uint8Array.from(atob(text("field-" + name)), (c) => c.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
     const out = new Uint8Array(await new Response(stream).arrayBuffer());
@@ -13,18 +11,16 @@
     for (let i = 0; i < out.length; i++) if (i % nx) out[i] += out[i - 1];
     field[name] = out;
   }
-  const kinds = [[217, 217, 217], ...d.kinds.map(([, c]) => [1, 3, 5].map((i) => parseInt(c.slice(i, i + 2), 16)))];
-  const paint = (f, code) => (f.colours == "kinds" ? kinds[code] : d.colours[f.colours][code]);
-  const nodes = d.nx * d.ny, arrowCount = d.arrows.nx * d.arrows.ny;
+  const missing = [217, 217, 217], ink = "#1b1f24";
+  const paint = (code) => (code ? d.colours[code] : missing);
+  const nodes = d.nx * d.ny, a = d.arrows, arrowCount = a.x.length * a.y.length;
   const map = document.getElementById("map"), relief = document.getElementById("relief");
   const slider = document.getElementById("moment"), clock = document.getElementById("clock");
-  const play = document.getElementById("play"), shown = document.getElementById("shown");
-  const key = document.getElementById("kinds");
-  key.innerHTML = d.kinds.map(([words, c]) => `<span><i style="background:${c}"></i>${words}</span>`).join(" ");
   const font = (size) => size + "px system-ui, sans-serif";
   slider.max = d.time.length - 1;
 
   const round = (v) => Number(v.toPrecision(2)).toString();
+  const label = (v) => Number(v.toPrecision(6)).toString().replace("-", "\u2212");
   function ticks(lo, hi, count) {
     const raw = (hi - lo) / count, power = Math.pow(10, Math.floor(Math.log10(raw)));
     const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw);
@@ -35,53 +31,49 @@
   // ends of the map: half a cell beyond the outer nodes
   const cell = (ends, n) => (ends[1] - ends[0]) / Math.max(n - 1, 1) / 2;
   const beyond = (ends, n) => [ends[0] - cell(ends, n), ends[1] + cell(ends, n)];
-  const label = (v) => Number(v.toPrecision(6)).toString().replace("-", "\u2212");
 
-  function bar(c, x, y, w, h, f) {
-    if (f.colours == "kinds") return;
-    const name = f.unit ? `${f.name} (${f.unit})` : f.name;
+  function bar(c, x, y, w, h) {
+    const end = d.ends.w;
     for (let i = 0; i < h; i++) {
-      const [r, g, b] = d.colours[f.colours][Math.max(0, Math.round(255 * (1 - i / (h - 1))))];
-      c.fillStyle = `rgb(${r},${g},${b})`;
+      c.fillStyle = `rgb(${d.colours[Math.round(255 * (1 - i / (h - 1)))]})`;
       c.fillRect(x, y + i, w, 1.5);
     }
     c.strokeStyle = "#333"; c.lineWidth = 1; c.strokeRect(x, y, w, h);
-    c.fillStyle = "#1b1f24"; c.font = font(20); c.textAlign = "left"; c.textBaseline = "middle";
-    for (const v of ticks(f.low, f.high, 6)) {
-      const yy = y + h * (f.high - v) / (f.high - f.low);
+    c.fillStyle = ink; c.font = font(20); c.textAlign = "left"; c.textBaseline = "middle";
+    for (const v of ticks(-end, end, 6)) {
+      const yy = y + h * (end - v) / (2 * end);
       c.fillRect(x + w, yy, 5, 1.5); c.fillText(label(v), x + w + 9, yy);
     }
-    c.textAlign = "right"; c.fillText(name, Math.min(x + w + 60, c.canvas.width - 4), y - 18);
+    c.textAlign = "right"; c.fillText("w (cm/s)", Math.min(x + w + 60, c.canvas.width - 4), y - 18);
   }
 
   const small = document.createElement("canvas");
   small.width = d.nx; small.height = d.ny;
   function drawMap(step) {
-    const c = map.getContext("2d"), W = map.width, H = map.height, name = shown.value;
+    const c = map.getContext("2d"), W = map.width, H = map.height;
     c.fillStyle = "#fff"; c.fillRect(0, 0, W, H);
-    const s = small.getContext("2d"), image = s.createImageData(d.nx, d.ny), data = field[name], f = about[name];
+    const s = small.getContext("2d"), image = s.createImageData(d.nx, d.ny);
     for (let j = 0; j < d.ny; j++) for (let i = 0; i < d.nx; i++) {
-      const code = data[step * nodes + j * d.nx + i], at = 4 * ((d.ny - 1 - j) * d.nx + i);
-      const rgb = code ? paint(f, code) : [217, 217, 217];
-      image.data[at] = rgb[0]; image.data[at + 1] = rgb[1]; image.data[at + 2] = rgb[2]; image.data[at + 3] = 255;
+      const at = 4 * ((d.ny - 1 - j) * d.nx + i);
+      image.data.set([...paint(field.w[step * nodes + j * d.nx + i]), 255], at);
     }
     s.putImageData(image, 0, 0);
     const left = 84, top = 54, right = 118, bottom = 74;
     const [x0, x1] = beyond(d.x, d.nx), [y1, y2] = beyond(d.y, d.ny), wide = x1 - x0, high = y2 - y1;
     const scale = Math.min((W - left - right) / wide, (H - top - bottom) / high);
     const w = wide * scale, h = high * scale, y0 = top + (H - top - bottom - h) / 2;
-    c.imageSmoothingEnabled = f.colours != "kinds"; c.drawImage(small, left, y0, w, h);
+    c.drawImage(small, left, y0, w, h);
     c.strokeStyle = "#333"; c.lineWidth = 1.5; c.strokeRect(left, y0, w, h);
     const px = (x) => left + (x - x0) * scale, py = (y) => y0 + h - (y - y1) * scale;
-    c.fillStyle = "#1b1f24"; c.font = font(20);
+    c.fillStyle = ink; c.font = font(20);
     c.textAlign = "center"; c.textBaseline = "top";
     for (const v of ticks(x0, x1, 5)) { c.fillRect(px(v) - .75, y0 + h, 1.5, 6); c.fillText(label(v), px(v), y0 + h + 9); }
     c.fillText("x (m)", left + w / 2, y0 + h + 36);
     c.textAlign = "right"; c.textBaseline = "middle";
     for (const v of ticks(y1, y2, 5)) { c.fillRect(left - 6, py(v) - .75, 6, 1.5); c.fillText(label(v), left - 10, py(v)); }
     c.save(); c.translate(18, y0 + h / 2); c.rotate(-Math.PI / 2); c.textAlign = "center"; c.fillText("y (m)", 0, 0); c.restore();
-    bar(c, left + w + 22, y0, 20, h, f);
-    const a = d.arrows, grow = a.length * scale / a.fastest, top1 = a.fastest * 1.3;
+    bar(c, left + w + 22, y0, 20, h);
+    const grow = a.length * scale / a.fastest, top1 = a.fastest * 1.3;
     const arrow = (x, y, u, v) => {
       const dx = u * grow, dy = -v * grow, n = Math.hypot(dx, dy);
       if (n < 1.5) return;
@@ -92,42 +84,38 @@
       c.lineTo(x + dx - head * (ex + .45 * ey), y + dy - head * (ey - .45 * ex));
       c.stroke();
     };
-    const arrowU = field["u-arrows"], arrowV = field["v-arrows"];
     c.strokeStyle = "#000"; c.lineWidth = 1.7;
     c.save(); c.beginPath(); c.rect(left, y0, w, h); c.clip();
     for (let j = 0; j < a.y.length; j++) for (let i = 0; i < a.x.length; i++) {
-      const at = step * arrowCount + j * a.x.length + i;
-      if (arrowU[at] && arrowV[at]) arrow(px(a.x[i]), py(a.y[j]), (arrowU[at] - 128) / 127 * top1, (arrowV[at] - 128) / 127 * top1);
+      const at = step * arrowCount + j * a.x.length + i, u = field.u[at], v = field.v[at];
+      if (u && v) arrow(px(a.x[i]), py(a.y[j]), (u - 128) / 127 * top1, (v - 128) / 127 * top1);
     }
     c.restore();
     const speed = Number(a.fastest.toPrecision(1));
     arrow(left + 4, y0 - 22, speed, 0);
-    c.textAlign = "left"; c.fillStyle = "#1b1f24";
+    c.textAlign = "left"; c.fillStyle = ink;
     c.fillText(round(speed) + " cm/s", left + 14 + speed * grow, y0 - 22);
   }
 
-  let turn = -0.7, tilt = 0.62;
   const stride = Math.max(1, Math.ceil(Math.max(d.nx, d.ny) / 90));
   function drawRelief(step) {
-    const c = relief.getContext("2d"), W = relief.width, H = relief.height, f = about[shown.value], colour = field[shown.value];
-    const half = about.z.high;
+    const c = relief.getContext("2d"), W = relief.width, H = relief.height, half = d.ends.z;
     c.fillStyle = "#fff"; c.fillRect(0, 0, W, H);
     const cols = [], rows = [];
     for (let i = 0; i < d.nx; i += stride) cols.push(i);
     for (let j = 0; j < d.ny; j += stride) rows.push(j);
     const wide = d.x[1] - d.x[0], high = d.y[1] - d.y[0], size = Math.hypot(wide, high);
-    const scale = 0.9 * (W - 30) / size, lift = 0.10 * size / half;  // heights: the scale's end is a tenth of the diagonal
-    const ct = Math.cos(turn), st = Math.sin(turn), ci = Math.cos(tilt), si = Math.sin(tilt);
+    const scale = 0.9 * (W - 30) / size, lift = 0.10 * size / half;  // the scale's end is a tenth of the diagonal
+    const ct = Math.cos(-0.7), st = Math.sin(-0.7), ci = Math.cos(0.62), si = Math.sin(0.62);
     const project = (x, y, z) => {
-      const a = ct * x - st * y, b = st * x + ct * y;
-      return [W / 2 + scale * a, H / 2 - scale * (b * si + z * ci), b];
+      const p = ct * x - st * y, q = st * x + ct * y;
+      return [W / 2 + scale * p, H / 2 - scale * (q * si + z * ci), q];
     };
     const at = (i, j) => step * nodes + j * d.nx + i;
     const point = (i, j) => {
       const code = field.z[at(i, j)];
       if (!code) return null;
-      const x = wide * (i / (d.nx - 1) - 0.5), y = high * (j / (d.ny - 1) - 0.5);
-      return project(x, y, lift * half * (code - 128) / 127);
+      return project(wide * (i / (d.nx - 1) - 0.5), high * (j / (d.ny - 1) - 0.5), lift * half * (code - 128) / 127);
     };
     const edge = [[-.5, -.5], [.5, -.5], [.5, .5], [-.5, .5]].map(([x, y]) => project(x * wide, y * high, 0));
     c.strokeStyle = "#8b949e"; c.lineWidth = 1.2; c.setLineDash([5, 4]);
@@ -137,18 +125,18 @@
     for (let j = 0; j + 1 < rows.length; j++) for (let i = 0; i + 1 < cols.length; i++) {
       const p = grid[j][i], q = grid[j][i + 1], r = grid[j + 1][i + 1], s = grid[j + 1][i];
       if (!p || !q || !r || !s) continue;
-      const code = colour[at(cols[i], rows[j])];
-      const slope = (field.z[at(cols[i + 1], rows[j])] - field.z[at(cols[i], rows[j])]) - (field.z[at(cols[i], rows[j + 1])] - field.z[at(cols[i], rows[j])]);
-      quads.push([p[2] + r[2], p, q, r, s, code, 0.88 + 0.12 * Math.max(-1, Math.min(1, slope / (10 * stride)))]);
+      const here = field.z[at(cols[i], rows[j])];
+      const slope = field.z[at(cols[i + 1], rows[j])] - field.z[at(cols[i], rows[j + 1])];
+      const light = 0.88 + 0.12 * Math.max(-1, Math.min(1, slope / (10 * stride)));
+      if (here) quads.push([p[2] + r[2], p, q, r, s, field.w[at(cols[i], rows[j])], light]);
     }
-    quads.sort((a, b) => b[0] - a[0]);
+    quads.sort((one, other) => other[0] - one[0]);
     for (const [, p, q, r, s, code, light] of quads) {
-      const [R, G, B] = code ? paint(f, code) : [217, 217, 217];
-      c.fillStyle = c.strokeStyle = `rgb(${R * light | 0},${G * light | 0},${B * light | 0})`;
+      c.fillStyle = c.strokeStyle = `rgb(${paint(code).map((v) => v * light | 0)})`;
       c.lineWidth = 0.8; c.beginPath();
       c.moveTo(p[0], p[1]); c.lineTo(q[0], q[1]); c.lineTo(r[0], r[1]); c.lineTo(s[0], s[1]); c.closePath(); c.fill(); c.stroke();
     }
-    c.fillStyle = "#1b1f24"; c.font = font(20); c.textAlign = "center"; c.textBaseline = "middle";
+    c.fillStyle = ink; c.font = font(20); c.textAlign = "center"; c.textBaseline = "middle";
     const middle = project(0, 0, 0);
     const mark = (x, y, words) => {  // beside an edge, outwards by more than half of the text
       const p = project(x, y, 0), out = [p[0] - middle[0], p[1] - middle[1]], far = Math.hypot(...out) || 1;
@@ -161,43 +149,15 @@
     if (lift < 1e4) c.fillText(`height exaggerated ${round(100 * lift)} times`, 14, 12);  // else it is flat
   }
 
-  let step = 0, timer = null;
-  function draw() {
+  function go(step) {
+    slider.value = step;
     drawMap(step); drawRelief(step);
-    key.hidden = about[shown.value].colours != "kinds";
     const words = `t = ${d.time[step].toFixed(3)} s`;
     clock.textContent = words; slider.setAttribute("aria-valuetext", words);
   }
-  function go(to) { step = (to + d.time.length) % d.time.length; slider.value = step; draw(); }
-  function stop() { clearInterval(timer); timer = null; play.textContent = "Play"; play.setAttribute("aria-pressed", "false"); }
   slider.addEventListener("input", () => go(Number(slider.value)));
-  shown.addEventListener("change", () => load(shown.value, d.nx, d.ny).then(draw));
-  play.addEventListener("click", () => {
-    if (timer) return stop();
-    play.textContent = "Pause"; play.setAttribute("aria-pressed", "true");
-    timer = setInterval(() => go(step + 1), 100);
-  });
-  relief.addEventListener("keydown", (e) => {
-    const by = { ArrowLeft: [-.1, 0], ArrowRight: [.1, 0], ArrowUp: [0, .06], ArrowDown: [0, -.06] }[e.key];
-    if (!by) return;
-    e.preventDefault(); turn += by[0]; tilt = Math.max(.1, Math.min(1.4, tilt + by[1])); drawRelief(step);
-  });
-  relief.addEventListener("pointerdown", (e) => {
-    let x = e.clientX, y = e.clientY;
-    relief.setPointerCapture(e.pointerId);
-    const move = (m) => {
-      turn += (m.clientX - x) / 160; tilt = Math.max(.1, Math.min(1.4, tilt + (m.clientY - y) / 160));
-      x = m.clientX; y = m.clientY; drawRelief(step);
-    };
-    relief.addEventListener("pointermove", move);
-    relief.addEventListener("pointerup", () => relief.removeEventListener("pointermove", move), { once: true });
-  });
-  map.addEventListener("keydown", (e) => {
-    if (e.key === "ArrowLeft" || e.key === "ArrowRight") { e.preventDefault(); go(step + (e.key === "ArrowRight" ? 1 : -1)); }
-  });
-  const first = [...new Set(["z", shown.value])].map((name) => load(name, d.nx, d.ny));
-  const arrows = ["u-arrows", "v-arrows"].map((name) => load(name, d.arrows.nx, d.arrows.ny));
-  Promise.all([...first, ...arrows]).then(() => {
+  const loads = [..."zw"].map((name) => load(name, d.nx, d.ny));
+  Promise.all([...loads, ...[..."uv"].map((name) => load(name, a.x.length, a.y.length))]).then(() => {
     document.getElementById("still").hidden = true;  // a browser without scripts or decompression shows it instead
     for (const part of document.querySelectorAll(".player [data-moving]")) part.hidden = false;
     go(Math.floor(d.time.length / 2));

@@ -127,9 +127,8 @@ class Remarks(Item):
 
 @dataclass(frozen=True)
 class Player(Item):
-    """Moving pictures of the surface."""
+    """The surface over time, with a slider."""
 
-    variables: Sequence[tuple[str, str]]  # names and meanings
     data: Mapping[str, str]  # for the script: what `pack` returns
     still: Picture  # the surface at one moment, where there are no scripts
 

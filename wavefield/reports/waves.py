@@ -5,9 +5,8 @@ import xarray as xr
 
 from wavefield import figures
 from wavefield.pipeline import Run
-from wavefield.reports.html_page import Item, Picture, ReportSection, Sentences
-from wavefield.reports.number_text import median_of, number, rms_of
-from wavefield.reports.run_data import snapshot
+from wavefield.reports.html import Item, Picture, ReportSection, Sentences
+from wavefield.reports.numbers import median_of, number, rms_of, snapshot
 from wavefield.waves.nonlinear.kinematics import kinematics_at
 
 
@@ -158,3 +157,19 @@ def nonlinearity(run: Run) -> ReportSection:
             )
         )
     return section
+
+
+def noise_pictures(run: Run) -> list[Item]:
+    """The noise of stereo z and of the integrated w."""
+    group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
+    if group is None or "Ez_fusion" not in group or fusion is None or "noise_z" not in fusion:
+        return []
+    return [
+        Picture(
+            figures.noise_spectra(group, fusion),
+            "Noise of the two measurements of the elevation, estimated without a still-water record, and "
+            "the weight of each in their best combination.",
+            "Noise spectra of the elevation by stereo and by the integrated vertical velocity; weights in "
+            "percent over frequency.",
+        )
+    ]

@@ -11,15 +11,12 @@ from wavefield import figures
 from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run
-from wavefield.reports.compose import build_all, experiment_name, measured_run, page_of
-from wavefield.reports.elevation_section import elevation_pictures
-from wavefield.reports.field_sections import distribution_picture, snapshot_pictures
-from wavefield.reports.html_page import Head, Item, Picture, ReportSection, Table, Text, render
-from wavefield.reports.number_text import number, rms_of
-from wavefield.reports.overview import setup
-from wavefield.reports.pair_section import pair_items
-from wavefield.reports.run_data import snapshot, thinned
-from wavefield.reports.wave_sections import (
+from wavefield.reports.accuracy import pair_items
+from wavefield.reports.fields import distribution_picture, elevation_pictures, setup, snapshot_pictures
+from wavefield.reports.html import Head, Item, Picture, ReportSection, Table, Text, render
+from wavefield.reports.numbers import number, rms_of, snapshot, thinned
+from wavefield.reports.report import build_all, experiment_name, measured_run, page_of
+from wavefield.reports.waves import (
     coherence_picture,
     kinematics_picture,
     nonlinear_ratio_picture,
@@ -27,7 +24,7 @@ from wavefield.reports.wave_sections import (
 )
 from wavefield.rig.resolution import pixel_size
 from wavefield.store.store_paths import beside
-from wavefield.waves import analyze, plane_coherence
+from wavefield.waves import plane_coherence
 from wavefield.waves.nonlinear.kinematics import kinematic_fields
 
 _METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
@@ -52,7 +49,7 @@ def paper(
     rest : path, optional
         Cube of still water, by the same cameras; without it there is no figure of still water.
     waves : path, optional
-        Waves of the cube; by default those next to it, which are made first if there are none.
+        Waves of the cube; by default those next to it,
     progress : callable, optional
         Called with (sections drawn, all sections).
 
@@ -64,9 +61,7 @@ def paper(
     Raises
     ------
     StoreError
-        If a cube is not there, or the file cannot be written.
-    CubeError
-        If the record is too short for its waves.
+        If a cube or its waves are not there, or the file cannot be written.
 
     Examples
     --------
@@ -79,8 +74,6 @@ def paper(
     check_writable(output, PAGE)
     path = Path(str(store).removeprefix("file://"))
     expected = beside(path, "waves", ".zarr") if waves is None else Path(waves)
-    if not expected.is_dir():
-        analyze(path, expected)
     still = None if rest is None else measured_run(rest).cube
     return _write(measured_run(path, expected), still, output, progress)
 
@@ -104,7 +97,8 @@ def _write(
 def _group(run: Run, name: str) -> xr.Dataset:
     group = run.wave_group(name)
     if group is None:
-        raise StoreError(f"the wave store has no group {name!r}: run `wavefield analyze` again")
+        why = run.reason("waves") or f"the wave store has no group {name!r}: run `wavefield analyze` again"
+        raise StoreError(why)
     return group
 
 
@@ -218,10 +212,7 @@ def _numbers(run: Run, still: xr.Dataset | None) -> ReportSection:
         rows.append(("the same without means over time", "0.05 cm", number(100 * without_means, "cm", 2)))
     if run.pair_statistics is not None:
         rows += _pair_numbers(run.pair_statistics)
-    fusion, dispersion = _group(run, "fusion"), run.wave_group("dispersion")
-    for name, sigma in (("z", fusion.sigma_z), ("dz", fusion.sigma_dz)):
-        here = number(100 * float(sigma), "cm", 2)
-        rows.append((f"noise of {name} without a still-water record", "–", here))
+    dispersion = run.wave_group("dispersion")
     if dispersion is not None and "ridge_error" in dispersion:
         largest = number(100 * float(np.abs(dispersion.ridge_error).max()), "% of k", 2)
         rows.append(("deviation from the linear dispersion relation, largest", "to 5 Hz by eye", largest))

@@ -9,15 +9,12 @@ from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run, open_run
 from wavefield.reports.accuracy import accuracy
-from wavefield.reports.calibration_section import calibration_section
-from wavefield.reports.elevation_section import elevation
-from wavefield.reports.field_sections import cameras_over_time, coverage, distributions
-from wavefield.reports.html_page import Head, ReportSection, render
-from wavefield.reports.overview import recipe, run_summary, setup
-from wavefield.reports.result_section import attention, result
-from wavefield.reports.run_data import dates_of, in_light_sheet
-from wavefield.reports.run_numbers import RunNumbers
-from wavefield.reports.wave_sections import nonlinearity, spectra
+from wavefield.reports.calibration import calibration_section
+from wavefield.reports.fields import cameras_over_time, coverage, distributions, elevation, setup
+from wavefield.reports.html import Head, ReportSection, render
+from wavefield.reports.numbers import RunNumbers, dates_of, in_light_sheet
+from wavefield.reports.result import attention, recipe, result, run_summary
+from wavefield.reports.waves import nonlinearity, spectra
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
 

@@ -1,0 +1,338 @@
+"""Sections on the set-up, the elevation and its probes, distributions, coverage, and cameras over time."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from wavefield import figures
+from wavefield.errors import WavefieldError
+from wavefield.figures.style import LINES, RIGHT, panels
+from wavefield.pipeline import Run
+from wavefield.reports.html import Item, Listing, Picture, ReportSection, Table
+from wavefield.reports.numbers import extremes_of, median_of, number, thinned
+from wavefield.rig.pairs import pairs_of
+from wavefield.store.ledger import status
+from wavefield.store.verdict import Numbers, Verdict
+from wavefield.variables import FrameStatus
+
+MAX_STEPS = 1500  # compared with probes, in the middle of the record
+MAX_PROBES = 3  # drawn
+_MAX_FAULTS = 500  # listed
+_MARKERS = "os^Dv*"
+# numbers of cameras and of pairs that are drawn over time: name, factor, label
+_HISTORIES = (
+    (
+        ("blur", 1, "width of the finest\ndetails (px)"),
+        ("brightness", 1, "mean brightness\n(grey levels)"),
+        ("coverage", 100, "free view (%)"),
+    ),
+    (("agreement", 100, "patches matched (%)"), ("eps_y", 1, "sight lines miss\nby (px)")),
+)
+
+
+def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
+    """The surface and its velocity at one step (y, x)."""
+    ranges = extremes_of(snap)
+    return [
+        Picture(
+            figures.surface_3d(snap),
+            "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
+            f"Three-dimensional view of the surface. {ranges}",
+        ),
+        Picture(
+            figures.velocity_map(snap),
+            "Velocity of the surface water at the same moment: w in colour, u and v as arrows.",
+            f"Map of the vertical velocity with arrows of the horizontal velocity. {ranges}",
+        ),
+    ]
+
+
+def distribution_picture(part: xr.Dataset, rate: float) -> Picture:
+    """Distributions of z, u, v, w (time, y, x) measured so many times per second."""
+    stds = [f"z {100 * float(part.z.std()):.3g} cm"]
+    stds += [f"d{axis} {100 / rate * float(part[n].std()):.3g} cm" for axis, n in zip("xyz", "uvw")]
+    return Picture(
+        figures.distributions(part),
+        "Probability densities of the elevation and of the displacements in one step, with Gaussians of the "
+        "same standard deviation.",
+        f"Densities on a logarithmic scale. Standard deviations: {', '.join(stds)}.",
+    )
+
+
+def distributions(run: Run) -> ReportSection:
+    """Distributions of the fields and their moments."""
+    part = thinned(run.cube, "z", "u", "v", "w")
+    picture = distribution_picture(part, float(run.cube.attrs["frame_rate"]))
+    section = ReportSection("Distributions", [picture], folded=True)
+    statistics = run.wave_group("statistics")
+    if statistics is not None and "skewness" in statistics:
+        rows = []
+        for quantity in statistics.quantity.values:
+            moments = statistics.sel(quantity=quantity)
+            values = 100 * float(moments["std"]), float(moments.skewness), float(moments.kurtosis)
+            rows.append((str(quantity), *map(number, values)))
+        section.gist = f"skewness of z {rows[0][2]}, excess kurtosis {rows[0][3]}"
+        head = ("quantity", "std (cm)", "skewness", "excess kurtosis")
+        section.items.append(Table("Moments, over the rectangle and the steps of the spectra", head, rows))
+    return section
+
+
+def coverage(run: Run) -> ReportSection:
+    """Where and when the surface was measured, and which steps have faults."""
+    cube = run.cube
+    step_status = cube.frame_status.values
+    faulty = np.flatnonzero(step_status != int(FrameStatus.DONE))
+    gist = f"{faulty.size or 'none'} of {step_status.size} steps have faults"
+    section = ReportSection("Coverage and faults", folded=True, gist=gist)
+    section.items += [
+        Picture(
+            figures.coverage_map(cube),
+            "Fraction of time in which each node was measured, and in which it was filled from its "
+            "neighbours.",
+            "Two maps in percent.",
+        ),
+        Picture(
+            figures.fault_history(cube),
+            "Measured, filled and rejected fractions of the nodes in view over time, and the status of each "
+            "step.",
+            f"Curves in percent over time; {faulty.size} of {step_status.size} steps have faults.",
+        ),
+    ]
+    if faulty.size:
+        lines = [
+            f"step {i}, t = {float(cube.time[i]):.4g} s: "
+            f"{FrameStatus(int(step_status[i])).name.lower().replace('_', ' ')}"
+            for i in faulty[:_MAX_FAULTS]
+        ]
+        if faulty.size > _MAX_FAULTS:
+            lines.append(f"... and {faulty.size - _MAX_FAULTS} more")
+        section.items.append(Listing(f"The {faulty.size} steps with faults", "\n".join(lines)))
+    bad_frames = [str(bad) for bad in status(run.store).bad_frames] if run.store.is_dir() else []
+    if bad_frames:
+        section.items.append(Listing("Frames that were missing or bad", "\n".join(bad_frames)))
+    return section
+
+
+def cameras_over_time(run: Run, verdict: Verdict) -> ReportSection:
+    """Every camera and pair at some instants of the record, as the run checked them."""
+    section = ReportSection("Cameras over time", folded=True)
+    if not verdict.cameras or not verdict.frames:
+        return section
+    section.gist = f"sharpness, brightness, free view and consistency at {len(verdict.frames)} instants"
+    rate = float(run.cube.attrs["frame_rate"])
+    time = float(run.cube.time[0]) + (np.array(verdict.frames) - 0.5) / rate
+    each = "; ".join(
+        f"{name}: details of {number(median_of(c['blur']), 'px', 2)}, brightness "
+        f"{number(median_of(c['brightness']))}, at least {100 * np.nanmin(c['coverage']):.0f} % in view"
+        for name, c in verdict.cameras.items()
+    )
+    section.items.append(
+        Picture(
+            _camera_history(time, verdict.cameras, verdict.pairs),
+            f"Every camera at {len(time)} instants of the record: details that become wider show a loss of "
+            "focus, decreasing brightness a loss of light; what is missing from 100 % of the view is "
+            "covered. Below, each pair of cameras alone, before anything is rejected: sight lines that miss "
+            "each other more and more show that a camera has been moved.",
+            f"Curves. {each}.",
+        )
+    )
+    return section
+
+
+def _camera_history(time: np.ndarray, cameras: Numbers, pairs: Numbers) -> Figure:
+    """Sharpness, brightness and free view of every camera, consistency of every pair, over the record."""
+    figure, axes = panels(3, 2 if pairs else 1, width=3.8, height=2.9)
+    for row, numbers, histories in zip(axes, (cameras, pairs), _HISTORIES):
+        for ax, (key, factor, label) in zip(row, histories):
+            curves = {name: [factor * v for v in series[key]] for name, series in numbers.items()}
+            _draw_history(ax, time, curves, label)
+    style: dict[str, Any] = {"frameon": False, "fontsize": 9, "alignment": "left"}
+    if not pairs:
+        axes[0, 2].legend(**style, **RIGHT)
+        return figure
+    free = axes[1, 2]
+    free.set_axis_off()
+    above, below = (ax.get_legend_handles_labels() for ax in axes[:, 0])
+    free.add_artist(free.legend(*above, loc="upper left", title="above", **style))
+    free.legend(*below, loc="upper right", title="below", **style)
+    return figure
+
+
+def _draw_history(axes: Axes, time: np.ndarray, curves: Mapping[str, Sequence[float]], label: str) -> None:
+    for k, (name, values) in enumerate(curves.items()):
+        style = LINES[1 + k % (len(LINES) - 1)]
+        axes.plot(time, values, marker=_MARKERS[k % len(_MARKERS)], markersize=4, label=name, **style)
+    most = max((float(np.nanmax(v)) for v in curves.values() if np.isfinite(v).any()), default=1.0)
+    axes.set(xlabel="time (s)", ylabel=label, ylim=(0.0, 1.12 * most or 1.0))
+    axes.grid(True, color="0.88", linewidth=0.7)
+
+
+def setup(run: Run) -> ReportSection:
+    """Cameras and frames."""
+    section = ReportSection("Set-up", folded=True)
+    if run.rig is None:
+        return section
+    section.gist = f"{len(run.rig)} cameras: {', '.join(run.rig)}"
+    rig, grid, settings = run.rig, run.grid, run.recipe.get("settings", {})
+    pairs = [(str(a), str(b)) for a, b in settings.get("pairs", ())] or list(pairs_of(rig, list(rig)))
+    velocity = list(settings.get("velocity_cameras", ())) or list(rig)
+    stereo = ", ".join(f"{a} with {b}" for a, b in pairs)
+    positions = ", ".join(
+        f"{name} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        for name, (x, y, z) in ((name, camera.centre) for name, camera in rig.cameras.items())
+    )
+    section.items += [
+        Picture(
+            figures.method_diagram(pairs, velocity),
+            "How a step is measured: parallax between cameras gives the surface at each frame time; the "
+            "displacement from one frame to the next in each camera, evaluated on the surface at mid-time, "
+            "gives the velocity.",
+            f"Diagram. Frames of {', '.join(velocity)} at t and t + dt. Stereo pairs {stereo} give the "
+            "surface; displacements in time give u, v, w on it.",
+        ),
+        Picture(
+            figures.rig_views(rig, grid),
+            "The rig from the side and from above, and a point 5 cm above the still water with its apparent "
+            "positions on the plane z = 0, from which its height follows.",
+            f"Drawing of the rig to scale. {positions}.",
+        ),
+    ]
+    frames = _middle_frames(run)
+    if frames:
+        sizes = ", ".join(f"{name}, {image.shape[1]} x {image.shape[0]} px" for name, image in frames.items())
+        section.items.append(
+            Picture(
+                figures.camera_frames(frames, rig, grid),
+                "One frame of each camera with the outline of the grid on the still water (yellow), and the "
+                "middle 10 cm of it enlarged (blue square), to judge the seeding.",
+                f"Images of {sizes}.",
+            )
+        )
+    return section
+
+
+def _middle_frames(run: Run) -> dict[str, np.ndarray]:
+    """A frame of every camera: the middle one, or the first or the last where that cannot be read."""
+    out = {}
+    for name, series in run.frames.items():
+        if run.rig is not None and name in run.rig.cameras:
+            images = (series.read(k).image for k in (len(series) // 2, 0, len(series) - 1))
+            image = next((image for image in images if image is not None), None)
+            if image is not None:
+                out[name] = image
+    return out
+
+
+def elevation(run: Run) -> ReportSection:
+    """Spectrum of the elevation and probes over time."""
+    items = [*elevation_pictures(run), *probe_items(run)]
+    title = "Elevation and wave probes" if probes_of(run)[0] is not None else "Elevation"
+    return ReportSection(title, items, layout="beside")
+
+
+def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
+    """The probes of a run, or None and the reason; no reason where the experiment names none."""
+    try:
+        probes = run.probes
+    except WavefieldError as error:
+        return None, str(error)
+    named = run.experiment is not None and run.experiment.probes is not None
+    return probes, run.reason("probes") if named else ""
+
+
+def elevation_pictures(run: Run) -> list[Item]:
+    """The spectrum of the elevation by each method."""
+    group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
+    if group is None or "Ez_stereo" not in group:
+        return []
+    reach = ""
+    if fusion is not None and "range_frequency" in fusion:
+        reach = " They reach " + ", ".join(
+            f"{source}: {float(fusion.range_frequency.sel(source=source)):.1f} Hz, "
+            f"{float(fusion.range_decades.sel(source=source)):.1f} decades"
+            for source in fusion.source.values
+        )
+    has_probes = "Ez_probes" in group
+    return [
+        Picture(
+            figures.elevation_spectra(group),
+            "Spectrum of the elevation by each method; thin where it is not reliable. The band is the 95 % "
+            f"interval of the stereo spectrum.{'' if has_probes else ' Without wave probes.'}",
+            f"Curves on logarithmic axes: {'probes, ' if has_probes else ''}stereo, integrated w, "
+            f"cross-spectrum, fusion.{reach}",
+        )
+    ]
+
+
+def probe_items(run: Run) -> list[Item]:
+    """Probes over time beside the measured elevation at their places; a row for each probe of the run."""
+    probes, _ = probes_of(run)
+    if probes is None:
+        return []
+    found = {
+        str(name): at_probe(run.cube, probes.isel(probe=k)) for k, name in enumerate(probes.probe.values)
+    }
+    rows, compared = [], []
+    for name, one in found.items():
+        if isinstance(one, str):
+            rows.append((name, one, "–"))
+            continue
+        compared.append(one)
+        difference = number(1e3 * float(one.rms_difference), "mm", 2)
+        rows.append((name, difference, f"{min(float(one.correlation), 0.9999):.4f}"))
+    caption = "Wave probes and the elevation measured at their places, each about its mean"
+    table = Table(caption, ("probe", "rms difference, or why there is none", "correlation"), rows)
+    if not compared:
+        return [table]
+    drawn = xr.concat(compared[:MAX_PROBES], "probe")
+    which = f"the first {MAX_PROBES} of them" if len(compared) > MAX_PROBES else "the probes in the grid"
+    picture = Picture(
+        figures.probe_series(drawn),
+        f"Elevation by {which} and by the cameras at the same places; the rms of the difference is over "
+        f"{drawn.sizes['time']} steps.",
+        f"Curves over time. {'; '.join(f'{name}: rms difference {words}' for name, words, _ in rows)}.",
+    )
+    return [picture, table]
+
+
+def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
+    """Elevation of a probe and of the cube there, (time,), about their means, m, in the record's middle.
+    With the rms difference and the correlation; a reason where they cannot be compared.
+    """
+    first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
+    z = cube.z.isel(time=slice(first, first + MAX_STEPS))
+    time, x, y = z["time"].values.astype(float), float(probe.probe_x), float(probe.probe_y)
+    if not np.isfinite([x, y]).all():
+        return "the experiment file does not give its place"
+    if not (z.x.min() <= x <= z.x.max() and z.y.min() <= y <= z.y.max()):
+        return f"outside the grid, at x {x:.3g} m, y {y:.3g} m"
+    here = _around(z, x, y).interp(x=x, y=y).values.astype(float)
+    clock, values = probe["time"].values.astype(float), probe["elevation"].values.astype(float)
+    good = np.isfinite(values)
+    there = np.full_like(here, np.nan)
+    if good.sum() > 1:
+        there = np.interp(time, clock[good], values[good], left=np.nan, right=np.nan)
+    both = np.isfinite(here) & np.isfinite(there)
+    if both.sum() < 2:
+        return "no values while the cameras recorded"
+    here, there = here - here[both].mean(), there - there[both].mean()
+    spread = float(here[both].std() * there[both].std())
+    return xr.Dataset(
+        {
+            "z": ("time", here),
+            "elevation": ("time", there),
+            "rms_difference": float(np.sqrt(np.mean((here - there)[both] ** 2))),
+            "correlation": float(np.mean((here * there)[both])) / spread if spread else np.nan,
+        },
+        {"time": time, "probe": str(probe.probe.item())},
+    )
+
+
+def _around(z: xr.DataArray, x: float, y: float) -> xr.DataArray:
+    """z (time, y, x) at the nodes around a place, loaded."""
+    i, j = (int(np.clip(np.searchsorted(z[d], at) - 1, 0, z.sizes[d] - 2)) for d, at in (("x", x), ("y", y)))
+    return z.isel(x=slice(i, i + 2), y=slice(j, j + 2)).load()

@@ -1,0 +1,193 @@
+"""Numbers and words that the sections of a report share: a run's numbers, and how they are written."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from wavefield.figures.style import moment_title
+from wavefield.pipeline import Run
+from wavefield.variables import FrameStatus, Quality
+
+MAX_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
+_SNAPSHOT_STEPS = 10  # on either side of the middle of the record
+_FIELDS = ("z", "u", "v", "w", "eps_y", "eps_piv", "quality")
+
+
+def rms_of(values: xr.DataArray | np.ndarray) -> float:
+    """Rms of the finite values; NaN if there are none."""
+    finite = np.asarray(values, float)
+    finite = finite[np.isfinite(finite)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+
+
+def median_of(values: object) -> float:
+    """Median of the finite values; NaN if there are none."""
+    finite = np.asarray(values, float)
+    finite = finite[np.isfinite(finite)]
+    return float(np.median(finite)) if finite.size else float("nan")
+
+
+def number(value: float, unit: str = "", digits: int = 3) -> str:
+    """A value with its unit, to so many digits; a dash where there is none."""
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.{digits}g}{' ' + unit if unit else ''}"
+
+
+def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
+    """A number of the analysis times a factor, with its standard uncertainty; empty without both.
+
+    Examples
+    --------
+    >>> with_interval(xr.Dataset({"h": 0.0503, "h_std": 0.0041}), "h", 100)
+    '5.03 ± 0.41'
+    """
+    if group is None or not {name, f"{name}_std"} <= set(group):
+        return ""
+    value, std = factor * float(group[name]), factor * float(group[f"{name}_std"])
+    return f"{number(value)} ± {number(std, digits=2)}" if np.isfinite([value, std]).all() else ""
+
+
+def small(value: float, unit: str) -> str:
+    """A length or an angle to two digits, without exponents: less than a thousandth is named as such.
+
+    Examples
+    --------
+    >>> small(0.41, "mm"), small(5.8e-05, "mrad")
+    ('0.41 mm', 'below 0.001 mrad')
+    """
+    return f"{value:.2g} {unit}" if abs(value) >= 1e-3 else f"below 0.001 {unit}"
+
+
+def without_folders(value: object, folder: str = "") -> Any:
+    """Names of files without the folders of the machine that holds them: a page is for others to read.
+
+    Examples
+    --------
+    >>> without_folders({"rig": "/data/tank/rig.yaml", "images": ["/data/tank/cam1/a.tif"]}, "/data/tank")
+    {'rig': 'rig.yaml', 'images': ['cam1/a.tif']}
+    >>> without_folders("/home/me/white.png"), without_folders("m/s")
+    ('white.png', 'm/s')
+    """
+    if isinstance(value, Mapping):
+        return {key: without_folders(one, folder) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_folders(one, folder) for one in value]
+    if not isinstance(value, str) or not Path(value).is_absolute():
+        return value
+    path = Path(value)
+    return path.relative_to(folder).as_posix() if folder and path.is_relative_to(folder) else path.name
+
+
+def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
+    """Variables of a cube, loaded, with fewer steps where they are large."""
+    size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
+    return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
+
+
+def snapshot(cube: xr.Dataset) -> xr.Dataset:
+    """The step near the middle of the record with the most measured nodes, (y, x), loaded."""
+    middle = cube.sizes["time"] // 2
+    near = cube.isel(time=slice(max(0, middle - _SNAPSHOT_STEPS), middle + _SNAPSHOT_STEPS + 1))
+    shares = np.isfinite(near.w).mean(("y", "x")).values
+    distance = np.abs(np.arange(shares.size) - shares.size // 2)
+    return near.isel(time=int(np.argmax(np.round(shares, 2) - 1e-4 * distance))).load()
+
+
+def extremes_of(snap: xr.Dataset) -> str:
+    """Ranges of z and w of a snapshot (y, x), as a sentence."""
+    z, w = 100 * snap.z, 100 * snap.w
+    return (
+        f"At {moment_title(snap)} z is between {float(z.min()):.2g} and {float(z.max()):.2g} cm and w "
+        f"between {float(w.min()):.2g} and {float(w.max()):.2g} cm/s."
+    )
+
+
+def reason_of(run: Run, name: str) -> str:
+    """Why something of a run is absent, without the folders of this machine; empty where nothing is."""
+    return in_folder(run, run.reason(name))
+
+
+def in_folder(run: Run, words: str) -> str:
+    """Words with paths relative to the folders of the cube and of its experiment."""
+    experiment = run.experiment.path.parent if run.experiment is not None else run.store.parent
+    for folder in (run.store.parent, run.store.absolute().parent, experiment, experiment.absolute()):
+        if folder != Path():
+            words = words.replace(f"{folder}/", "")
+    return words
+
+
+def in_light_sheet(run: Run) -> bool:
+    """Whether velocities in a light sheet were measured: there are no surface and no waves then."""
+    return run.recipe.get("settings", {}).get("sheet_thickness") is not None
+
+
+def dates_of(run: Run) -> list[str]:
+    """When the images were written and the steps measured, as far as the files' dates show."""
+    ends = (entry for one in run.frames.values() for entry in (one.entries[0], one.entries[-1]) if entry)
+    images = [Path(entry.path) for entry in ends]
+    spans = {"images written": images, "measured": run.store.glob("frame_status/c/*")}
+    return [f"{what} {dates}" for what, files in spans.items() if (dates := _span(files))]
+
+
+def _span(files: Iterable[Path]) -> str:
+    """From when to when files were written, to the minute; empty if there are none."""
+    times = sorted(file.stat().st_mtime for file in files if file.exists())
+    if not times:
+        return ""
+    first, last = (datetime.fromtimestamp(t).astimezone() for t in (times[0], times[-1]))
+    words = f"{first:%Y-%m-%d %H:%M}"
+    if f"{last:%Y-%m-%d %H:%M}" != words:
+        words += f" to {last:%H:%M}" if last.date() == first.date() else f" to {last:%Y-%m-%d %H:%M}"
+    return f"{words} {last:%Z}".strip()
+
+
+@dataclass(frozen=True, eq=False)
+class RunNumbers:
+    """What the first pages of a report state of a run."""
+
+    run: Run
+
+    @cached_property
+    def part(self) -> xr.Dataset:
+        """The fields (time, y, x), with fewer steps where they are large."""
+        return thinned(self.run.cube, *_FIELDS)
+
+    @cached_property
+    def _measured(self) -> int:
+        return int(((self.part.quality & int(Quality.MEASURED)) != 0).sum())
+
+    @cached_property
+    def n_in_view(self) -> int:
+        """How many values are of nodes in view; at least 1."""
+        quality = self.part.quality
+        seen = (quality != 0) & ((quality & np.uint16(Quality.OUTSIDE | Quality.MASKED)) == 0)
+        return max(int(seen.sum()), 1)
+
+    @property
+    def in_view(self) -> float:
+        """Fraction of the grid's nodes that are in view."""
+        return float(self.n_in_view / self.part.quality.size)
+
+    @property
+    def measured(self) -> float:
+        """Fraction of the grid's nodes that were measured."""
+        return float(self._measured / self.part.quality.size)
+
+    @property
+    def measured_in_view(self) -> float:
+        """Fraction of the nodes in view that were measured."""
+        return self._measured / self.n_in_view
+
+    @cached_property
+    def step_status(self) -> str:
+        """How many steps have which status."""
+        status = self.run.cube.frame_status.values
+        counts = {s.name.lower().replace("_", " "): int((status == s).sum()) for s in FrameStatus}
+        return ", ".join(f"{n} {words}" for words, n in counts.items() if n)
