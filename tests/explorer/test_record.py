@@ -12,7 +12,7 @@ from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
 from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
 from wavefield.store.read import open_group
-from wavefield.waves import kinematics
+from wavefield.waves.nonlinear.kinematics import kinematic_fields
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def test_fields_are_those_of_the_cube_and_derived_ones_those_of_the_analysis(tmp
     record = CubeRecord(path)
     for name in record.stored:
         np.testing.assert_array_equal(record.field(name, 17), fields[name][17])
-    expected = kinematics(open_cube(path).load())
+    expected = kinematic_fields(open_cube(path).load())
     for name in DERIVED:
         for step in (0, 41, 119):
             derived = expected[name].values[step]
