@@ -285,10 +285,10 @@ def test_a_long_cube_is_thinned_to_fit(cube):
 
 
 def test_the_nonlinear_term_and_its_residual_are_those_of_the_store(cube, page_text):
-    from wavefield.waves import kinematics
+    from wavefield.waves.nonlinear.kinematics import kinematic_fields
 
     snap = snapshot(cube)
-    stored = kinematics(cube).sel(time=snap.time)
+    stored = kinematic_fields(cube).sel(time=snap.time)
     picture = next(p["alt"] for p in Page(page_text).all("img") if p["alt"].startswith("Two maps. Rms"))
     for name, words in (("nonlinear", "nonlinear term"), ("residual", "residual")):
         rms = 100 * float(np.sqrt(np.nanmean(stored[name].values.astype(float) ** 2)))
