@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates, spline_filter
 
-from wavefield.tank import Scene, Tank, paper_rig, rendered_targets, target_poses
+from wavefield.tank import Scene, Tank, paper_rig, targets
 from wavefield.tank.scene_parts import Chessboard, Dots, Strings
 
 BLUR = 0.6
 RIG = paper_rig(crop=0.35)
-POSES = {"flat": target_poses.Pose(np.eye(3), np.zeros(3)), **{
+POSES = {"flat": targets.Pose(np.eye(3), np.zeros(3)), **{
     f"tilt_{i}": pose
-    for i, pose in enumerate(target_poses.poses(3, 20.0, (-0.35, 0.35), (-0.25, 0.25), 0))
+    for i, pose in enumerate(targets.poses(3, 20.0, (-0.35, 0.35), (-0.25, 0.25), 0))
 }}  # fmt: skip
 
 
@@ -44,7 +44,7 @@ def crossing(image, X, Y, arm=6.0):
 @pytest.mark.parametrize("name", ["cam1", "cam3"])
 def test_strings_cross_where_the_camera_sees_the_nodes(name, pose):
     camera, target = RIG[name], Strings(mesh=0.05)
-    image = rendered_targets.draw(camera, target, POSES[pose], BLUR).astype(float)
+    image = targets.draw(camera, target, POSES[pose], BLUR).astype(float)
     i, j = np.meshgrid(np.arange(-4, 5), np.arange(-4, 5))
     nodes = np.stack([i.ravel() * 0.05, j.ravel() * 0.05, np.zeros(i.size)], axis=1)
     marked = (np.abs(i.ravel()) <= 1) & (j.ravel() == 0)
@@ -59,7 +59,7 @@ def test_strings_cross_where_the_camera_sees_the_nodes(name, pose):
 def test_wrong_nodes_move_their_crossings(shift):
     camera, pose, target = RIG["cam1"], POSES["tilt_1"], Strings(mesh=0.05, half=6)
     offsets = np.broadcast_to(np.array(shift), (13, 13, 3))  # all alike: the strings stay straight
-    image = rendered_targets.draw(camera, target, pose, BLUR, offsets).astype(float)
+    image = targets.draw(camera, target, pose, BLUR, offsets).astype(float)
     for i, j in ((2, 1), (-2, 2), (3, -1), (-1, -2)):
         nodes = np.array([i * 0.05, j * 0.05, 0.0]) + np.array([np.zeros(3), shift])
         (X0, X), (Y0, Y) = pixels_of(camera, pose, nodes)
@@ -68,7 +68,7 @@ def test_wrong_nodes_move_their_crossings(shift):
 
 
 def test_errors_of_the_nodes_are_as_large_as_set_and_spare_the_marks():
-    offsets = rendered_targets.node_offsets(Strings(half=10, node_offset=1e-3), 3)
+    offsets = targets.node_offsets(Strings(half=10, node_offset=1e-3), 3)
     assert offsets.shape == (21, 21, 3)
     assert offsets.std(axis=(0, 1)) == pytest.approx([1e-3] * 3, rel=0.1)
     assert not offsets[10, 10:12].any()
@@ -78,7 +78,7 @@ def test_errors_of_the_nodes_are_as_large_as_set_and_spare_the_marks():
 @pytest.mark.parametrize("pose", ["flat", "tilt_2"])
 def test_dots_have_their_area_and_place(pose):
     camera, target = RIG["cam3"], Dots(kind="dots", mesh=0.06, shape=(5, 4), diameter=0.02, brightness=100.0)
-    image = rendered_targets.draw(camera, target, POSES[pose], BLUR).astype(float)
+    image = targets.draw(camera, target, POSES[pose], BLUR).astype(float)
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     for i, j in ((0, 0), (4, 3), (2, 1)):
         centre = np.array([(i - 2) * 0.06, (j - 1.5) * 0.06, 0.0])
@@ -100,7 +100,7 @@ def test_dots_have_their_area_and_place(pose):
 def test_chessboard_has_its_corners_and_colours():
     camera, pose = RIG["cam3"], POSES["tilt_0"]
     target = Chessboard(kind="chessboard", mesh=0.06, shape=(6, 5), brightness=100.0)
-    image = rendered_targets.draw(camera, target, pose, BLUR).astype(float)
+    image = targets.draw(camera, target, pose, BLUR).astype(float)
     for i, j in ((0, 0), (5, 4), (2, 3)):
         node = np.array([(i - 2.5) * 0.06, (j - 2.0) * 0.06, 0.0])
         squares = [node + 0.03 * np.array([a, b, 0]) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
@@ -121,21 +121,21 @@ def test_the_corners_of_a_chessboard_are_found_where_they_were_drawn(shape):
     from wavefield.calibration import Target, find_target
 
     camera, pose = RIG["cam3"], POSES["tilt_0"]
-    image = rendered_targets.draw(camera, Chessboard(kind="chessboard", mesh=0.06, shape=shape), pose, BLUR)
+    image = targets.draw(camera, Chessboard(kind="chessboard", mesh=0.06, shape=shape), pose, BLUR)
     points = find_target(np.clip(image, 0, 255).astype(np.uint8), Target("chessboard", 0.06, shape))
     node = np.pad((points.node - (np.array(shape) - 1) / 2) * 0.06, ((0, 0), (0, 1)))
     assert np.abs(points.pixel - np.stack(pixels_of(camera, pose, node), -1)).max() < 0.1
 
 
 def test_poses_are_tilted_towards_all_sides_and_reproducible():
-    six = target_poses.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
+    six = targets.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
     normals = np.array([pose.rotation[:, 2] for pose in six])
     tilts = np.degrees(np.arccos(normals[:, 2]))
     assert 8 < tilts.min() < tilts.max() <= 20.0
     assert normals[:, 0].min() < -0.1 < 0.1 < normals[:, 0].max()
     assert normals[:, 1].min() < -0.1 < 0.1 < normals[:, 1].max()
     assert len({round(float(pose.origin[2]), 4) for pose in six}) == 6
-    again = target_poses.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
+    again = targets.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
     assert all(np.array_equal(a.rotation, b.rotation) for a, b in zip(six, again, strict=True))
 
 

@@ -1,15 +1,38 @@
-"""Beads carried by the water: their positions in every frame."""
+"""Beads: where they are, how they move with the water, and how they look."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.tank.basin import Basin
-from wavefield.tank.frame_history import FrameHistory
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Beads
+
+T = TypeVar("T")
+
+REMEMBERED_FRAMES = 8  # before the latest one
+
+
+class FrameHistory(Generic[T]):
+    """The state at any frame, advanced from the last one before it; the first and the latest are remembered.
+    `advance(state, frame)` gives the state of the frame after one.
+    """
+
+    def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:
+        self._states, self._advance = {0: first}, advance
+
+    def __getitem__(self, frame: int) -> T:
+        if frame not in self._states:
+            last = max(number for number in self._states if number <= frame)
+            for number in range(last, frame):
+                self._states[number + 1] = self._advance(self._states[number], number)
+                kept = {0, *range(number + 1 - REMEMBERED_FRAMES, number + 2)}
+                self._states = {n: state for n, state in self._states.items() if n in kept}
+        return self._states[frame]
+
 
 Array = NDArray[np.float64]
 Velocity = Callable[[Array, Array], Array]  # x, y to u, v (and w), (2 or 3, ...), m/s

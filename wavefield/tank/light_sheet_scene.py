@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.tank.beads import BeadField, centred_path, runge_kutta
-from wavefield.tank.frame_history import FrameHistory
+from wavefield.tank.beads import BeadField, FrameHistory, centred_path, runge_kutta
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Sheet
 from wavefield.tank.truth import Truth

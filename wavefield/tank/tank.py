@@ -13,10 +13,9 @@ from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import view_on_water
-from wavefield.tank import rendered_targets, rigs, sea_surface, sensor, target_poses, texture
+from wavefield.tank import rigs, sea_surface, sensor, targets, texture
 from wavefield.tank.basin import Basin
-from wavefield.tank.beads import BeadField, Population, carry
-from wavefield.tank.frame_history import FrameHistory
+from wavefield.tank.beads import BeadField, FrameHistory, Population, carry
 from wavefield.tank.light_sheet_scene import Particles
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Fault, PlatformRig, SeaSurface, Sheet, Strings, Texture
@@ -237,33 +236,29 @@ class Tank:
         return FrameHistory(still, advance)
 
     @cached_property
-    def target_poses(self) -> dict[str, target_poses.Pose]:
+    def target_poses(self) -> dict[str, targets.Pose]:
         """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is none at sea
-        tilted = target_poses.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
+        tilted = targets.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
         if not isinstance(settings.target, Strings):
             cameras = [self.rig[name] for name in self.rig]
             middle = np.array([np.mean(grid.x), np.mean(grid.y), 0.0])
-            tilted = [
-                target_poses.brought_into_view(pose, settings.target, middle, cameras) for pose in tilted
-            ]
-        flat = target_poses.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
+            tilted = [targets.brought_into_view(pose, settings.target, middle, cameras) for pose in tilted]
+        flat = targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
         return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}
 
     @cached_property
     def target_offsets(self) -> Array | None:
         """Errors of the target's crossings, (n, n, 3), metres; None for other targets than strings."""
         target = self.scene.calibration.target
-        return rendered_targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
+        return targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
 
     def target_image(self, name: str, camera: str) -> GreyImage:
         """Image of the calibration target in a pose of `target_poses`."""
         target, pose = self.scene.calibration.target, self.target_poses[name]
-        light = rendered_targets.draw(
-            self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets
-        )
+        light = targets.draw(self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets)
         return self._expose(light, camera, -1 - list(self.target_poses).index(name))
 
     @cached_property
