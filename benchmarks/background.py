@@ -64,7 +64,7 @@ def main(words: Sequence[str]) -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--seeds", nargs="+", type=int, default=[71, 72, 73])
     parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--save", action="store_true", help="write benchmarks/results/background.yaml")
+    parser.add_argument("--save", action="store_true", help="write benchmarks/results/background.json")
     options = parser.parse_args(words)
     scores = {(height, how): Score() for height in PATTERNS for how in ("not subtracted", "subtracted")}
     for seed in options.seeds:

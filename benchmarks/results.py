@@ -1,13 +1,13 @@
-"""Results of benchmarks as files of `benchmarks/results`, from which `docs/validation.md` is made."""
+"""Results of benchmarks as JSON files, from which README and docs/validation.md are made."""
 
+import json
 import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import yaml
-
+from wavefield import __version__
 from wavefield.measurement.algorithm import ALGORITHM
 
 RESULTS = Path(__file__).with_name("results")
@@ -18,36 +18,37 @@ class Result:
     """A table that a benchmark measured, with what it takes to measure it again."""
 
     name: str
-    command: str
-    algorithm: int  # version of the measurement, part of every cube's recipe
+    command: str  # with the seeds
+    version: str  # of the package
+    algorithm: int | None  # version of the measurement; None where no image is measured
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
-        """The table, and below it the command, unless its rows name theirs, and the version."""
+        """The table, and below it the command and the version."""
         lines = [self.columns, ["---"] * len(self.columns), *self.rows]
         table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        command = f"`{self.command}`, " if self.command else ""
-        return f"{table}\n\n*{command}ALGORITHM {self.algorithm}*"
+        version = "" if self.algorithm is None else f", ALGORITHM {self.algorithm}"
+        return f"{table}\n\n*`{self.command}`{version}*"
 
     def save(self, folder: Path = RESULTS) -> Path:
         """Write it, in place of the one before."""
-        path = folder / f"{self.name}.yaml"
-        plain = asdict(self) | {"columns": list(self.columns), "rows": [list(row) for row in self.rows]}
-        path.write_text(
-            yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=110), encoding="utf-8"
-        )
+        path = folder / f"{self.name}.json"
+        path.write_text(json.dumps(asdict(self), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         return path
 
     @classmethod
     def load(cls, path: Path) -> "Result":
         """Read one."""
-        return cls(**yaml.safe_load(path.read_text(encoding="utf-8")))
+        return cls(**json.loads(path.read_text(encoding="utf-8")))
 
 
-def save_result(name: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Path:
+def save_result(
+    name: str, columns: Sequence[str], rows: Sequence[Sequence[str]], measures_images: bool = True
+) -> Path:
     """Save a table of the benchmark that runs, under the command that was given (without ``--save``)."""
     module = Path(sys.argv[0]).stem
     words = [word for word in sys.argv[1:] if word != "--save"]
     command = shlex.join(["python", "-m", f"benchmarks.{module}", *words])
-    return Result(name, command, ALGORITHM, columns, rows).save()
+    algorithm = ALGORITHM if measures_images else None
+    return Result(name, command, __version__, algorithm, columns, rows).save()

@@ -3,7 +3,7 @@
 Consecutive simulated frames in memory, three cameras, 150 x 200 nodes, or 71 x 91 with ``--half``. The cost
 is CPU time of one thread over that of two runs of OpenCV's DIS optical flow (MEDIUM) on 1024 x 1024 px in the
 same process, because absolute times move with the machine; the least of several runs of each. ``--profile``
-shows the time by function. ``--save`` stores both sizes in `benchmarks/results/step.yaml`; ``--check`` fails
+shows the time by function. ``--save`` stores both sizes in `benchmarks/results/step.json`; ``--check`` fails
 where a step costs 15 % more than stored.
 """
 
@@ -80,7 +80,7 @@ def _seconds(task: Callable[[], None]) -> float:
 def check(repeats: int) -> int:
     """Compare both sizes with the stored costs; repeat up to `repeats` times while a cost is too high."""
     failed = False
-    for size, stored, *_ in Result.load(RESULTS / "step.yaml").rows:
+    for size, stored, *_ in Result.load(RESULTS / "step.json").rows:
         step, limit = Step(size), ALLOWED * float(stored)
         step.cost()
         found = next((cost for cost in (step.cost() for _ in range(repeats)) if cost <= limit), None)

@@ -1,7 +1,7 @@
 """Fill the tables of README.md and docs/validation.md from benchmarks/results.
 
 Run `python docs/make_validation.py`. Between `<!-- result: NAME -->` and `<!-- end -->` goes the table of
-benchmarks/results/NAME.yaml; with `NAME, rows: A; B` only the rows whose first cell begins with A or B.
+benchmarks/results/NAME.json; with `NAME, rows: A; B` only the rows whose first cell begins with A or B.
 """
 
 import re
@@ -19,7 +19,7 @@ PLACE = re.compile(r"(<!-- result: (\w+)(?:, rows: ([^>]+))? -->\n).*?(<!-- end 
 
 def table(name: str, beginnings: str | None) -> str:
     """A stored result as a Markdown table, or the rows that begin with the given texts."""
-    result = Result.load(RESULTS / f"{name}.yaml")
+    result = Result.load(RESULTS / f"{name}.json")
     if beginnings is not None:
         wanted = [text.strip() for text in beginnings.split(";")]
         rows = [next(row for row in result.rows if row[0].startswith(text)) for text in wanted]
