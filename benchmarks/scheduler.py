@@ -17,13 +17,12 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+import dask
 import numpy as np
 import psutil
 from distributed import Client, Worker
 
-from wavefield.execution.dask_cluster import _map_on
-from wavefield.execution.dask_settings import configured, dask_settings
-from wavefield.execution.workflow import Workflow
+from wavefield.execution.cluster import SETTINGS, _map_on
 
 _ROW = 10_000  # chunks: a row of the table each
 
@@ -51,7 +50,7 @@ async def live(address: str, number: int) -> None:
 def schedule(number: int, chunks: int, watched: int) -> None:
     """Print what that many chunks cost."""
     quiet = {"stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
-    with tempfile.TemporaryDirectory() as folder, configured(dask_settings(Workflow())):
+    with tempfile.TemporaryDirectory() as folder, dask.config.set(SETTINGS):
         file = Path(folder) / "scheduler.json"
         command = [
             sys.executable,
@@ -86,7 +85,7 @@ def measure(client: Client, scheduler: psutil.Process, number: int, chunks: int,
         "| memory of the scheduler, MB | grown by | most tasks held |\n|---|---|---|---|---|---|---|---|---|",
         flush=True,
     )
-    with closing(_map_on(client, nap, range(chunks), number, lambda: None)) as results:
+    with closing(_map_on(client, lambda client: None, number, nap, range(chunks))) as results:
         for chunk, result in results:
             done += 1
             assert chunk == result

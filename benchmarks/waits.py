@@ -53,7 +53,7 @@ def run(experiment: Path, out: Path, workers: int) -> tuple[float, dict[str, flo
     shutil.rmtree(out, ignore_errors=True)
     log_path(out).unlink(missing_ok=True)
     began = time.time()
-    process = start(experiment, out, cluster="local", workers=workers, dashboard="null")
+    process = start(experiment, out, cluster="local", workers=workers)
     most = 0.0
     while process.poll() is None:
         with contextlib.suppress(psutil.Error):

@@ -6,7 +6,6 @@ import threading
 import numpy as np
 import pytest
 import xarray as xr
-import yaml
 from click.testing import CliRunner
 
 import wavefield as wf
@@ -60,21 +59,10 @@ def unlike(one, other):
     return [file for file in one if one[file] != other[file]]
 
 
-THREADS = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
-
-
-@pytest.mark.parametrize(
-    "workflow",
-    [
-        {"cluster": "local", "workers": 2},
-        {"cluster": "dask", "deploy": "distributed.LocalCluster", "options": THREADS, "workers": "auto"},
-    ],
-    ids=["local", "dask"],
-)
-def test_workers_find_what_one_process_finds_to_the_bit(workflow, store, expected, tmp_path):
+def test_workers_find_what_one_process_finds_to_the_bit(store, expected, tmp_path):
     assert xr.open_datatree(expected, engine="zarr").attrs["segments"] > 3 * 8  # several chains
     file = tmp_path / "workflow.yaml"
-    file.write_text(yaml.safe_dump(workflow))
+    file.write_text("{cluster: local, workers: 2}")
     out = tmp_path / "waves.zarr"
     wf.analyze_on_workers(store, out, file, segment=SEGMENT)
     assert unlike(out, expected) == []
@@ -94,7 +82,7 @@ def test_the_command_analyses_where_its_workflow_states(reference, tmp_path):
 def test_a_field_that_lacks_more_than_the_elevation_is_found_on_workers_too(tmp_path):
     sea(steps=200, gap=9).to_zarr(tmp_path / "cube.zarr", consolidated=False)
     wf.analyze(tmp_path / "cube.zarr", tmp_path / "one.zarr", segment=SEGMENT)
-    workflow = wf.Workflow(cluster="dask", deploy="distributed.LocalCluster", options=THREADS)
+    workflow = wf.Workflow(cluster="local", workers=2)
     wf.analyze_on_workers(tmp_path / "cube.zarr", tmp_path / "two.zarr", workflow, segment=SEGMENT)
     assert unlike(tmp_path / "one.zarr", tmp_path / "two.zarr") == []
 

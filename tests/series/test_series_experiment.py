@@ -176,7 +176,7 @@ def test_what_no_lab_note_contains_is_refused_at_once(tmp_path, text, expected):
 
 def test_a_file_of_another_kind_gets_one_sentence_and_a_block_is_not_compared_with_a_word(tmp_path):
     path = tmp_path / "experiment.yaml"
-    path.write_text("cluster: local\nworkers: 3\nmemory: 2 GB\ndashboard: x\nsecurity: tls\ntime_limit: 3h\n")
+    path.write_text("cluster: local\nworkers: 3\nmemory: 2 GB\naddress: x\npacking: int16\ntime_limit: 3h\n")
     with pytest.raises(ExperimentError) as caught:
         Experiment.load(path)
     printed = str(caught.value)

@@ -2,24 +2,15 @@
 
 import re
 import shutil
-import socket
-import subprocess
-import sys
-from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 
 import intake
 import numpy as np
 import pytest
 import xarray as xr
-import yaml
 from cube_cases import different
 
 import wavefield as wf
-from wavefield.errors import ExperimentError
-from wavefield.execution.cluster import open_cluster
-from wavefield.execution.dask_settings import dask_settings, temporary_credentials
 from wavefield.execution.slurm import count_jobs, slurm_cluster
 from wavefield.pipeline import Workflow, open_cube, run, run_catalog
 from wavefield.pipeline.catalog import find_experiment
@@ -46,62 +37,10 @@ def test_the_local_workflow_makes_the_same_cube(tank, reference, tmp_path):
     assert different(tmp_path / "cube.zarr", reference) == []
 
 
-@contextmanager
-def scheduler_with_tls(folder, credentials):
-    """A scheduler and two workers as processes of their own; gives its address."""
-    comm = credentials["distributed"]["comm"]["tls"]
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tls://127.0.0.1:{probe.getsockname()[1]}"
-
-    def start(kind, *arguments):
-        role = "worker" if kind == "worker" else "scheduler"
-        files = {"ca-file": comm["ca-file"], **comm[role]}
-        options = [f"--tls-{name}={path}" for name, path in files.items()]
-        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments, *options]
-        return subprocess.Popen([*command, "--no-dashboard"], stderr=subprocess.DEVNULL, cwd=folder)
-
-    processes = [start("scheduler", "--host", address)]
-    try:
-        processes += [start("worker", address, "--nthreads=1", "--no-nanny") for _ in range(2)]
-        yield address
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-
-
-def test_the_address_workflow_makes_the_same_cube_with_a_scheduler_that_asks_for_tls(
-    tank, reference, tmp_path
-):
-    data = yaml.safe_load((ROOT / "workflows" / "address.yaml").read_text())
-    with (
-        temporary_credentials(tmp_path / "secret") as credentials,
-        scheduler_with_tls(tmp_path, credentials) as address,
-    ):
-        data |= {"address": address, "steps_per_block": 4, "dask": credentials}
-        state = run(tank, out=tmp_path / "cube.zarr", workflow=Workflow(**data))
-    assert state.complete
-    assert different(tmp_path / "cube.zarr", reference) == []
-
-
-@pytest.mark.parametrize("name", ["kubernetes", "gateway"])
-def test_workflows_that_are_not_tried_here_state_it_and_name_their_package(name, tmp_path):
-    path = ROOT / "workflows" / f"{name}.yaml"
-    assert "loaded, but not run, by the tests" in path.read_text()
-    workflow = Workflow.load(path)
-    if find_spec(workflow.deploy.split(".")[0]) is None:
-        with (
-            open_cluster(workflow, tmp_path) as map_unordered,
-            pytest.raises(ExperimentError, match=r"`deploy`: .* cannot be imported .* install its package"),
-        ):
-            list(map_unordered(abs, [-1]))
-
-
 def test_the_slurm_workflow_asks_for_jobs_that_end_after_the_run_does(tmp_path):
     workflow = Workflow.load(ROOT / "workflows" / "slurm.yaml")
     assert count_jobs(workflow) == (4, 4)
-    with slurm_cluster(workflow, tmp_path, dask_settings(workflow)) as jobs:
+    with slurm_cluster(workflow, tmp_path) as jobs:
         script = jobs.job_script()
     assert "#SBATCH -t 04:00:00" in script
     assert workflow.time_limit_seconds < 4 * 3600

@@ -61,7 +61,7 @@ def check(
     remarks that matter.
     """
     from wavefield import pipeline
-    from wavefield.execution.worker_settings import keep_memory
+    from wavefield.execution.process import keep_memory
 
     keep_memory()
     source = replace(source, path=experiment_file(source.path))

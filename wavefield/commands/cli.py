@@ -146,7 +146,7 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, WavefieldError):
         return str(error)
     if isinstance(error, MemoryError):
-        from wavefield.execution.memory import peak_memory
+        from wavefield.execution.process import peak_memory
 
         return (
             f"memory ran out ({error}): this command needs more than the {peak_memory() / 1e9:.2g} GB that "

@@ -88,7 +88,7 @@ def run(
     matter.
     """
     from wavefield import pipeline
-    from wavefield.execution.worker_settings import keep_memory
+    from wavefield.execution.process import keep_memory
 
     keep_memory()  # where it measures in this very process
     if output is None and is_store(source.path):

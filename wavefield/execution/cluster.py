@@ -1,23 +1,75 @@
-"""Where chunks of steps are measured: in this process, in others of this machine, or on a Dask cluster."""
+"""Where chunks are measured: in this process, or by Dask's workers here, in Slurm jobs, or elsewhere.
 
+All are given the same map over chunks. The scheduler that a run starts accepts nobody but the run itself: it
+communicates through TLS, with credentials that are made for each run, and serves no page.
+"""
+
+import functools
+import logging
 import os
+import pickle
+import signal
+import sys
+import uuid
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from wavefield.execution.cluster_settings import ClusterSettings
-from wavefield.execution.memory import memory_error
-from wavefield.execution.pool import MEASURING, Pool
-from wavefield.execution.worker_settings import one_thread
+import wavefield
+from wavefield.errors import ExperimentError, StoreError, WavefieldError
+from wavefield.execution.process import (
+    WORKER_ENVIRONMENT,
+    children_ignore_ctrl_c,
+    deferred_signals,
+    memory_error,
+    one_thread,
+    set_up_worker,
+)
+from wavefield.execution.workflow import Workflow
 
-_MOST_THREADS = 4  # of a run's own process
+if TYPE_CHECKING:  # a second to import
+    from distributed import Client
+
+log = logging.getLogger("wavefield.run")
 
 Work = Callable[[Any], Any]
-MapUnordered = Callable[[Work, Sequence[Any]], Generator[tuple[Any, Any], None, None]]
+Results = Generator[tuple[Any, Any], None, None]
+MapUnordered = Callable[[Work, Sequence[Any]], Results]
+Watch = Callable[["Client"], None]
+
+_MOST_THREADS = 4  # of a run's own process
+_TASKS_PER_WORKER = 2  # that the scheduler holds: one at work, one ready
+_POLL_SECONDS = 2.0  # between looks at the workers, without results
+_SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
+PRELOAD = "wavefield.execution.process"  # by workers
+
+# Chunks take minutes, so workers are checked less often than every few ms, which takes 4 % of a core each.
+# Chunks are independent: memory is not spilled, and a lost worker loses one chunk.
+SETTINGS: dict[str, Any] = {
+    "distributed.scheduler.allowed-failures": 2,  # a chunk is given up when a third worker ends over it
+    "distributed.scheduler.worker-saturation": 1.0,  # or the chunks that wait for it would be blamed, too
+    "distributed.scheduler.worker-ttl": "60s",
+    "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
+    "distributed.worker.multiprocessing-method": "forkserver" if sys.platform == "linux" else "spawn",
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.limit": "60s",
+    "distributed.admin.system-monitor.interval": "2s",
+    "distributed.comm.timeouts.connect": "60s",
+    "distributed.comm.timeouts.tcp": "60s",
+}
 
 
-def count_workers(workflow: ClusterSettings) -> int:
+def count_workers(workflow: Workflow) -> int:
     """Number of workers that a workflow asks for, at most."""
     if workflow.cluster == "none":
         return 1
@@ -26,43 +78,119 @@ def count_workers(workflow: ClusterSettings) -> int:
     return workflow.workers if isinstance(workflow.workers, int) else workflow.workers.maximum
 
 
-def threads_here(workflow: ClusterSettings) -> int:
-    """Threads that a run takes in its own process while its workers have nothing to do yet or any more."""
+def threads_here(workflow: Workflow) -> int:
+    """Threads that a run takes in its own process while its workers are idle."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
 
 def _cores() -> int:
-    """Of this machine, as far as this process may use them."""
+    """Cores of this machine that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
 def open_cluster(
-    workflow: ClusterSettings,
-    logs: Path | None = None,
-    ahead: bool = False,
-    lasting: bool = False,
-    imports: Sequence[str] = MEASURING,
+    workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
-    """Give a function that maps work over items on workers that come and go with it."""
-    count = count_workers(workflow)
-    watched = bool(workflow.dashboard or workflow.performance_report)
-    if workflow.cluster == "none" or (workflow.cluster == "local" and count == 1 and not watched):
+    """Give a function that maps work over items on workers that start now and end with the context.
+    Workers of this machine import the modules named while the caller prepares their work.
+    """
+    if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
-    elif workflow.cluster == "local" and not watched:
-        with Pool(count, workflow.memory_bytes, lasting, imports) as pool:
-            if ahead:
-                pool.start()
-            yield pool.map_unordered
+        return
+    import dask
+    import distributed  # noqa: F401  its defaults join the configuration before ours do
+
+    environment = dict(os.environ)  # Dask's nannies change it
+    try:
+        with dask.config.set(SETTINGS), ExitStack() as stack:
+            with deferred_signals():
+                client, watch = _connect(workflow, logs or Path("wavefield.jobs").absolute(), imports, stack)
+            yield functools.partial(_map_on, client, watch, count_workers(workflow))
+    finally:
+        for name in os.environ.keys() - environment.keys():
+            del os.environ[name]
+        os.environ.update(environment)
+
+
+def _connect(
+    workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
+) -> tuple["Client", Watch]:
+    from distributed import Client
+
+    if workflow.cluster == "address":
+        try:
+            client = Client(workflow.address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
+        except OSError as error:
+            raise ExperimentError(
+                f"no scheduler answers at {workflow.address} ({error}); start one with "
+                "`dask scheduler`, or correct `address` in the workflow"
+            ) from None
+        return stack.enter_context(client), _WithoutWorkers()
+    watch: Watch = lambda client: None  # noqa: E731
+    if workflow.cluster == "slurm":
+        from wavefield.execution.slurm import QueueWatch, slurm_cluster
+
+        cluster = stack.enter_context(slurm_cluster(workflow, logs))
+        watch = QueueWatch(cluster)
     else:
-        from wavefield.execution.dask_cluster import open_dask_cluster
+        cluster = stack.enter_context(_local_cluster(workflow, imports))
+        stack.callback(_end_workers, cluster)
+    client = stack.enter_context(Client(cluster, timeout="60s", set_as_default=False))
+    if workflow.cluster == "local":
+        cluster.scale(count_workers(workflow))  # after the client, which would wait for them
+    return client, watch
 
-        folder = logs or Path("wavefield.jobs").absolute()
-        with open_dask_cluster(workflow, count, folder, lasting) as map_unordered:
-            yield map_unordered
+
+def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
+    """A cluster on this machine, without workers so far."""
+    from distributed import LocalCluster
+    from distributed.utils import get_mp_context
+
+    context = get_mp_context()
+    if context.get_start_method() == "forkserver":  # workers share the memory of what they import
+        context.set_forkserver_preload(["distributed", PRELOAD, *imports])
+    with children_ignore_ctrl_c():  # started by a thread that starts here
+        return LocalCluster(
+            n_workers=0,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            security=True,
+            memory_limit=workflow.memory_bytes or "auto",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            worker_dashboard_address="127.0.0.1:0",
+            preload=[PRELOAD, *imports],
+            silence_logs=logging.CRITICAL,
+        )
 
 
-def _map_here(work: Work, items: Sequence[object]) -> Generator[tuple[Any, Any], None, None]:
+def _end_workers(cluster: Any) -> None:
+    """End the workers of this machine at once; Dask would wait seconds for chunks that nobody waits for."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        with suppress(OSError, TypeError):  # it has no process now
+            os.kill(nanny.pid, signal.SIGTERM)
+
+
+class _WithoutWorkers:
+    """Reports, once, that a scheduler has no workers."""
+
+    reported = False
+
+    def __call__(self, client: "Client") -> None:
+        if not self.reported and not client.nthreads():
+            self.reported = True
+            address = client.scheduler_info()["address"]
+            log.warning(
+                "the scheduler at %s has no workers; the run begins when the first is started: "
+                "`dask worker %s --nthreads 1`",
+                address,
+                address,
+            )
+
+
+def _map_here(work: Work, items: Sequence[Any]) -> Results:
     with one_thread():
         for item in items:
             try:
@@ -70,3 +198,91 @@ def _map_here(work: Work, items: Sequence[object]) -> Generator[tuple[Any, Any],
             except Exception as error:
                 result = memory_error(error) or error
             yield item, result
+
+
+def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
+    """Map work over items; the scheduler holds no more than a few for each worker."""
+    from distributed import CancelledError, wait
+
+    packed, mark = pickle.dumps(work), uuid.uuid4().hex
+    left = deque(range(len(items)))
+    running: dict[Any, int] = {}
+    try:
+        while left or running:
+            while left and len(running) < _TASKS_PER_WORKER * workers:
+                k = left.popleft()
+                task = client.submit(
+                    _do, packed, own_versions(), items[k], key=f"chunk-{k}-{mark}", pure=False
+                )
+                running[task] = k
+            watch(client)
+            try:
+                with client.as_current():
+                    done = wait(list(running), timeout=_POLL_SECONDS, return_when="FIRST_COMPLETED").done
+            except TimeoutError:
+                continue
+            for task in done:
+                yield items[running.pop(task)], _result(task)
+    except (OSError, CancelledError) as error:
+        raise StoreError(
+            "the scheduler was lost; what is done is kept: run the same command again to go on"
+        ) from error
+    finally:
+        if running and client.status == "running":
+            client.cancel(list(running), force=True)
+
+
+def _result(task: Any) -> Any:
+    """Result of a task that has ended, or its error."""
+    from distributed import CancelledError
+
+    try:
+        return task.result()
+    except CancelledError:
+        raise
+    except Exception as error:
+        return _as_sentence(error)
+
+
+def _do(packed: bytes, versions: str, item: Any) -> Any:
+    """Do work that another process sent; that process and this worker must run the same version."""
+    if own_versions() != versions:
+        raise ExperimentError(
+            f"the workers run {own_versions()} ({sys.executable}), but the run {versions}: start both from "
+            "one environment"
+        )
+    set_up_worker()
+    try:
+        return _unpacked(packed)(item)
+    except Exception as error:
+        raise memory_error(error) or error from None
+
+
+@functools.lru_cache(maxsize=1)
+def _unpacked(packed: bytes) -> Work:
+    work: Work = pickle.loads(packed)
+    return work
+
+
+def own_versions() -> str:
+    """Versions of Python (major and minor) and wavefield of this process."""
+    return f"Python {sys.version_info[0]}.{sys.version_info[1]}, wavefield {wavefield.__version__}"
+
+
+def _as_sentence(error: BaseException) -> BaseException:
+    """Dask's error for a task that never ran, as a sentence."""
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return StoreError(
+            f"{error.allowed_failures + 1} workers ended while they worked on it: if memory ran out, give "
+            "more `memory`, fewer `workers` or a smaller `steps_per_block` in the workflow; `cluster: none` "
+            "shows any other cause"
+        )
+    missing = isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("wavefield")
+    if not isinstance(error, WavefieldError) and (missing or "deserialization" in str(error)):
+        return ExperimentError(
+            f"scheduler or workers cannot load wavefield {wavefield.__version__} ({error}); start them from "
+            "an environment in which it is installed"
+        )
+    return error

@@ -1,58 +1,37 @@
-"""Slurm jobs as workers: submitting them, and the reasons why sbatch refuses one."""
+"""Slurm jobs as workers, by dask-jobqueue: their submission, and why they do not start."""
 
-import inspect
-import shlex
+import getpass
+import logging
+import re
 import signal
+import subprocess
 import sys
-import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from wavefield.errors import ExperimentError
-from wavefield.execution.cluster_settings import ClusterSettings
-from wavefield.execution.dask_settings import dashboard_address
-from wavefield.execution.worker_settings import THREAD_VARIABLES
+from wavefield.execution.cluster import PRELOAD, SETTINGS
+from wavefield.execution.process import WORKER_ENVIRONMENT
+from wavefield.execution.workflow import Workflow
+
+log = logging.getLogger("wavefield.run")
+
+_POLL_SECONDS = 10.0  # between queries of Slurm
+_CHECKS = 2  # Slurm may list a job late, and its worker may connect late
+_MAX_LINE = 300  # characters of a log in a message
 
 
-def import_jobqueue() -> None:
-    """Import dask-jobqueue without giving it Ctrl-C, which it takes over when it is imported."""
-    if "dask_jobqueue" in sys.modules:
-        return
-    if threading.current_thread() is not threading.main_thread():
-        raise ExperimentError("cluster: slurm is started from the main thread; call `run` there")
-    interrupt = signal.getsignal(signal.SIGINT)
-    try:
-        import dask_jobqueue  # noqa: F401
-    except ImportError:
-        raise ExperimentError("cluster: slurm needs dask-jobqueue; `pip install wavefield[slurm]`") from None
-    finally:
-        signal.signal(signal.SIGINT, interrupt)
-
-
-def slurm_cluster(workflow: ClusterSettings, logs: Path, settings: dict[str, object]) -> Any:
-    """A `dask_jobqueue.SLURMCluster` without jobs so far; ``job_script()`` shows what it will submit."""
-    import_jobqueue()
+def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
+    """A `dask_jobqueue.SLURMCluster` that asks for its jobs; ``job_script()`` shows what it submits."""
+    _import_jobqueue()
     from dask_jobqueue import SLURMCluster
-    from dask_jobqueue.core import Job, JobQueueCluster
     from dask_jobqueue.slurm import SLURMJob
     from distributed.deploy.spec import ProcessInterface
 
-    known = {
-        name
-        for kind in (SLURMJob, Job, JobQueueCluster)
-        for name, parameter in inspect.signature(kind.__init__).parameters.items()
-        if parameter.kind is not parameter.VAR_KEYWORD and name != "self"
-    }
-    unknown = [name for name in workflow.slurm if name not in known]
-    if unknown:
-        raise ExperimentError(
-            f"the `slurm` block of the workflow: {unknown[0]!r} is not a keyword of "
-            f"dask_jobqueue.SLURMCluster; it accepts {', '.join(sorted(known))}"
-        )
-
-    class ReportingJob(SLURMJob):
-        """Keeps the reason why sbatch refuses a job; Dask would not report it."""
+    class Job(SLURMJob):
+        """Keeps the reason why sbatch refuses a job; Dask would print a traceback and wait for ever."""
 
         refused = ""
 
@@ -68,67 +47,156 @@ def slurm_cluster(workflow: ClusterSettings, logs: Path, settings: dict[str, obj
             await ProcessInterface.close(self)
 
     class Cluster(SLURMCluster):
-        job_cls = ReportingJob
+        job_cls = Job
 
-    keywords = _keywords(workflow, logs, settings)
     try:
-        Path(keywords["log_directory"]).mkdir(parents=True, exist_ok=True)
+        logs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ExperimentError(
-            f"the jobs' logs cannot be written to {keywords['log_directory']} ({error.strerror}); make room, "
-            "or name another place as `log_directory` in the workflow's `slurm` block"
+            f"the jobs' logs cannot be written to {logs} ({error.strerror}); make room, or name another store"
         ) from None
-    return Cluster(**keywords)
+    try:
+        cluster = Cluster(**_keywords(workflow, logs))
+    except (TypeError, ValueError) as error:
+        raise ExperimentError(
+            f"the `slurm` block of the workflow: {error}; its keywords are those of "
+            "dask_jobqueue.SLURMCluster"
+        ) from None
+    fewest, most = count_jobs(workflow)
+    cluster.adapt(minimum_jobs=fewest, maximum_jobs=most)  # jobs that end or die are asked for again
+    log.info("asked Slurm for %d jobs; the run begins when the first starts", fewest)
+    return cluster
 
 
-def _keywords(workflow: ClusterSettings, logs: Path, settings: dict[str, object]) -> dict[str, Any]:
+def _import_jobqueue() -> None:
+    """Import dask-jobqueue and keep our handler of Ctrl-C, which its import replaces."""
+    try:
+        interrupt = signal.getsignal(signal.SIGINT)
+        import dask_jobqueue  # noqa: F401
+
+        if signal.getsignal(signal.SIGINT) is not interrupt:
+            signal.signal(signal.SIGINT, interrupt)
+    except ValueError:  # of its own import in another thread
+        raise ExperimentError("cluster: slurm is started from the main thread; call `run` there") from None
+
+
+def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
     """Keywords of SLURMCluster: ours, then the workflow's."""
-    given = workflow.slurm
-    keywords: dict[str, Any] = {
-        "cores": 1,
-        "processes": given.get("cores", 1),
-        # Slurm supervises the only worker of a job; a nanny would import everything once more
-        "nanny": int(given.get("processes", given.get("cores", 1))) > 1,
-        "job_name": "wavefield",
-        "memory": workflow.memory or "2 GB",
-        "log_directory": str(logs),
-        "local_directory": "/tmp",
-        "death_timeout": 120,
+    given = dict(workflow.slurm)
+    cores = int(given.get("cores", 1))
+    environment = WORKER_ENVIRONMENT | {
+        f"DASK_{name.upper().replace('.', '__').replace('-', '_')}": value
+        for name, value in SETTINGS.items()
+        if not isinstance(value, dict)
     }
-    if "cores" in given and workflow.memory_bytes:
-        keywords["memory"] = f"{workflow.memory_bytes * int(given['cores']) // 1_000_000} MB"
-    keywords |= given
-    keywords["job_script_prologue"] = environment_lines(settings) + list(given.get("job_script_prologue", []))
-    ours = ["--preload", "wavefield.pipeline.dask_preload", "--dashboard-address", "127.0.0.1:0"]
-    keywords["worker_extra_args"] = ours + list(given.get("worker_extra_args", []))
-    options = {"dashboard_address": dashboard_address(workflow), "dashboard": bool(workflow.dashboard)}
-    keywords["scheduler_options"] = options | dict(given.get("scheduler_options", {}))
-    return keywords
-
-
-def environment_lines(settings: dict[str, Any]) -> list[str]:
-    """Lines of a job script that set what its workers need: one thread each, our configuration of Dask."""
-    lines = [f"export {name}=1" for name in THREAD_VARIABLES]
+    lines = [f"export {name}={str(value)!r}" for name, value in environment.items()]
     # compiled kernels: not on a home that may be full and is shared by nodes of several kinds
     lines.append('export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"')
-    return lines + list(_exports(settings["distributed"], "DASK_DISTRIBUTED"))
+    return {
+        "cores": cores,
+        "processes": cores,
+        # Slurm supervises the only worker of a job; a nanny would import everything once more
+        "nanny": _processes(workflow) > 1,
+        "job_name": "wavefield",
+        "memory": f"{(workflow.memory_bytes or 2_000_000_000) * cores // 1_000_000} MB",
+        "log_directory": str(logs),
+        "local_directory": "/tmp",
+        "shared_temp_directory": str(logs),  # of the credentials
+        "security": True,
+        "death_timeout": 120,
+        "scheduler_options": {"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+        **given,
+        "job_script_prologue": lines + list(given.pop("job_script_prologue", [])),
+        "worker_extra_args": ["--preload", PRELOAD, "--no-dashboard", *given.pop("worker_extra_args", [])],
+    }
 
 
-def _exports(settings: dict[str, object], prefix: str) -> Iterator[str]:
-    """Lines of a job script that give its workers a section of the configuration."""
-    for name, value in settings.items():
-        variable = f"{prefix}__{name.upper().replace('-', '_')}"
-        if isinstance(value, dict):
-            yield from _exports(value, variable)
-        else:
-            yield f"export {variable}={shlex.quote(str(value))}"
+def _processes(workflow: Workflow) -> int:
+    """Workers per job."""
+    return int(workflow.slurm.get("processes", workflow.slurm.get("cores", 1)))
 
 
-def count_jobs(workflow: ClusterSettings) -> tuple[int, int]:
-    """Number of Slurm jobs that give the workers asked for."""
-    processes = int(workflow.slurm.get("processes", workflow.slurm.get("cores", 1)))
-    workers = workflow.workers
+def count_jobs(workflow: Workflow) -> tuple[int, int]:
+    """Least and greatest number of Slurm jobs that give the workers asked for."""
+    workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1
     fewest, most = (workers, workers) if isinstance(workers, int) else (workers.minimum, workers.maximum)
     return -(-fewest // processes), -(-most // processes)
+
+
+class QueueWatch:
+    """Reports why jobs wait, and ends a run without workers whose jobs were refused or have ended.
+    dask-jobqueue does neither: a run with a mistyped partition would wait for ever.
+    """
+
+    def __init__(self, cluster: Any) -> None:
+        self._cluster = cluster
+        self._checked_at = time.monotonic()
+        self._reported = ""
+        self._gone = 0  # checks in a row that found no job queued or running
+
+    def __call__(self, client: Any) -> None:
+        """Check the jobs while there is no worker, unless that was a moment ago."""
+        now = time.monotonic()
+        if now - self._checked_at < _POLL_SECONDS or client.nthreads():
+            return
+        self._checked_at = now
+        jobs = list(self._cluster.workers.values())
+        for job in jobs:
+            if job.refused:
+                raise ExperimentError(f"{_refusal(job.refused)}; correct the `slurm` block of the workflow")
+        numbers = [str(job.job_id) for job in jobs if job.job_id]
+        listed = queue_of(getpass.getuser())
+        if listed is None or not numbers:
+            return
+        queued = {number: listed[number] for number in numbers if number in listed}
+        self._gone = 0 if queued else self._gone + 1
+        if self._gone > _CHECKS:
+            raise ExperimentError(why_ended(numbers, Path(jobs[-1].log_directory)))
+        reasons = sorted({reason for state, reason in queued.values() if state == "PENDING"})
+        if reasons and str(reasons) != self._reported:
+            self._reported = str(reasons)
+            log.warning(
+                "%d jobs wait in Slurm's queue (%s); the run begins when the first starts (`squeue --start` "
+                "estimates when, `scontrol show partition` lists the limits)",
+                len(queued),
+                ", ".join(reasons),
+            )
+
+
+def _refusal(text: str) -> str:
+    """Why sbatch refuses a job."""
+    found = re.findall(r"sbatch: error: (.*)", text)
+    if found:
+        reason = "; ".join(dict.fromkeys(line.strip() for line in found))
+    elif "No such file" in text:
+        reason = "there is no sbatch here: start the run where jobs can be submitted"
+    else:
+        reason = text.strip().splitlines()[-1]
+    return f"Slurm refuses the jobs of this run: {reason}"
+
+
+def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
+    """State and reason of all jobs of a user that Slurm lists, by number; None if it does not answer."""
+    command = ["squeue", "--noheader", f"--user={user}", "--format=%A|%T|%r"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    rows = (line.split("|", 2) for line in done.stdout.splitlines() if line.count("|") >= 2)
+    return {number: (state, reason) for number, state, reason in rows if state != "COMPLETING"}
+
+
+def why_ended(numbers: Sequence[str], logs: Path) -> str:
+    """Why jobs ended before their workers started, from the last line of a log."""
+    head = f"Slurm job {numbers[-1]} ended before its worker started; "
+    for number in numbers:
+        for path in sorted(logs.glob(f"*-{number}*")):
+            lines = [line.strip() for line in path.read_text(errors="replace").splitlines() if line.strip()]
+            if lines:
+                return f"{head}{path} ends with: {lines[-1][:_MAX_LINE]}"
+    return (
+        f"{head}it left no log in {logs}: is that a folder on a disk that all nodes share, with room, and is "
+        f"{sys.executable} there on the nodes (`python` in the `slurm` block names another)?"
+    )

@@ -1,24 +1,61 @@
-"""How to process: where the work is done, and what differs from the experiment's own settings."""
+"""How to process: where the work is done, and which settings differ from the experiment's own."""
 
 import re
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, PrivateAttr, field_validator
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
-from wavefield.config_files import load
-from wavefield.execution.cluster_settings import ClusterSettings
+from wavefield.config_files import ConfigSection, load
+
+_LEAST_MEMORY = 500_000_000  # bytes of a worker: with its libraries alone it has a third of this
 
 
-class Workflow(ClusterSettings):
-    """A workflow file: cluster, resources, recipe.
+class Between(ConfigSection):
+    """Least and greatest number of workers; more than the least are requested while chunks wait."""
+
+    minimum: int = Field(ge=1, examples=["2"], description="workers to ask for at once")
+    maximum: int = Field(ge=1, examples=["40"], description="most workers")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Between":
+        if self.maximum < self.minimum:
+            raise ValueError("the maximum of workers is below their minimum")
+        return self
+
+
+class Workflow(ConfigSection):
+    """A workflow file: where the work is done, its resources, and settings that differ.
 
     Examples
     --------
-    >>> Workflow(cluster="local", workers=2, time_limit="1h 30m").time_limit_seconds
-    5400.0
+    >>> workflow = Workflow(cluster="local", workers=2, memory="2 GB", time_limit="1h 30m")
+    >>> workflow.memory_bytes, workflow.time_limit_seconds
+    (2000000000, 5400.0)
     """
 
+    cluster: Literal["none", "local", "slurm", "address"] = Field(
+        default="local",
+        examples=["local"],
+        description="none: this process; local: processes of this machine; slurm: jobs; address: the workers "
+        "of a Dask scheduler that runs already",
+    )
+    workers: int | Literal["auto"] | Between = Field(
+        default="auto",
+        examples=["4", "{minimum: 2, maximum: 40}"],
+        description="worker processes; auto: one per core",
+    )
+    memory: str | None = Field(
+        default=None, examples=["2 GB"], description="limit per worker; one above it is replaced"
+    )
+    address: str | None = Field(
+        default=None, examples=["tcp://host:8786"], description="of a running scheduler"
+    )
+    slurm: dict[str, Any] = Field(
+        default_factory=dict,
+        examples=["{queue: cpu, walltime: '04:00:00'}"],
+        description="keywords of dask_jobqueue.SLURMCluster",
+    )
     time_limit: str | None = Field(
         default=None, examples=["11h 50m"], description="stop cleanly after this time"
     )
@@ -29,6 +66,26 @@ class Workflow(ClusterSettings):
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
     _path: Path | None = PrivateAttr(default=None)
 
+    @field_validator("workers")
+    @classmethod
+    def _some(cls, value: object) -> Any:
+        if isinstance(value, int) and value < 1:
+            raise ValueError("workers must be 1 or more, or auto")
+        return value
+
+    @field_validator("memory")
+    @classmethod
+    def _size(cls, value: str | None) -> str | None:
+        if value is not None:
+            from dask.utils import format_bytes, parse_bytes
+
+            if parse_bytes(value) < _LEAST_MEMORY:
+                raise ValueError(
+                    f"memory of {format_bytes(parse_bytes(value))} per worker is too little; "
+                    "give 1 GB or more"
+                )
+        return value
+
     @field_validator("time_limit", mode="before")
     @classmethod
     def _duration(cls, value: object) -> Any:
@@ -36,6 +93,14 @@ class Workflow(ClusterSettings):
             parse_duration(str(value))
             return str(value)
         return value
+
+    @model_validator(mode="after")
+    def _address_given(self) -> "Workflow":
+        if self.cluster == "address" and not self.address:
+            raise ValueError(
+                "cluster: address needs the scheduler's address, for example address: tcp://host:8786"
+            )
+        return self
 
     @classmethod
     def load(cls, path: str | Path) -> "Workflow":
@@ -59,6 +124,15 @@ class Workflow(ClusterSettings):
     def path(self) -> Path | None:
         """The file this workflow was read from, if it was."""
         return self._path
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """Memory limit per worker, bytes."""
+        if not self.memory:
+            return None
+        from dask.utils import parse_bytes
+
+        return int(parse_bytes(self.memory))
 
     @property
     def time_limit_seconds(self) -> float | None:

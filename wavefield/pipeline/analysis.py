@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from wavefield.atomic_write import write_error, writing
 from wavefield.errors import ExperimentError, RunStopped
 from wavefield.execution.cluster import MapUnordered, open_cluster
+from wavefield.execution.process import stop_signals, stopped_by
 from wavefield.execution.run_log import jobs_folder, log_file
-from wavefield.execution.signals import stop_signals, stopped_by
 from wavefield.execution.workflow import Workflow
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def analyze_on_workers(
         place = tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".partial", dir=target.parent)
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
-            with open_cluster(workflow, jobs_folder(target), True, True, _WORKER_IMPORTS) as map_unordered:
+            with open_cluster(workflow, jobs_folder(target), _WORKER_IMPORTS) as map_unordered:
                 from wavefield.waves.wave_analysis import analyze  # while the workers start
 
                 return analyze(

@@ -170,7 +170,7 @@ def run_catalog(
     from wavefield.execution.lock import Lock
     from wavefield.execution.run_log import jobs_folder
     from wavefield.pipeline.prepare import prepare
-    from wavefield.pipeline.running import process
+    from wavefield.pipeline.running import MEASURING, process
 
     path = Path(catalog).absolute()
     runs = runs_of(path, entries)
@@ -183,7 +183,7 @@ def run_catalog(
         store = Path(out) if out is not None else store_of(path, chosen, prepared)
         with (
             Lock.hold(store.absolute()) as lock,
-            open_cluster(prepared.workflow, jobs_folder(store)) as mapped,
+            open_cluster(prepared.workflow, jobs_folder(store), MEASURING) as mapped,
         ):
             done.append(process(prepared, lock, mapped, _named(progress, f"{run} ({number} of {len(runs)})")))
         if out is None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefield.errors import ExperimentError
 from wavefield.execution.cluster import count_workers
-from wavefield.execution.memory import peak_memory
+from wavefield.execution.process import peak_memory
 from wavefield.pipeline.chunk import Measured, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
-from wavefield.execution.worker_settings import one_thread
+from wavefield.execution.process import one_thread
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
 from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, fraction_measured, measure_cost, spell_size

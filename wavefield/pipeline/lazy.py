@@ -15,7 +15,7 @@ from dask.delayed import Delayed
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.pipeline.lazy_steps import LazySteps
+from wavefield.pipeline.chunk import Chunk, make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_from, once_per_cube, samples
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 
     Known = tuple[GridGeometry, Model | None]
 
-# One task measures a chunk and one more per variable hands it on: with fewer steps per chunk the graph of a
-# long series would grow beyond one task for five steps.
-STEPS_PER_TASK = 72
+# A chunk reads five frames more than it has steps, and one step alone costs as much as its chunk.
+STEPS_PER_TASK = 24
 SEARCHED_STEPS = 2  # sample steps in which the ranges to search are found
 
 
@@ -86,8 +85,8 @@ def reconstruct(
     """Turn image series into a lazy cube of elevation and velocity.
 
     Nothing is read or computed before values are requested; then four sample steps of the whole series give
-    the weights of every step: beads, spectra, noise. They are measured once and kept with the cube. Of a
-    selection, such as ``cube.z.isel(time=0).plot()``, only its own steps are measured. To process a whole
+    the weights of every step: beads, spectra, noise. They are measured once and kept with the cube. A chunk
+    is measured as a whole: to look at single steps, choose a small ``steps_per_task``. To process a whole
     experiment into a store that survives interruptions, use `wavefield.pipeline.run`.
 
     Parameters
@@ -105,7 +104,7 @@ def reconstruct(
     settings : wavefield.measurement.Settings, optional
         Choices of the measurement.
     steps_per_task : int
-        Steps that one task measures; it does not change the values.
+        Steps of one chunk, which one task measures; it does not change the values.
     record : mapping, optional
         What was learned from the whole record, ``cube.wavefield.recipe["record"]`` of an earlier cube: then
         a few of its steps come out as they are there. Otherwise it is learned from these frames.
@@ -172,8 +171,17 @@ def reconstruct(
     known = dask.delayed(_Learner(geometry, frame_rate, record), pure=False, traverse=False)(
         samples(sources, sample_steps(steps)), dask_key_name=f"learn-{token}"
     )
-    lazy = LazySteps(sources, departures, frame_rate, known, grid.shape, token)
-    variables = {name: (TABLE[name].dims, lazy.array(name, edges)) for name in (*CUBE_FIELDS, "frame_status")}
+    tasks = [
+        dask.delayed(_measure, pure=False, traverse=True)(
+            make_chunk(sources, *edge, departures), known, frame_rate, dask_key_name=f"measure-{token}-{k}"
+        )
+        for k, edge in enumerate(edges)
+    ]
+    measured = da.concatenate([da.from_delayed(t, (b - a,), object) for t, (a, b) in zip(tasks, edges)])
+    variables = {
+        name: (TABLE[name].dims, _variable(measured, name, grid.shape))
+        for name in (*CUBE_FIELDS, "frame_status")
+    }
     once: Any = dask.delayed(_from_record, pure=False)(known)
     gain, axes = _gain(once, geometry)
     path_frames = da.from_delayed(once["path_frames"], (), np.uint8)
@@ -189,6 +197,30 @@ def reconstruct(
     }
     out = out.set_coords(list(gain)).assign_coords(water_coordinates(out.attrs))
     return annotate(out, "gain")
+
+
+def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
+    """All variables of a chunk, as the first of the objects of an array with one for each step."""
+    geometry, model = known
+    measured = measure_chunk(chunk, geometry, frame_rate, model)
+    out = np.empty(chunk.steps, object)
+    out[0] = {**measured.fields, "frame_status": measured.frame_status}
+    return out
+
+
+def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array:
+    """One variable of all chunks."""
+    row = TABLE[name]
+    nodes = shape if len(row.dims) == 3 else ()
+    out: da.Array = da.map_blocks(
+        lambda block: block[0][name],
+        measured,
+        chunks=(measured.chunks[0], *((n,) for n in nodes)),
+        new_axis=list(range(1, 1 + len(nodes))),
+        meta=np.empty((0,) * (1 + len(nodes)), row.dtype),
+        name=f"{name}-{measured.name}",
+    )
+    return out
 
 
 def _gain(

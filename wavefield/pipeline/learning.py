@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefield.execution.worker_settings import one_thread
+from wavefield.execution.process import one_thread
 from wavefield.pipeline.chunk import Source, read_frame
 from wavefield.quality.patch_matching import MIN_CORRELATION, PatchMatcher, compare
 from wavefield.sampling import evenly_spaced

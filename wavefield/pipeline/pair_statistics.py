@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.execution.cluster import threads_here
-from wavefield.execution.worker_settings import one_thread
+from wavefield.execution.process import one_thread
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, pooled, sample_steps
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
 from wavefield.pipeline.learning import both_frames, learn_from, samples

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.execution.cluster import threads_here
-from wavefield.execution.worker_settings import one_thread
+from wavefield.execution.process import one_thread
 from wavefield.measurement.temporal_truncation import fast_waves
 from wavefield.measurement.unresolved_waves import unresolved_std
 from wavefield.pipeline.cost import fraction_measured

@@ -18,8 +18,8 @@ from wavefield.atomic_write import check_replaceable, check_writable, remove_lef
 from wavefield.errors import RunStopped, StoreError, WavefieldError
 from wavefield.execution.cluster import open_cluster, threads_here
 from wavefield.execution.lock import Lock
+from wavefield.execution.process import deferred_signals, stop_signals, stopped_by
 from wavefield.execution.run_log import jobs_folder, log_file, log_path
-from wavefield.execution.signals import deferred_signals, stop_signals, stopped_by
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.chunk import Chunk, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work
@@ -49,6 +49,7 @@ log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
 MapFunction = Callable[[Work, Sequence[Chunk]], Generator[tuple[Chunk, Any]]]
 
+MEASURING = ("wavefield.measurement.measure", "wavefield.pipeline.chunk_worker")  # what workers import ahead
 _MAX_MESSAGES = 30  # bad frames that the log names
 _ENOUGH_FAILURES = 3  # chunks that fail before any succeeds: something is wrong with all of them
 
@@ -132,7 +133,7 @@ def run(
             open_group(path)  # what is no cube is refused at once
         check_writable(beside(path, "verdict", ".json"), VERDICT)
         with deferred_signals():  # Ctrl-C inside an import may be lost
-            map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
+            map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), MEASURING))
             prepared = prepare(experiment, rig, workflow)
             refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         return process(prepared, lock, map_unordered, progress)

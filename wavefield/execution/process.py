@@ -1,0 +1,184 @@
+"""How the processes of a run are set up: threads, memory, and the signals that stop a run."""
+
+import ctypes
+import functools
+import multiprocessing
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from types import FrameType
+from typing import Any
+
+from wavefield.errors import StoreError
+
+# -- threads and memory
+
+# A step makes and drops hundreds of arrays of a few MB. Where glibc hands them back to the system each time,
+# mapping and clearing their pages takes longer than measuring. An image of 4 Mpx in floats has 16 MB.
+_MMAP_THRESHOLD, _TRIM_THRESHOLD = 64_000_000, 256_000_000  # bytes
+WORKER_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "VECLIB_MAXIMUM_THREADS": "1",
+    "MALLOC_MMAP_THRESHOLD_": str(_MMAP_THRESHOLD),
+    "MALLOC_TRIM_THRESHOLD_": str(_TRIM_THRESHOLD),
+    "MALLOC_ARENA_MAX": "1",  # one for all threads, or each would keep its own
+}
+_OUT_OF_MEMORY = -4  # of OpenCV's errors
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV to one thread for a while: steps are measured side by side."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def keep_memory() -> None:
+    """Let glibc keep freed arrays for the next ones, as in workers; it cannot be undone."""
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # another C library, another system
+        return
+    for parameter, value in ((-3, _MMAP_THRESHOLD), (-1, _TRIM_THRESHOLD), (-8, 1)):  # of malloc.h
+        mallopt(parameter, value)
+
+
+@functools.cache
+def set_up_worker() -> None:
+    """Set up this process as a worker; calling it again does nothing."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    keep_memory()
+    if sys.platform != "win32":  # locks of libraries (Blosc's) then have no name, which would be left behind
+        multiprocessing.set_start_method("fork", force=True)
+
+
+def dask_setup(worker: Any) -> None:
+    """Set up a worker before its first task; Dask calls it, as this module is preloaded."""
+    set_up_worker()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # or it would finish its chunk after the run has ended
+
+
+def peak_memory() -> int:
+    """Most memory that this process has used so far, bytes."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def memory_error(error: Exception) -> StoreError | None:
+    """A sentence for an allocation that failed; None for another error."""
+    if not isinstance(error, MemoryError) and getattr(error, "code", None) != _OUT_OF_MEMORY:
+        return None
+    detail = f" ({error})" if str(error) else ""
+    return StoreError(
+        f"memory ran out: the work needs more than {peak_memory() / 1e9:.2g} GB per worker{detail}; ask for "
+        "fewer `workers`, or a smaller `steps_per_block`, in the workflow"
+    )
+
+
+# -- signals
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal other than Ctrl-C, or the time limit."""
+
+
+def stopped_by(stop: KeyboardInterrupt) -> str:
+    """First words of the message on a stopped run."""
+    return f"stopped by {stop}" if isinstance(stop, Stopped) else "stopped"
+
+
+def _numbers(*names: str) -> list[int]:
+    """Numbers of the signals among these that this system has."""
+    return [getattr(signal, name) for name in names if hasattr(signal, name)]
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+@contextmanager
+def stop_signals(time_limit: float | None = None) -> Iterator[None]:
+    """Let SIGTERM, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""
+    if not _in_main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: object) -> None:
+        name = signal.Signals(number).name
+        raise Stopped("its time limit" if name == "SIGALRM" else name)
+
+    before = {number: signal.signal(number, stop) for number in _numbers("SIGTERM", "SIGUSR1", "SIGALRM")}
+    timed = time_limit and hasattr(signal, "setitimer")
+    if timed:
+        signal.setitimer(signal.ITIMER_REAL, float(time_limit or 0.0))
+    try:
+        yield
+    finally:
+        if timed:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def deferred_signals() -> Iterator[None]:
+    """Put off the signals that stop a run until a call is over; a second one acts at once.
+    Interrupted early, distributed prints a traceback of another thread, and an import may lose Ctrl-C.
+    """
+    if not _in_main_thread():
+        yield
+        return
+    before = {n: signal.getsignal(n) for n in _numbers("SIGINT", "SIGTERM", "SIGUSR1", "SIGALRM")}
+    received: list[int] = []
+
+    def deliver(number: int, frame: FrameType | None) -> None:
+        handler = before[number]
+        if callable(handler):
+            handler(number, frame)
+
+    def later(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) > 1:
+            deliver(number, frame)
+
+    ours = [number for number, handler in before.items() if callable(handler)]
+    for number in ours:
+        signal.signal(number, later)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, before[number])
+    if received:
+        deliver(received[0], None)
+
+
+@contextmanager
+def children_ignore_ctrl_c() -> Iterator[None]:
+    """Block Ctrl-C and Slurm's warning in processes that are started here, which the run itself ends."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # or its start would let the signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _numbers("SIGINT", "SIGUSR1"))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
