@@ -22,7 +22,8 @@ import numpy as np
 import psutil
 from distributed import Client, Worker
 
-from wavefield.execution.cluster import SETTINGS, _map_on
+from wavefield.execution.cluster import _map_on
+from wavefield.execution.process import SETTINGS
 
 _ROW = 10_000  # chunks: a row of the table each
 

@@ -24,7 +24,9 @@ def script_of(workflow, logs):
         assert signal.getsignal(signal.SIGINT) is before, "dask-jobqueue takes over Ctrl-C"
         secrets = [*logs.glob(".dask*")]
         assert {stat.S_IMODE(one.stat().st_mode) for one in secrets} == {0o600}
-        return jobs.job_script()
+        script = jobs.job_script()
+    assert not any(one.exists() for one in secrets), "credentials go with their run"
+    return script
 
 
 def test_the_job_that_slurm_is_asked_for(tmp_path):
@@ -53,7 +55,6 @@ def test_the_job_that_slurm_is_asked_for(tmp_path):
         assert option in script
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of Dask, on the bad keyword
 def test_the_only_worker_of_a_job_has_no_nanny_and_unknown_keywords_are_named(tmp_path):
     assert "--no-nanny" in script_of(Workflow(cluster="slurm", slurm={"cores": 1}), tmp_path)
     with pytest.raises(ExperimentError, match=r"the `slurm` block of the workflow: .*colour"):

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import wavefield
 from wavefield.errors import ExperimentError, StoreError, WavefieldError
 from wavefield.execution.process import (
-    WORKER_ENVIRONMENT,
+    PRELOAD,
+    SETTINGS,
     children_ignore_ctrl_c,
     deferred_signals,
     memory_error,
@@ -43,30 +44,6 @@ _MOST_THREADS = 4  # of a run's own process
 _TASKS_PER_WORKER = 2  # that the scheduler holds: one at work, one ready
 _POLL_SECONDS = 2.0  # between looks at the workers, without results
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
-PRELOAD = "wavefield.execution.process"  # by workers
-
-# Chunks take minutes, so workers are checked less often than every few ms, which takes 4 % of a core each.
-# Chunks are independent: memory is not spilled, and a lost worker loses one chunk.
-SETTINGS: dict[str, Any] = {
-    "distributed.scheduler.allowed-failures": 2,  # a chunk is given up when a third worker ends over it
-    "distributed.scheduler.worker-saturation": 1.0,  # or the chunks that wait for it would be blamed, too
-    "distributed.scheduler.worker-ttl": "60s",
-    "distributed.scheduler.active-memory-manager.start": False,
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-    "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
-    "distributed.worker.multiprocessing-method": "forkserver" if sys.platform == "linux" else "spawn",
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.memory.monitor-interval": "500ms",
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.tick.limit": "60s",
-    "distributed.admin.system-monitor.interval": "2s",
-    "distributed.comm.timeouts.connect": "60s",
-    "distributed.comm.timeouts.tcp": "60s",
-}
 
 
 def count_workers(workflow: Workflow) -> int:

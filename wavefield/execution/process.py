@@ -28,6 +28,32 @@ WORKER_ENVIRONMENT = {
     "MALLOC_TRIM_THRESHOLD_": str(_TRIM_THRESHOLD),
     "MALLOC_ARENA_MAX": "1",  # one for all threads, or each would keep its own
 }
+
+PRELOAD = "wavefield.execution.process"  # by workers
+
+# Chunks take minutes, so workers are checked less often than every few ms, which takes 4 % of a core each.
+# Chunks are independent: memory is not spilled, and a lost worker loses one chunk.
+SETTINGS: dict[str, Any] = {
+    "distributed.scheduler.allowed-failures": 2,  # a chunk is given up when a third worker ends over it
+    "distributed.scheduler.worker-saturation": 1.0,  # or the chunks that wait for it would be blamed, too
+    "distributed.scheduler.worker-ttl": "60s",
+    "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
+    "distributed.worker.multiprocessing-method": "forkserver" if sys.platform == "linux" else "spawn",
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.limit": "60s",
+    "distributed.admin.system-monitor.interval": "2s",
+    "distributed.comm.timeouts.connect": "60s",
+    "distributed.comm.timeouts.tcp": "60s",
+}
+
 _OUT_OF_MEMORY = -4  # of OpenCV's errors
 
 

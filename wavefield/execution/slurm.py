@@ -1,6 +1,7 @@
 """Slurm jobs as workers, by dask-jobqueue: their submission, and why they do not start."""
 
 import getpass
+import inspect
 import logging
 import re
 import signal
@@ -12,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from wavefield.errors import ExperimentError
-from wavefield.execution.cluster import PRELOAD, SETTINGS
-from wavefield.execution.process import WORKER_ENVIRONMENT
+from wavefield.execution.process import PRELOAD, SETTINGS, WORKER_ENVIRONMENT
 from wavefield.execution.workflow import Workflow
 
 log = logging.getLogger("wavefield.run")
@@ -27,6 +27,8 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     """A `dask_jobqueue.SLURMCluster` that asks for its jobs; ``job_script()`` shows what it submits."""
     _import_jobqueue()
     from dask_jobqueue import SLURMCluster
+    from dask_jobqueue.core import Job as JobBase
+    from dask_jobqueue.core import JobQueueCluster
     from dask_jobqueue.slurm import SLURMJob
     from distributed.deploy.spec import ProcessInterface
 
@@ -49,19 +51,36 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     class Cluster(SLURMCluster):
         job_cls = Job
 
+        def close(self, timeout: float | None = None) -> Any:
+            out = super().close(timeout)
+            for name in (
+                "ca_file",
+                "cert",
+                "key",
+            ):  # Dask would leave the credentials to the garbage collector
+                if secret := getattr(self, f"_job_{name}", None):
+                    secret.close()
+            return out
+
+    known = {
+        name
+        for kind in (SLURMJob, JobBase, JobQueueCluster)
+        for name, parameter in inspect.signature(kind.__init__).parameters.items()
+        if parameter.kind is not parameter.VAR_KEYWORD and name != "self"
+    }
+    unknown = [name for name in workflow.slurm if name not in known]
+    if unknown:
+        raise ExperimentError(
+            f"the `slurm` block of the workflow: {unknown[0]!r} is not a keyword of "
+            f"dask_jobqueue.SLURMCluster; it accepts {', '.join(sorted(known))}"
+        )
     try:
         logs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ExperimentError(
             f"the jobs' logs cannot be written to {logs} ({error.strerror}); make room, or name another store"
         ) from None
-    try:
-        cluster = Cluster(**_keywords(workflow, logs))
-    except (TypeError, ValueError) as error:
-        raise ExperimentError(
-            f"the `slurm` block of the workflow: {error}; its keywords are those of "
-            "dask_jobqueue.SLURMCluster"
-        ) from None
+    cluster = Cluster(**_keywords(workflow, logs))
     fewest, most = count_jobs(workflow)
     cluster.adapt(minimum_jobs=fewest, maximum_jobs=most)  # jobs that end or die are asked for again
     log.info("asked Slurm for %d jobs; the run begins when the first starts", fewest)
