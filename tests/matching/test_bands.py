@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from wavefield.matching import Modes, PosteriorVariance, better_prior, edge_slopes
+from wavefield.matching import Modes, PosteriorVariance, better_prior, edge_field
 from wavefield.matching.matching_gain import footprint
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, Prior
 from wavefield.matching.wavenumber_rings import SHORTEST_WAVENUMBER, WavenumberRings
@@ -48,7 +48,7 @@ def most_probable(modes, blocks):
     information = np.full((1, *SHAPE), 1 / NOISE**2, np.float32)
     factor = modes.factor(information[0])
     none = np.zeros((1, *modes.shape), np.float32)
-    return [modes.solve(information, information * f, none, 1e-3, none, factor) for f in blocks]
+    return [modes.solve(information, information * f, none, 1e-3, factor) for f in blocks]
 
 
 def learned(blocks, thought=3.0):
@@ -145,7 +145,7 @@ def test_what_long_waves_leak_into_shorter_ones_is_no_line(seed):
     for _ in range(rng.integers(1, 6)):
         k, turn, shift = rng.uniform(0.02, 0.15), *rng.uniform(0, 2 * np.pi, 2)
         field += 10 ** rng.uniform(0, 2) * np.cos(k * (np.cos(turn) * x + np.sin(turn) * y) + shift)
-    field -= edge_slopes(field[None].astype(np.float32))[0]
+    field -= edge_field(field[None].astype(np.float32))[0]
     kx, ky = (np.pi * np.arange(n) / n for n in (nx, ny))
     rings = WavenumberRings(kx, ky[:, None])
     power = np.square(scipy.fft.dctn(field, norm="ortho"))

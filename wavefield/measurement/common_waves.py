@@ -57,7 +57,7 @@ class OpenField:
         kx, ky = self.modes.kx, self.modes.ky
         whitening = self._power(kx, ky) * self._whitening(sight, kx, ky) / self.prior.spectrum(kx, ky)
         whitening[:, 0, 0] = 0.0
-        field = self.modes.field(((self.found.waves - self.found.mean) * whitening).astype(np.float32))
+        field = self.modes.field((self.found.waves * whitening).astype(np.float32))
         lattice = sight.lattice
         x, y = sight.position(z)
         place = np.stack([(y - lattice.y0) / lattice.step, (x - lattice.x0) / lattice.step])

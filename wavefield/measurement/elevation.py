@@ -65,9 +65,9 @@ def surface_of(
 ) -> Surface:
     """Elevation at the nodes from matched pairs."""
     estimate = map_elevation(blocks, matches, prepared, model.elevation.modes, geometry.pixel)
-    spline = model.elevation.splined(estimate.waves, estimate.slopes)
+    spline = model.elevation.splined(estimate.waves, estimate.edges)
     (noise,), (missing,) = model.elevation.spread(estimate.information)
-    missing *= local_share(model.elevation.modes, estimate.waves - estimate.mean, estimate.information)
+    missing *= local_share(model.elevation.modes, estimate.waves, estimate.information)
     lattice, centre = geometry.lattice, geometry.rig[matches[0].pair[0]].centre
 
     def read(x: Float, y: Float) -> Float:

@@ -88,12 +88,12 @@ class ElevationSample:
         turned = [m.turned for m in self.matches]
         found = map_elevation(combine(turned), turned, self.prepared, modes, self.pixel, noise_across=False)
         information = float(found.information.mean()) / self.bare
-        return ((found.waves - found.mean) / np.sqrt(self.bare), information) if information > 0 else None
+        return ((found.waves) / np.sqrt(self.bare), information) if information > 0 else None
 
     def summary(self, modes: Modes) -> tuple[float, float, float]:
         """Information of a block, variance of z, and of the smooth epipolar error, square metres."""
         found = map_elevation(self.blocks, self.matches, self.prepared, modes, self.pixel)
-        z = modes.field(found.waves - found.mean)[0][found.information > 0]
+        z = modes.field(found.waves)[0][found.information > 0]
         std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
         return float(found.information.mean()) / self.bare, std**2, found.epipolar**2
 
@@ -152,7 +152,7 @@ class FieldSamples:
         """Start from the spectrum of the windowed fields over the windows' gain."""
         kx, ky = (np.pi * np.arange(n) / n for n in samples[0].field.shape[:-3:-1])
         window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
-        fields = [s.field - matching.edge_slopes(s.field) for s in samples]
+        fields = [s.field - matching.edge_field(s.field) for s in samples]
         typical = float(np.mean([s.information for s in samples]))
         out = cls(samples, matching.first_prior(fields, window, typical, samples[0].area), pool)
         for number in range(_ROUNDS):
@@ -173,7 +173,7 @@ class FieldSamples:
         """The prior that follows from open fields, and from what waves cameras have in common."""
         found, modes = opened.found, opened.modes
         information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
-        waves = [(f.waves - f.mean) / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
+        waves = [f.waves / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
         band = modes.kx, modes.ky, modes.foot
         known = opened.noise, common, opened.kept
         return matching.better_prior(opened.prior, *band, waves, information, *known)
@@ -187,6 +187,6 @@ def _kept(modes: Modes, found: ElevationEstimate | FlowEstimate) -> tuple[Float,
     waves = size * np.random.default_rng(0).standard_normal((len(each), *modes.shape), np.float32)
     nothing = np.zeros_like(waves)
     right, factor = each * modes.seen(waves), modes.factor(found.information)
-    kept = modes.solve(a, right, nothing, _TOLERANCE, nothing, factor)
+    kept = modes.solve(a, right, nothing, _TOLERANCE, factor)
     there = modes.waves(modes.field(waves) * ~hole_mask(found.information, modes.prior.information))
     return there * waves, there * kept
