@@ -6,8 +6,6 @@ import inspect
 import json
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
 from enum import Enum
 from pathlib import Path
@@ -251,17 +249,3 @@ def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_document
     accepted |= {field.name for kind in (Target, Settings) for field in fields(kind)} - {"stereo", "piv"}
     accepted |= {f"{part}.{field.name}" for part in ("stereo", "piv") for field in fields(MatchSettings)}
     assert accepted - documented == set()
-
-
-def test_every_name_on_the_reference_page_is_reached_from_the_package_alone():
-    text = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
-    names = set(re.findall(r"\b(?:wavefield|wf)((?:\.\w+)+)", text))
-    table = text[text.index("| estimator | figure |") :].split("\n\n")[0]
-    names |= {
-        f".figures.{name}"
-        for row in table.splitlines()[2:]
-        for name in re.findall(r"`(\w+)`", row.split("|")[2])
-    }
-    script = "import wavefield\n" + "".join(f"wavefield{name}\n" for name in sorted(names))
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr

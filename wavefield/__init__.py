@@ -1,27 +1,11 @@
-"""Elevation and velocity of a water surface from two or more cameras, and the waves in them."""
+"""Water-surface elevation and velocity from three cameras, and the waves in them."""
 
-from importlib import import_module
 from typing import Any
 
 from wavefield.lazy_names import lazy_names
 
 _names, _get, _ = lazy_names(__name__, __file__)
 __all__ = ["__version__", *_names]
-# rooms of the package that are reached as `wf.figures` without a second import
-_ROOMS = frozenset(
-    (
-        "calibration",
-        "figures",
-        "matching",
-        "measurement",
-        "pipeline",
-        "reports",
-        "rig",
-        "series",
-        "tank",
-        "waves",
-    )
-)
 
 
 def _version() -> str:
@@ -36,8 +20,8 @@ def _version() -> str:
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return globals().setdefault(name, _version())
-    return import_module(f"wavefield.{name}") if name in _ROOMS else _get(name)
+    return _get(name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *_ROOMS})
+    return sorted(__all__)

@@ -16,6 +16,7 @@ from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.plan import plan
 from wavefield.pipeline.running import run
+from wavefield.pipeline.uncertainty_terms import uncertainty_terms
 from wavefield.reports.paper import paper
 from wavefield.reports.report import report
 from wavefield.rig.camera import Camera
@@ -95,5 +96,6 @@ __all__ = [
     "statistics",
     "status",
     "structure_functions",
+    "uncertainty_terms",
     "verify",
 ]

@@ -99,7 +99,7 @@ def test_whether_a_file_is_a_catalog_is_found_without_importing_the_measurement(
 
 def test_a_run_begins_before_what_only_its_end_needs_is_imported():
     heavy = ["xarray", "pandas", "dask", "matplotlib"]
-    modules = "sys, wavefield.pipeline.running, wavefield.measurement.learn"
+    modules = "sys, wavefield.pipeline.running, wavefield.measurement.record"
     code = f"import {modules}; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 

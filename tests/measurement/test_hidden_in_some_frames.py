@@ -1,15 +1,11 @@
 """Water that some of the six frames around a step do not show: z of the step comes from the others there."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from wavefield.measurement import GridGeometry, measure
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import where_measured, z_by_orders
-from wavefield.measurement.step_truncation import elevation_truncation
-from wavefield.measurement.temporal_truncation import temporal_truncation
 from wavefield.tank import Scene, Tank
 from wavefield.variables import Quality
 
@@ -46,7 +42,7 @@ def drawn_surfaces(seed, flow):
             return (z_at(x, y, t) + FILLED_ERROR * ~is_measured(x, y)).astype(np.float32)
 
         none = np.zeros(SHAPE, np.uint16)
-        return Surface(X, X, X, none, none > 0, read, is_measured)
+        return Surface(X, X, X, X, 0.0, none, none > 0, read, is_measured)
 
     lost = rng.choice([-1, -1, -1, 0, 1, 4, 5])
     frames = [None if n == lost else surface(t, disc) for n, (t, disc) in enumerate(zip(TIMES, hidden))]
@@ -68,32 +64,6 @@ def test_frames_that_do_not_show_the_water_change_no_measured_node(flow):
             np.testing.assert_array_equal(measured, ~(hidden[2] | hidden[3]))
         with_all.append(np.abs(orders[0] - exact)[measured].max(initial=0.0))
     assert np.mean(np.array(with_all) > 1e-3) > 0.3
-
-
-def test_nodes_that_fewer_frames_measured_are_stated_more_uncertain():
-    rng = np.random.default_rng(1)
-    turn = 0.9
-    phase = rng.uniform(0, 6) + 30.0 * X + 10.0 * Y
-
-    def z(t):
-        return 0.01 * np.cos(phase - turn * t)
-
-    record = SimpleNamespace(
-        temporal_truncation=temporal_truncation([(z(t), z(t + 1)) for t in (3.0, 8.0)], STEP)
-    )
-    frames = np.full(SHAPE, 6, np.uint8)
-    frames[:, :10], frames[:, 10:20] = 2, 4
-    by_number = {
-        2: 0.5 * (z(-0.5) + z(0.5)),
-        4: (9 * (z(-0.5) + z(0.5)) - z(-1.5) - z(1.5)) / 16,
-        6: (150 * (z(-0.5) + z(0.5)) - 25 * (z(-1.5) + z(1.5)) + 3 * (z(-2.5) + z(2.5))) / 256,
-    }
-    orders = by_number[6], by_number[4], by_number[2]
-    stated = elevation_truncation(orders, frames, z(0.5) - z(-0.5), np.ones(SHAPE, bool), record, 0.0)
-    for number, of_number in by_number.items():
-        here = frames == number
-        error = np.sqrt(np.mean(np.square(of_number - z(0.0))[here]))
-        assert 0.7 * error < np.sqrt(np.mean(np.square(stated[here]))) < 3.0 * error
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from test_midtime import AT
 from test_paths import LATTICE, MIDDLE, turned
 
-from wavefield.measurement.camera_jitter import level_jitter
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import z_by_orders
 from wavefield.measurement.paths import read_path
@@ -102,16 +101,10 @@ def test_z_at_mid_time_is_that_of_the_polynomial_through_the_frames(times, lost,
         z, nowhere = np.zeros((1, 1), np.float32), np.zeros((1, 1), bool)
         read = lambda x, y, t=t: np.asarray((t + 1.0 - (x - speed * t)) ** degree, np.float32)  # noqa: E731
         surfaces.append(
-            None if n in lost else Surface(z, z, z, nowhere.astype(np.uint16), nowhere, read, np.ones_like)
+            None
+            if n in lost
+            else Surface(z, z, z, z, 0.0, nowhere.astype(np.uint16), nowhere, read, np.ones_like)
         )
     chord = speed * (times[3] - times[2])
     found = z_by_orders(surfaces, (chord, 0.0), AT, AT, times)[0]
     assert float(found[0, 0]) == pytest.approx(1.0, abs=2e-3)
-
-
-@given(JITTER)
-@settings(max_examples=20, deadline=None)
-def test_a_level_that_changes_smoothly_is_no_jitter_at_uneven_times(times):
-    smooth = 0.3 + 0.2 * times - 0.1 * times**2 + 0.05 * times**4
-    assert level_jitter(smooth, 0.0, times) == pytest.approx(0.0, abs=1e-6)
-    assert level_jitter(smooth + np.eye(6)[2], 0.0, times) > 0.4

@@ -11,7 +11,7 @@ from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.images import write_image
 from wavefield.measurement import Settings
-from wavefield.measurement.bead_tilt import level_std
+from wavefield.measurement.error_budget import level_std
 from wavefield.pipeline.still_water import level_at_rest, remark_on_rest
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_at

@@ -1,7 +1,6 @@
 """Cameras that are knocked, shake or are late: dated, measured, named; steady ones raise nothing."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from wavefield.quality.camera_delay import (
     regress,
     remarks,
 )
-from wavefield.quality.camera_motion import camera_jitter, camera_motion, jump, knocks, shaking
+from wavefield.quality.camera_motion import camera_motion, jump, knocks, shaking
 from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
 from wavefield.store.read import open_cube
 from wavefield.tank import Scene, Tank
@@ -55,17 +54,6 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
     assert still < 0.05
     assert rms == pytest.approx(np.sqrt(0.2**2 + 0.3**2 / 3), rel=0.4)
     assert 0 < std < rms / 2
-
-
-def test_cameras_that_vibrate_along_their_line_are_reported():
-    def remarks(px):
-        return list(camera_jitter(SimpleNamespace(camera_jitter=(px, 0.0))))
-
-    assert remarks(0.006) == []
-    (one,) = remarks(0.15)
-    assert (one.kind, one.weight) == ("jitter", "remark")
-    assert "0.150 px" in one.sentence
-    assert list(camera_jitter(None)) == []
 
 
 def test_a_steady_record_has_no_knock(cube):

@@ -87,11 +87,10 @@ def scaled(image: NDArray[np.generic]) -> Image:
     if not np.isfinite(grey).all():
         raise CalibrationError("the image holds values that are not numbers; export it from the camera again")
     # hot pixels and sparkles are no part of a target, whose marks are more than a few pixels wide
-    grey = np.minimum(grey, np.float32(cv2.medianBlur(grey, 5).max()))
+    grey = np.minimum(grey, cv2.medianBlur(grey, 5).max())
     low, high = float(grey.min()), float(grey.max())
     if high - low < MIN_CONTRAST * max(abs(high), 1e-12):
         raise CalibrationError(
             "the image is empty: all its pixels have one grey; check light, cap and exposure"
         )
-    brightest: Image = grey * np.float32(255.0 / high)
-    return brightest
+    return np.asarray(grey * np.float32(255.0 / high))

@@ -1,13 +1,11 @@
 """Displacement of image A to image B on a lattice of blocks, from arrays alone."""
 
 from wavefield.matching.displacement import Displacement, Evaluation, Reason
-from wavefield.matching.edges import edge_field
+from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import match, reevaluate, scores_at
-from wavefield.matching.learned_spectrum import better_prior, first_prior, pooled_share, shrinkage
 from wavefield.matching.matching_gain import displacement_area, footprint, transfer_function
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.noise import (
-    component_variance_factors,
     noise_factor_near_holes,
     noise_of_scores,
     trust_in_scores,
@@ -16,6 +14,7 @@ from wavefield.matching.posterior import Modes
 from wavefield.matching.posterior_variance import PosteriorVariance
 from wavefield.matching.prepared import PreparedImage, prepare
 from wavefield.matching.prior import Prior
+from wavefield.matching.spectrum import first_prior, refined_prior, shrinkage
 
 __all__ = [
     "Displacement",
@@ -26,18 +25,17 @@ __all__ = [
     "PreparedImage",
     "Prior",
     "Reason",
-    "better_prior",
-    "component_variance_factors",
+    "Slopes",
     "displacement_area",
-    "edge_field",
+    "edge_slopes",
     "first_prior",
     "footprint",
     "match",
     "noise_factor_near_holes",
     "noise_of_scores",
-    "pooled_share",
     "prepare",
     "reevaluate",
+    "refined_prior",
     "scores_at",
     "shrinkage",
     "transfer_function",

@@ -17,7 +17,6 @@ SMOOTHING_RADIUS = 6.0  # blocks over which noise is averaged
 HOLE_INFORMATION = 0.15  # of the typical information, mean of 7 x 7 blocks: below is a hole
 MAX_MISFIT = 30.0  # of a cluster's squared score, over the square that is expected of those around it
 LEAST_NOISE = 0.3  # of the median: no less is expected anywhere
-MAX_EXCESS = 0.25  # of one component's noise over the mean: more is a mismatch, not noise
 RIM_WIDTH, RIM_SIGMA = 6, 2.0  # blocks: reach of the surroundings of a hole, and smoothing of their edge
 
 
@@ -95,40 +94,6 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
     limit = np.where(information > least, F(MAX_MISFIT) * around, np.inf)
     trust = np.square(np.minimum(limit / np.maximum(ratio, F(1e-30)), F(1)))
     return cv2.erode(trust.astype(np.float32), np.ones((CLUSTER, CLUSTER), np.uint8))
-
-
-def component_variance_factors(score: Float, hessian: Float, counts: Float) -> tuple[float, float]:
-    """Variance of each component of a displacement over the mean of both.
-
-    Parameters
-    ----------
-    score : ndarray of float32, (2, ny, nx)
-        Scores of the blocks.
-    hessian : ndarray of float32, (3, ny, nx)
-        H_xx, H_xy, H_yy.
-    counts : ndarray of float32, (ny, nx)
-        1 for usable blocks, else 0.
-
-    Returns
-    -------
-    float, float
-        Factors on the variance along columns and along rows, 0.75 to 1.25; their mean is 1.
-
-    Notes
-    -----
-    A component's variance is proportional to med s^2 / (sum H)^2, with s the sums over clusters of 5 x 5
-    blocks. The median limits the weight of parts of the images that do not match.
-    """
-    complete = _clusters(counts)[::2, ::2] > CLUSTER**2 - 0.5
-    if not complete.any():
-        return 1.0, 1.0
-    square = [float(np.median(np.square(_clusters(part * counts)[::2, ::2][complete]))) for part in score]
-    hessian_sums = [float((part * counts).sum(dtype=np.float64)) for part in hessian[::2]]
-    if not all(value > 0 for value in (*square, *hessian_sums)):
-        return 1.0, 1.0
-    x, y = (noise / information**2 for noise, information in zip(square, hessian_sums, strict=True))
-    excess = min(max((x - y) / (x + y), -MAX_EXCESS), MAX_EXCESS)
-    return 1.0 + excess, 1.0 - excess
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:

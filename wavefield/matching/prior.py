@@ -1,6 +1,6 @@
 """Prior knowledge of a field on a lattice of blocks: its spectrum.
 
-Measured once per run from sample frames (`learned_spectrum`) and stored with the results, so that every frame
+Measured once per run from sample frames (`spectrum`) and stored with the results, so that every frame
 is weighted alike.
 """
 
@@ -40,17 +40,14 @@ class Prior:
         Typical information of a block: inverse variance of its own estimate, per unit squared.
     noise : float
         Noise of the scores, from the misfit of several fields, over that of their clusters in one field.
-    waves : float
-        Fraction of the spectrum that is waves: noise of long wavelength among them, as on still water, is not
+    wave_fraction : float
+        Fraction of the spectrum that is waves. Noise of long wavelength among them, as on still water, is not
         missing from a field.
-    shown : tuple of tuple of float
-        Least power of every ring of every component over this one: 1 or more where waves are significant, and
-        1 in all if empty. In other rings the power is a limit, which weights take for waves.
-    share : (float, float)
-        How much of these limits the fields show on the whole, and its standard deviation.
-    in_common : tuple of tuple of float
-        Fraction of the power of every ring of every component that several cameras have in common, and which
-        so is waves; none if empty.
+    detected : tuple of tuple of bool
+        Rings of every component in which waves stand out from the noise; all if empty. In the others the
+        power is the upper limit of what may be there undetected: a field is not damped below it.
+    undetected_fraction : float
+        Fraction of these limits that the sample fields contain.
     area : float
         Variance of the area that a block's value represents, px^2.
 
@@ -65,10 +62,9 @@ class Prior:
     power: Power
     information: float
     noise: float = 1.0
-    waves: float = 1.0
-    shown: tuple[tuple[float, ...], ...] = ()
-    share: tuple[float, float] = (1.0, 0.0)
-    in_common: tuple[tuple[float, ...], ...] = ()
+    wave_fraction: float = 1.0
+    detected: tuple[tuple[bool, ...], ...] = ()
+    undetected_fraction: float = 1.0
     area: float = FOOTPRINT_VARIANCE
 
     @classmethod
@@ -119,15 +115,14 @@ class Prior:
         return np.asarray(np.exp(out))
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Power of waves that is expected over `spectrum`, which is a limit where none were detected.
-        Of the share of that every amplitude is as likely before the fields showed something of it.
-        """
-        share, (estimate, std) = np.linspace(0.0, 1.0, 101) ** 2, self.share
-        away = (share - np.clip(estimate, -3.0 * std, 1.0 + 3.0 * std)) / max(std, 1e-3)
-        weight = np.exp(-0.5 * np.square(away))
-        table = np.maximum(self.shown or [[1.0] * len(self.k)], float(share @ weight / weight.sum()))
-        table = np.maximum(self.waves * table, self.in_common or np.zeros_like(table))
-        return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in table])
+        """Fraction of `spectrum` that is expected to be waves, (1 or c,) + S."""
+        return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in self.expected_in_rings])
+
+    @property
+    def expected_in_rings(self) -> NDArray[np.float64]:
+        """Fraction of the spectrum that is expected to be waves in every ring, (1 or c, rings)."""
+        detected = np.array(self.detected or [[True] * len(self.k)])
+        return self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""
@@ -166,24 +161,23 @@ class Prior:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe."""
-        power = [[list(ring) for ring in directions] for directions in self.power]
-        names = ("information", "noise", "waves", "area")
-        numbers = {name: getattr(self, name) for name in names}
-        limits = {"shown": [list(rings) for rings in self.shown], "share": list(self.share)}
-        limits["in_common"] = [list(rings) for rings in self.in_common]
-        return {"k": list(self.k), "power": power} | numbers | limits
+        names = ("information", "noise", "wave_fraction", "undetected_fraction", "area")
+        tables = {
+            "k": list(self.k),
+            "power": [[list(ring) for ring in directions] for directions in self.power],
+            "detected": [list(rings) for rings in self.detected],
+        }
+        return tables | {name: getattr(self, name) for name in names}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
         """Inverse of `to_dict`."""
         power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in data["power"])
-        information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
-        shown = tuple(tuple(map(float, rings)) for rings in data.get("shown", ()))
-        share, std = map(float, data.get("share", (1.0, 0.0)))
-        common = tuple(tuple(map(float, rings)) for rings in data.get("in_common", ()))
-        limits = shown, (share, std), common
-        area = float(data.get("area", FOOTPRINT_VARIANCE))
-        return cls(tuple(map(float, data["k"])), power, information, noise, waves, *limits, area)
+        detected = tuple(tuple(map(bool, rings)) for rings in data["detected"])
+        names = ("noise", "wave_fraction", "undetected_fraction", "area")
+        numbers = {name: float(data[name]) for name in names}
+        information = float(data["information"])
+        return cls(tuple(map(float, data["k"])), power, information, detected=detected, **numbers)
 
 
 def _in_all_directions(k: Float) -> tuple[Float, Float]:

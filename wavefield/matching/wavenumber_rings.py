@@ -17,9 +17,6 @@ MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed nois
 MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is uncertain
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
-LINE_POWER_TO_NOISE = 45.0  # of four neighbouring modes together: of noise one of 250 million has more
-LINE_TO_GAP = 3.0  # of a line over the strongest modes of some longer ring: long waves leak into shorter ones
-LINE_RINGS = 3  # on either side, beside its own and the next ones, that give the noise around a line
 
 SECTOR_ANGLES = (np.arange(SECTORS) + 0.5) * np.pi / (2 * SECTORS)  # middle of every sector, rad
 
@@ -64,23 +61,6 @@ class WavenumberRings:
         if beyond_gap.any():  # the first three rings may belong to the gap
             contiguous &= ratio > DETECTED_SIGNAL_TO_NOISE
         return np.asarray(contiguous | beyond_gap)
-
-    def lines(self, ratio: Float) -> NDArray[np.bool_]:
-        """Rings (rings,) with a wave of one length and direction, from power over noise (my, mx) of modes.
-        Such a wave has its power in few modes, which the mean over a ring does not show.
-        """
-        whole = np.zeros_like(ratio)
-        whole[:-1, :-1] = ratio[:-1, :-1] + ratio[1:, :-1] + ratio[:-1, 1:] + ratio[1:, 1:]
-        strongest = np.zeros(RINGS)
-        np.maximum.at(strongest, self.of_modes.ravel(), whole.ravel())
-        around = np.ones(2 * LINE_RINGS + 3)
-        around[LINE_RINGS : LINE_RINGS + 3] = 0.0
-        count = np.where(np.arange(RINGS) < FIRST_NOISE_RING, 0, self.count)
-        total, modes = (np.convolve(one, around, mode="same") for one in (self.mean(ratio) * count, count))
-        level = np.maximum(total / np.maximum(modes, 1), 1.0)
-        longer = np.minimum.accumulate(np.where(strongest > 0, strongest, np.inf))
-        found = (strongest > LINE_POWER_TO_NOISE * level) & (strongest > LINE_TO_GAP * longer)
-        return np.asarray(found & (self.middle < SHORTEST_WAVENUMBER))
 
     def exceeds(self, ratio: Float, least: float, samples: int = 1) -> NDArray[np.bool_]:
         """Rings (rings,) whose signal over noise is more than the least and more than chance, with both

@@ -1,12 +1,11 @@
 """From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
 
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
+from wavefield.measurement.field_model import LearnedRecord, Model
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.learn import learn, sample_steps
-from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.measure import measure
 from wavefield.measurement.measurement_settings import Settings
-from wavefield.measurement.model import Model
+from wavefield.measurement.record import learn, sample_steps
 from wavefield.measurement.response import gains
 
 __all__ = [

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.measurement.camera_jitter import mean_residuals, row_direction
 from wavefield.measurement.flow import CameraFlow, Flows
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.paths import five, read_path
 from wavefield.measurement.rolling_shutter import middle_row, row_delay
 from wavefield.measurement.sight import Sight
@@ -31,12 +29,8 @@ class CameraDisplacements:
     moved: Float  # (2N, ny, nx): per step at mid-time, px; NaN where the camera does not see the node
     noise: Float  # (2N, ny, nx): variance by noise, and by what the prior removes or adds, px^2
     missing: Float
-    # (2N,): factors on the noise of every component: within its camera, of the camera relative to the others
-    along: Float
-    own: Float
     rejected: NDArray[np.uint16]  # (N, ny, nx): why not measured: bits of `Quality`; `OUTSIDE` where not seen
     frames: NDArray[np.uint8]  # (ny, nx): places of the paths: 2, 4 or 6, the fewest of all cameras'
-    line: Float  # (2,): direction of the row of cameras
     chord: (
         Float  # (2N, ny, nx): displacement over the step, and the mean of the places in its two frames less
     )
@@ -45,39 +39,13 @@ class CameraDisplacements:
         Float  # (N, 3): viewing direction of each camera over its distance from the middle of the field, 1/m
     )
 
-    @property
-    def measured_by_all(self) -> NDArray[np.bool_]:
-        """Nodes that all cameras measured, (ny, nx)."""
-        return np.asarray((self.rejected == 0).all(axis=0) & np.isfinite(self.moved).all(axis=0))
-
-    def camera_jitter(self) -> tuple[Float, tuple[float, float]]:
-        """Mean residuals of the cameras over the field, px, and how far they move (`mean_residuals`)."""
-        return mean_residuals(self.jacobian, self.moved, 1.0 / self.variance, self.measured_by_all, self.line)
-
-    def stabilized(self, residuals: Float) -> CameraDisplacements:
-        """The same with the mean residuals over the field subtracted."""
-        return replace(self, moved=self.moved - residuals[:, None, None])
-
     def without(self, n: int) -> CameraDisplacements:
         """The same without one camera."""
         rows, cameras = [2 * n, 2 * n + 1], n
-        of_rows = ("jacobian", "moved", "noise", "missing", "along", "own", "chord", "bend")
+        of_rows = ("jacobian", "moved", "noise", "missing", "chord", "bend")
         parts = {name: np.delete(getattr(self, name), rows, axis=0) for name in of_rows}
         parts |= {name: np.delete(getattr(self, name), cameras, axis=0) for name in ("rejected", "axes")}
         return replace(self, **parts)
-
-    @property
-    def noise_of_each(self) -> Float:
-        """Variance by noise of every component, (2N, ny, nx)."""
-        return np.asarray(self.noise * (self.along * self.own)[:, None, None])
-
-    @property
-    def variance(self) -> Float:
-        """Inverse weight of every component, (2N, ny, nx): the mean of the variances of its camera's two.
-        The factors on the noise are left out: they are for the stated uncertainty.
-        """
-        both = 0.5 * (self.noise[::2] + self.noise[1::2] + self.missing[::2] + self.missing[1::2])
-        return np.repeat(both, 2, axis=0)
 
 
 def displacements_at_nodes(
@@ -85,7 +53,7 @@ def displacements_at_nodes(
     steps: Sequence[Flows | None],
     z: Float,
     geometry: GridGeometry,
-    record: LearnedRecord,
+    path_frames: int,
     times: Float | None = None,
     every: int = 1,
 ) -> CameraDisplacements:
@@ -97,7 +65,6 @@ def displacements_at_nodes(
     jacobian = np.empty((2 * count, 3, *shape), np.float32)
     moved, chord, bend, noise, missing = np.empty((5, 2 * count, *shape), np.float32)
     rejected = np.empty((count, *shape), np.uint16)
-    along, own = np.ones((2, 2 * count))
     frames = np.full(shape, 6, np.uint8)
     axes = np.empty((count, 3))
     middle = np.array([np.mean(geometry.x), np.mean(geometry.y), 0.0])
@@ -112,22 +79,16 @@ def displacements_at_nodes(
         delay = row_delay(name, geometry)
         when = times if times is not None or not delay else np.arange(6) - 2.5
         late: Float | float = delay * (Y - middle_row(sight)) if delay else 0.0
-        found, block, noise[rows], missing[rows] = _along_path(
-            path, sight, X, Y, record.path_frames, when, -late
-        )
+        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, path_frames, when, -late)
         if delay:  # what moves down is seen later in the next frame
             found[:2] /= 1.0 + delay * found[1]
         moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
         axes[n] = sight.camera.R[2] / (sight.camera.R[2] @ middle + sight.camera.T[2])
         here = path[len(path) // 2]
         assert here is not None
-        along[rows], own[rows] = here.along, record.own_noise(name)
         rejected[n] = np.where(visible, here.rejected.ravel()[block[2]], np.uint16(Quality.OUTSIDE))
         frames = np.where(visible, np.minimum(frames, _places_read(block)), frames)
-    line = row_direction([geometry.rig[name].centre for name in names])
-    return CameraDisplacements(
-        jacobian, moved, noise, missing, along, own, rejected, frames, line, chord, bend, axes
-    )
+    return CameraDisplacements(jacobian, moved, noise, missing, rejected, frames, chord, bend, axes)
 
 
 def _along_path(

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.elevation import surface, windowed
+from wavefield.measurement.field_model import Model
 from wavefield.measurement.flow import flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
-from wavefield.measurement.learn import learn
-from wavefield.measurement.model import Model
 from wavefield.measurement.pair_surface import PairMatch, match_pair
+from wavefield.measurement.record import learn
 from wavefield.measurement.response import in_focus, shortest_carried
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
@@ -202,7 +202,7 @@ def diagnose(
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
     geometry, model, first, second = _learned(frames, geometry, model, masks or {})
     record = model.record
-    surfaces = [surface(view.flat, geometry, model) for view in (first, second)]
+    surfaces = [surface(view.flat, geometry, model.elevation) for view in (first, second)]
     if surfaces[0] is None or surfaces[1] is None:
         raise ValueError("the frames cannot be matched: nothing to compare with")
     matches = _matched(first, geometry)
@@ -226,7 +226,8 @@ def diagnose(
     }
     lengths_by = {what: shortest_carried(geometry, record, factor) for what, factor in better.items()}
     carried = {name: {what: by[name] for what, by in lengths_by.items()} for name in "zuvw"}
-    noise = {"z": float(np.median(surfaces[0].std))} | dict(zip(("dx", "dy", "dz"), d_std))
+    z_variance = surfaces[0].noise + surfaces[0].missing + surfaces[0].epipolar ** 2
+    noise = {"z": float(np.sqrt(np.median(z_variance)))} | dict(zip(("dx", "dy", "dz"), d_std))
     return Diagnosis(
         pixel or geometry.pixel,
         z,
@@ -289,14 +290,16 @@ def _moved(
     moves = flows(views[0].raw, views[1].raw, geometry.settings.piv, model)
     d_std = [float("nan")] * 3
     for cameras in dict.fromkeys((*pairs, geometry.velocity_cameras)):
-        step = velocity((None, {name: moves[name] for name in cameras}, None), middle, geometry, model.record)
+        flows_of = {name: moves[name] for name in cameras}
+        step = velocity((None, flows_of, None), middle, geometry, model.record.path_frames)
         assert step is not None  # every camera has both frames
         measured = (step.quality & Quality.FILLED) == 0
         eps_piv[cameras] = np.where(measured, step.eps_piv, np.nan)
         if cameras in pairs:
             moved[cameras[0], cameras[1]] = np.where(measured, step.d, np.nan)
         if cameras == geometry.velocity_cameras and measured.any():
-            d_std = [float(np.nanmedian(std[measured])) for std in step.d_std]
+            variance = step.noise * step.noise_factor + step.missing
+            d_std = [float(np.sqrt(np.nanmedian(one[measured]))) for one in variance]
     return moved, eps_piv, d_std
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Modes
-from wavefield.measurement.camera_jitter import elevation_variance
+from wavefield.measurement.field_model import FieldModel
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.map_elevation import (
     NOISE_MARGIN,
@@ -19,7 +17,6 @@ from wavefield.measurement.map_elevation import (
     combine,
     map_elevation,
 )
-from wavefield.measurement.model import Model
 from wavefield.measurement.outlier_detection import inconsistent_pairs
 from wavefield.measurement.pair_surface import PairMatch, match_pair
 from wavefield.measurement.regrid import blocks_below, coefficients, on_lattice, read_surface
@@ -28,9 +25,6 @@ from wavefield.variables import Quality
 Float = NDArray[np.floating]
 MatchedPairs = tuple[Blocks, list[PairMatch]]
 
-_MIN_COMMON_BLOCKS = 50  # by which pairs are compared
-_LOCAL_BLOCKS = 8.0  # over which waves are averaged, standard deviation
-_LEAST_SHARE, _MAX_SHARE = np.float32(0.5), np.float32(6.0)  # of the mean, stated of single places
 _NOISE_ALONG = 1.05  # of z over that across the sight lines: cameras see a bead's light at different places
 
 
@@ -38,9 +32,11 @@ _NOISE_ALONG = 1.05  # of z over that across the sight lines: cameras see a bead
 class Surface:
     """Elevation of one instant at the nodes of the grid."""
 
-    z: Float  # (ny, nx): elevation, mismatch across the sight line, standard uncertainty of z, metres
+    z: Float  # (ny, nx): elevation and mismatch across the sight line, metres
     eps_y: Float
-    std: Float
+    noise: Float  # (ny, nx): variance of z by noise, and of waves that the prior removes, m^2
+    missing: Float
+    epipolar: float  # rms of the smooth epipolar error as elevation, metres
     quality: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: measured or filled, and why it was rejected
     inconsistent: NDArray[np.bool_]  # (ny, nx): where pairs of cameras see different surfaces
     # From places x, y (ny, nx), metres, one near each node, to z there, and to whether it was measured
@@ -48,10 +44,10 @@ class Surface:
     is_measured: Callable[[Float, Float], NDArray[np.bool_]] = field(repr=False)
 
 
-def surface(prepared: PreparedImages, geometry: GridGeometry, model: Model) -> Surface | None:
+def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
     """Elevation at the nodes from the rectified frames of one instant; None if they cannot be matched."""
     if geometry.settings.sheet_thickness is not None:
-        return _sheet(geometry.settings.sheet_thickness, geometry.grid.shape)
+        return _sheet(geometry.grid.shape)
     found = match_pairs(prepared, geometry)
     return None if found is None else surface_of(*found, prepared, geometry, model)
 
@@ -61,13 +57,13 @@ def surface_of(
     matches: Sequence[PairMatch],
     prepared: PreparedImages,
     geometry: GridGeometry,
-    model: Model,
+    model: FieldModel,
 ) -> Surface:
     """Elevation at the nodes from matched pairs."""
-    estimate = map_elevation(blocks, matches, prepared, model.elevation.modes, geometry.pixel)
-    spline = model.elevation.splined(estimate.waves, estimate.edges)
-    (noise,), (missing,) = model.elevation.spread(estimate.information)
-    missing *= local_share(model.elevation.modes, estimate.waves, estimate.information)
+    estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel)
+    spline = model.splined(estimate.waves, estimate.slopes)
+    (noise,), (missing,) = model.spread(estimate.information)
+    noise *= np.float32(_NOISE_ALONG / NOISE_MARGIN)
     lattice, centre = geometry.lattice, geometry.rig[matches[0].pair[0]].centre
 
     def read(x: Float, y: Float) -> Float:
@@ -75,9 +71,6 @@ def surface_of(
 
     z = read(geometry.x, geometry.y)
     block = blocks_below(lattice, centre, geometry.x, geometry.y, z)
-    jitter = _jitter_variance(matches, geometry, model.record.camera_jitter[0])
-    variance = np.float32(_NOISE_ALONG / NOISE_MARGIN) * noise + missing
-    variance += np.float32(estimate.epipolar**2 + jitter)
     inconsistent = inconsistent_pairs(matches, geometry.pixel) | estimate.inconsistent
     quality = np.where(blocks.valid, np.uint16(Quality.MEASURED), np.uint16(Quality.FILLED))
     quality |= blocks.rejected
@@ -90,7 +83,9 @@ def surface_of(
     return Surface(
         z,
         blocks.eps_y.ravel()[block],
-        np.sqrt(variance).ravel()[block],
+        noise.ravel()[block],
+        missing.ravel()[block],
+        estimate.epipolar,
         quality.ravel()[block],
         inconsistent.ravel()[block],
         read,
@@ -98,34 +93,12 @@ def surface_of(
     )
 
 
-def local_share(modes: Modes, waves: Float, information: Float) -> Float:
-    """How much stronger waves that the prior removes in part are here than on average, (ny, nx).
-    Where what is left of them is large, so is what is missing. waves (1, my, mx): less the prior mean.
-    """
-    lost = modes.inverse / (np.square(modes.foot) * np.float32(modes.prior.information) + modes.inverse)
-    square = cv2.GaussianBlur(np.square(modes.field(lost * waves)[0]), (0, 0), _LOCAL_BLOCKS)
-    mean = float(np.mean(square[information > 0])) if (information > 0).any() else 0.0
-    share = square / np.float32(mean) if mean > 0 else np.ones_like(square)
-    return np.asarray(np.clip(share, _LEAST_SHARE, _MAX_SHARE))
-
-
-def _jitter_variance(matches: Sequence[PairMatch], geometry: GridGeometry, jitter: float) -> float:
-    """Variance of the elevation from cameras that move (`elevation_variance`), square metres."""
-    usable = np.logical_and.reduce([m.valid for m in matches])
-    if usable.sum() < _MIN_COMMON_BLOCKS:
-        usable = np.logical_or.reduce([m.valid for m in matches])
-    # medians of differences: those of heights differ by what noise does to waves
-    heights = np.array([np.median((m.height - matches[0].height)[usable]) for m in matches])
-    between = jitter * geometry.pixel  # two frames, each of which has moved
-    return elevation_variance(heights, geometry.parallaxes([m.pair for m in matches]), 0.5 * between**2)
-
-
-def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
-    """A light sheet on z = 0: its particles are about it as far as its light is (1/e2 is two std)."""
+def _sheet(shape: tuple[int, int]) -> Surface:
+    """A light sheet on z = 0."""
     z = np.zeros(shape, np.float32)
-    unknown, std = np.full_like(z, np.nan), np.full_like(z, 0.25 * thickness)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
-    return Surface(z, unknown, std, quality, inconsistent, lambda x, y: z, lambda x, y: ~inconsistent)
+    unknown = np.full_like(z, np.nan)
+    return Surface(z, unknown, z, z, 0.0, quality, inconsistent, lambda x, y: z, lambda x, y: ~inconsistent)
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:

@@ -14,9 +14,9 @@ from wavefield.matching import Modes
 from wavefield.matching.block_lattice import slopes as slopes_of
 from wavefield.matching.matching_gain import averaged
 from wavefield.measurement.convergence import MAX_EVALUATIONS, Convergence
-from wavefield.measurement.model import FieldModel, Model
+from wavefield.measurement.field_model import FieldModel, Model
 from wavefield.measurement.pair_surface import why_rejected
-from wavefield.measurement.regrid import push_pull
+from wavefield.measurement.regrid import local_coefficients, push_pull
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -37,7 +37,6 @@ class CameraFlow:
     # of both
     noise: Float
     missing: Float
-    along: tuple[float, float]  # factors on the noise along columns and along rows
     rejected: NDArray[np.uint16]  # (ny, nx): bits of `Quality`; 0 where measured
 
     @cached_property
@@ -53,23 +52,18 @@ Flows = Mapping[str, CameraFlow]
 class FlowEstimate:
     """The MAP displacement between two frames, and what it is based on."""
 
-    waves: Float  # (2, my, mx): cosine coefficients of the displacement less its smooth part, px
-    edges: Float = field(repr=False)  # (2, ny, nx): that smooth part (`Modes.split`), px
+    waves: Float  # (2, my, mx): cosine coefficients of the displacement and of its prior mean, px
+    mean: Float
+    slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
     harmonics: Float = field(repr=False)  # (2, ny, nx): what it has beside these (`harmonics`), px
     each: Float = field(repr=False)  # (2, ny, nx): diagonal of every block's A, px^-2
     # Scores and reasons to reject blocks at the last evaluation
     found: matching.Displacement | matching.Evaluation = field(repr=False)
-    along: tuple[float, float] = (1.0, 1.0)  # factors on the variance of either component
 
     @property
     def information(self) -> Float:
         """(ny, nx): mean of both parts of the diagonal, px^-2."""
         return np.asarray(np.float32(0.5) * (self.each[0] + self.each[1]))
-
-    def mean_square_curvature(self, modes: Modes) -> float:
-        """Of both components of the displacement together, px^2 per block to the fourth power."""
-        factor = np.square(np.square(modes.kx) + np.square(modes.ky))
-        return float(np.sum(factor * np.square(self.waves, dtype=np.float64)) / np.prod(modes.lattice))
 
 
 def filled(found: matching.Displacement) -> Float:
@@ -101,7 +95,7 @@ def map_displacement(
     """
     found: matching.Displacement | matching.Evaluation = match
     u = filled(match)
-    edges, waves = modes.split(u)
+    waves, (mean, edges, slopes) = modes.waves(u), modes.mean(u)
     seen, a, beyond, beside = None, u, edges, np.zeros_like(u)
     convergence = Convergence()
     for number in range(MAX_EVALUATIONS):
@@ -128,12 +122,11 @@ def map_displacement(
         if not number:
             information = np.float32(0.5) * (a[0] + a[2])
             factor, tolerances = modes.factor(information), modes.tolerances(information)
-        solved = modes.solve(a, right, waves, tolerances[min(number, 1)], factor, seen)
+        solved = modes.solve(a, right, waves, tolerances[min(number, 1)], mean, factor, seen)
         waves, seen = convergence.next(modes, waves, solved, seen)
         if convergence.converged:
             break
-    along = matching.component_variance_factors(found.score, found.hessian, found.valid.astype(np.float32))
-    return FlowEstimate(waves, edges, beside, a[::2], found, along)
+    return FlowEstimate(waves, mean, slopes, beside, a[::2], found)
 
 
 def flows(
@@ -176,5 +169,5 @@ def flow_near(
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
     """The MAP displacement, ready to be read."""
     noise, missing = model.spread(found.information)
-    spline = model.splined(found.waves, found.edges + found.harmonics)
-    return CameraFlow(spline, noise, missing, found.along, why_rejected(found.found.reason))
+    spline = model.splined(found.waves, found.slopes) + local_coefficients(found.harmonics)
+    return CameraFlow(spline, noise, missing, why_rejected(found.found.reason))

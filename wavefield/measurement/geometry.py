@@ -177,15 +177,6 @@ class GridGeometry:
             settings = replace(settings, search_x=ranges[0], search_y=ranges[1])
         return settings
 
-    def parallaxes(self, pairs: Sequence[Pair]) -> Float:
-        """Length of the parallax of pairs of one reference in the middle of the grid, (P,), m per m.
-
-        Negative on the other side of the reference than the first.
-        """
-        lean = {n: np.array(self.rig[n].sight_line(*self.middle), float) for pair in pairs for n in pair}
-        parallax = np.array([lean[b] - lean[a] for a, b in pairs])
-        return np.asarray(np.hypot(*parallax.T) * np.where(parallax @ parallax[0] < 0.0, -1.0, 1.0))
-
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
         """Pairs among the cameras that have a frame; without the reference, pairs of the others."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)

@@ -12,10 +12,10 @@ from wavefield import matching
 from wavefield.measurement import pair_surface
 from wavefield.measurement.covered import Covered
 from wavefield.measurement.elevation import Surface, surface
+from wavefield.measurement.field_model import Model
 from wavefield.measurement.frame import IN_TIME, ready, sharpened, usable
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.masked import Masks, covered_in
-from wavefield.measurement.model import Model
 
 Frames = Mapping[str, NDArray[Any] | None]
 
@@ -46,7 +46,7 @@ class Instant:
             rest = {name: image for name, image in self.frames.items() if name != camera}
             ready_frames = _ready_frames(rest, geometry, dict(model.record.beads), self.masks)
             flat = _rectified(ready_frames, geometry, self.images.covered)
-            self._without[camera] = surface(flat, geometry, model)
+            self._without[camera] = surface(flat, geometry, model.elevation)
         return self._without[camera]
 
     def without_images(self) -> Instant:
@@ -120,5 +120,5 @@ def measure_instant(
     covered = covered_in(masks, geometry)
     ready_frames = _ready_frames(frames, geometry, dict(model.record.beads), masks)
     # the rectified images are dropped before those for matching in time are made: either takes 20 MB
-    found = surface(_rectified(ready_frames, geometry, covered), geometry, model)
+    found = surface(_rectified(ready_frames, geometry, covered), geometry, model.elevation)
     return Instant(found, _with_raw({}, ready_frames, geometry, covered), frames, masks)

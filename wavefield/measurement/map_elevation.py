@@ -66,8 +66,9 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 class ElevationEstimate:
     """The MAP elevation of one instant, and what it is based on."""
 
-    waves: Float  # (1, my, mx): cosine coefficients of the elevation less its smooth part, metres
-    edges: Float = field(repr=False)  # (1, ny, nx): that smooth part (`Modes.split`), metres
+    waves: Float  # (1, my, mx): cosine coefficients of the elevation and of its prior mean, metres
+    mean: Float
+    slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
     information: Float = field(repr=False)  # (ny, nx): A of every block, per square metre
     # Rms of the smooth epipolar error as metres of elevation: an error of the calibration, assumed to be as
     # large along the sight lines
@@ -87,7 +88,7 @@ def map_elevation(
     A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD.
     """
     z = blocks.filled
-    edges, waves = modes.split(z)
+    waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
     pairs = [_PairScores(m, pixel) for m in matches]
     smooth, epipolar = _smooth_across(matches, modes)
     seen, scores = None, [z[0]]
@@ -95,7 +96,7 @@ def map_elevation(
     convergence = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in pairs]))))
     for number in range(MAX_EVALUATIONS):
         if number:
-            z = seen + edges
+            z = seen + beyond
             for one in pairs:
                 one.reevaluate(z[0], prepared)
         scores = [one.score(z[0]) for one in pairs]
@@ -110,16 +111,16 @@ def map_elevation(
             least = min(least, level)
             nu = nu * np.float32(min(1.0, MAX_NOISE_GROWTH * least / max(level, 1e-30)))
         information = (hessian / nu)[None]
-        right = information * (z - edges) + (score / nu)[None]
+        right = information * (z - beyond) + (score / nu)[None]
         if not number:
             factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
-        solved = modes.solve(information, right, waves, tolerances[min(number, 1)], factor, seen)
+        solved = modes.solve(information, right, waves, tolerances[min(number, 1)], mean, factor, seen)
         waves, seen = convergence.next(modes, waves, solved, seen)
         if convergence.converged:
             break
     lengths = [np.hypot(*one.D) for one in pairs]
     inconsistent = inconsistent_scores(scores, [one.hessian for one in pairs], lengths)
-    return ElevationEstimate(waves, edges, information[0], epipolar, inconsistent)
+    return ElevationEstimate(waves, mean, slopes, information[0], epipolar, inconsistent)
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
@@ -142,20 +143,6 @@ def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
     out = np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
     information = np.sum([one.hessian for one in pairs], axis=0) / out
     return np.asarray(out * matching.noise_factor_near_holes(information, _NOISE_AT_HOLES))
-
-
-def noise_along_and_across(
-    matches: Sequence[PairMatch], prepared: PreparedImages, modes: Modes, pixel: float, field: Float
-) -> tuple[tuple[Float, Float], tuple[Float, Float]]:
-    """Scores and Hessians (ny, nx) of all pairs at a field (ny, nx), along and across the sight lines."""
-    pairs = [_PairScores(match, pixel) for match in matches]
-    smooth, _ = _smooth_across(matches, modes)
-    for one in pairs:
-        one.reevaluate(field, prepared)
-    along = [(one.score(field), one.hessian) for one in pairs]
-    across = [one.across(smooth) for one in pairs]
-    (a, b), (c, d) = ([np.sum(part, axis=0) for part in zip(*one)] for one in (along, across))
-    return (a, b), (c, d)
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:

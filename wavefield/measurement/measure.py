@@ -9,19 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
-from wavefield.measurement.bead_tilt import bead_tilt
+from wavefield.measurement.error_budget import TERMS, bead_tilt, error_budget
+from wavefield.measurement.field_model import Model
 from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Instant, measure_instant
-from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.masked import masked_nodes
 from wavefield.measurement.midtime import slope
-from wavefield.measurement.model import Model
+from wavefield.measurement.record import learn, sample_steps
 from wavefield.measurement.searched import search_widened
 from wavefield.measurement.step_estimate import StepEstimate, Surfaces, estimate_step
-from wavefield.measurement.step_truncation import elevation_truncation, motion_truncation
-from wavefield.measurement.unresolved_waves import unresolved_std
-from wavefield.measurement.velocity import SHORT_WAVE_VARIANCES
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality, frames_of_path
 
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
@@ -40,6 +37,7 @@ def measure(
     model: Model | None = None,
     masks: Frames | None = None,
     departures: Float | None = None,
+    terms: bool = False,
 ) -> dict[str, NDArray[Any]]:
     """Turn a chunk of frames into a chunk of the cube.
 
@@ -60,11 +58,14 @@ def measure(
         Per camera, for every frame, True where its pixels do not count.
     departures : ndarray, (n + 5,), optional
         By how much later than at even times each frame was taken, intervals; left out, times are even.
+    terms : bool, default False
+        Whether to return the terms of the standard uncertainties as well (`error_budget`).
 
     Returns
     -------
     dict of str to ndarray
-        Every field of the cube as (n, ny, nx), and ``frame_status`` (n,).
+        Every field of the cube as (n, ny, nx), and ``frame_status`` (n,). With terms ``uncertainty_terms``,
+        (n, terms, 4, ny, nx): standard deviations of z (m) and of the displacement per step (m).
 
     Raises
     ------
@@ -87,6 +88,9 @@ def measure(
         )
     steps = lengths.pop() - 2 * AROUND - 1
     out = _empty(steps, geometry)
+    if terms:
+        shape = steps, len(TERMS), 4, *geometry.grid.shape
+        out["uncertainty_terms"] = np.full(shape, np.nan, np.float32)
     if model is None:
         samples = [1 + k for k in sample_steps(steps + 2)]
         pairs = [_pair(frames, k) for k in samples]
@@ -152,7 +156,7 @@ def _fill_step(
         return
     if before.surface is None or after.surface is None:
         out["quality"] |= np.uint16(Quality.TWO_FRAME_MEAN)
-    estimate = estimate_step(window, moves, geometry, model, frame_rate, times)
+    estimate = estimate_step(window, moves, geometry, model, times)
     if estimate is None:
         return
     missing |= estimate.left_out
@@ -174,11 +178,12 @@ def _fill_step(
     if measured.sum() < MIN_MEASURED * inside.sum():  # the step has no values
         out["quality"][measured] ^= np.uint16(Quality.MEASURED | Quality.FILLED)
         return
-    fields = _fields(estimate, inside, measured, geometry, model, frame_rate, times)
+    fields = _fields(estimate, geometry, model, frame_rate, times)
     for name in ("z", "u", "v", "w"):  # no water is there: the value is as uncertain as it is large
         fields[f"{name}_std"] = np.where(out_of_range, np.abs(fields[name]), fields[f"{name}_std"])
     for name, field in fields.items():
-        out[name][inside] = field[inside]
+        if name in out:
+            out[name][..., inside] = field[..., inside]
     out["frame_status"][:] = FrameStatus.DONE_WITH_FAULTS if missing else FrameStatus.DONE
 
 
@@ -199,9 +204,7 @@ def _out_of_range(surfaces: Surfaces, geometry: GridGeometry) -> Mask:
 
 def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
     """Bits of `Quality` of a step, (ny, nx), apart from what is masked or outside."""
-    first, second = estimate.surfaces[AROUND : AROUND + 2]
-    assert first is not None
-    assert second is not None
+    first, second = estimate.nearest
     quality = first.quality | second.quality | estimate.motion.quality
     quality[out_of_range] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
     quality[first.inconsistent | second.inconsistent] |= np.uint16(Quality.REJECTED_EPS | Quality.FILLED)
@@ -213,32 +216,20 @@ def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
 
 def _fields(
     estimate: StepEstimate,
-    inside: Mask,
-    measured: Mask,
     geometry: GridGeometry,
     model: Model,
     frame_rate: float,
     times: Float | None,
 ) -> dict[str, Float]:
     """Fields of a step, (ny, nx), in the cube's units."""
-    first, second = estimate.surfaces[AROUND : AROUND + 2]
-    assert first is not None
-    assert second is not None
+    first, second = estimate.nearest
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
-    orders, frames, record = estimate.mid_time.orders, estimate.mid_time.frames, model.record
-    std = estimate.mid_time.std
+    d = motion.d.copy()
+    d[:2] -= bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     if times is None and geometry.settings.row_delays:  # chords are of another moment than paths as well
         times = np.arange(6) - 2.5
-    left_out = motion_truncation(motion, orders, frames, inside, measured, record, std, times)
-    d, d_std = motion.d.copy(), np.hypot(motion.d_std, left_out)
-    tilt, tilt_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
-    d[:2] -= tilt
-    d_std[:2] = np.hypot(d_std[:2], tilt_std)
-    z_std = np.hypot(std, elevation_truncation(orders, frames, rise, measured, record, std))
-    if model.record.unresolved[0]:
-        z_short, rise_short = unresolved_std(*model.record.unresolved, frame_rate)
-        parts = np.sqrt(SHORT_WAVE_VARIANCES, dtype=np.float32) * np.float32(rise_short)
-        d_std, z_std = np.hypot(d_std, parts[:, None, None]), np.hypot(z_std, np.float32(z_short))
+    terms = np.stack(list(error_budget(estimate, geometry, model.record, frame_rate, times).values()))
+    z_std, *d_std = np.sqrt(terms.sum(axis=0))
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
     return {
         "z": z,
@@ -252,4 +243,5 @@ def _fields(
         "u_std": d_std[0] * frame_rate,
         "v_std": d_std[1] * frame_rate,
         "w_std": d_std[2] * frame_rate,
+        "uncertainty_terms": np.sqrt(terms),
     }

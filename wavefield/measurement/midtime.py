@@ -23,10 +23,8 @@ Surfaces = Sequence[Surface | None]
 class MidTime:
     """Surface at mid-time of a step."""
 
-    z: Float  # (ny, nx): elevation and its standard uncertainty, metres
-    std: Float
+    z: Float  # (ny, nx): elevation, metres
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
-    orders: tuple[Float, ...]  # (ny, nx): elevation by all frames, by fewer and by the nearest two, metres
     frames: NDArray[np.uint8]  # (ny, nx): number of frames that z comes from
     measured: Mask  # (ny, nx): whether the nearest two measured the water that is at the node
 

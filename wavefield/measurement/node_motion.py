@@ -89,33 +89,26 @@ def _add_rest(
     moved: Float,
     solution: tuple[Float, ...],
     matrix: tuple[Float, ...],
-    noise: tuple[Float, np.float64, np.float64],
-    residual: np.float64,
+    noise: Float,
     sums: tuple[Float, ...],
 ) -> None:
-    """Add one row's squared misfit, that over its noise, also beside the row's mean residual over the field,
-    and its part of the variance of the solution.
-    """
+    """Add one row's squared misfit, that over its noise, and its part of the variance of the solution."""
     x, y, z = jacobian
     dx, dy, dz = solution
     a, b, c, d, e, f = matrix
-    square, chi2, beside, vx, vy, vz = sums
-    variance, along, own = noise
+    square, chi2, vx, vy, vz = sums
     for k in range(len(w)):
         p, q, r = np.float64(x[k]), np.float64(y[k]), np.float64(z[k])
         rest = np.float64(moved[k]) - (p * dx[k] + q * dy[k] + r * dz[k])
-        other = rest - residual
-        rest, other = (rest * rest, other * other) if w[k] > 0.0 else (0.0, 0.0)
-        n = np.float64(variance[k])
+        rest = rest * rest if w[k] > 0.0 else 0.0
+        n = np.float64(noise[k])
         square[k] += rest
-        chi2[k] += rest / (n * along)
-        beside[k] += other / (n * along)
+        chi2[k] += rest / n
         p, q, r = w[k] * p, w[k] * q, w[k] * r
         q -= b[k] * p
         gz = (r - c[k] * p - e[k] * q) * f[k]
         gy = q * d[k] - e[k] * gz
         gx = p * a[k] - b[k] * gy - c[k] * gz
-        n *= own
         vx[k] += gx * gx * n
         vy[k] += gy * gy * n
         vz[k] += gz * gz * n
@@ -162,19 +155,16 @@ def solve_nodes(
     bend: Float,
     noise: Float,
     missing: Float,
-    along: Float,
-    own: Float,
     parts: Float,
     axes: Float,
-    residuals: Float,
     out: Float,
 ) -> None:
-    """Fill out (15, n): d, chord, bend (3 each), variance of d, eps = |J d - moved| / sqrt(2N), chi^2 / dof,
-    and the factor on the noise where chi^2 beside the mean residuals (2N,) over the field exceeds its mean.
-    Float32 (2N, 3, n) jacobian, (2N, n) others; noise factors (2N,); float64 parts (3,) and axes (N, 3).
+    """Fill out (16, n): d, chord, bend, variance of d by noise (3 each), variance by the prior over parts,
+    eps = |J d - moved| / sqrt(2N), chi^2 / dof, and the factor on the noise where chi^2 exceeds its mean.
+    Float32 (2N, 3, n) jacobian, (2N, n) others; float64 parts (3,) and axes (N, 3).
     """
     rows, n = moved.shape
-    work = np.empty((24, NODES_AT_ONCE))
+    work = np.empty((23, NODES_AT_ONCE))
     weight = np.empty((rows // 2, NODES_AT_ONCE))
     bent = np.empty(NODES_AT_ONCE, np.float32)
     for first in range(0, n, NODES_AT_ONCE):
@@ -184,8 +174,8 @@ def solve_nodes(
         s = work[:, :size]
         matrix = s[0], s[1], s[2], s[3], s[4], s[5]
         d, ch, be = (s[6], s[7], s[8]), (s[9], s[10], s[11]), (s[12], s[13], s[14])
-        sums = s[15], s[16], s[17], s[18], s[19], s[20]
-        removed, total, count = s[21], s[22], s[23]
+        sums = s[15], s[16], s[17], s[18], s[19]
+        removed, total, count = s[20], s[21], s[22]
         for c in range(rows // 2):
             i, j = 2 * c, 2 * c + 1
             w = weight[c, :size]
@@ -209,21 +199,19 @@ def solve_nodes(
             row = jacobian[i, 0, first:last], jacobian[i, 1, first:last], jacobian[i, 2, first:last]
             _recede(axes[i // 2], ch, bend[i, first:last], chord[i, first:last], at)
             _add_right(row, w, at, be)
-            of_row = noise[i, first:last], along[i], own[i]
-            _add_rest(row, w, moved[i, first:last], d, matrix, of_row, residuals[i], sums)
+            _add_rest(row, w, moved[i, first:last], d, matrix, noise[i, first:last], sums)
         _solve(matrix, be, be)
         for k in range(size):
             at_node = first + k
             for m in range(9):
                 out[m, at_node] = s[6 + m, k]
             cameras = count[k]
-            common = (removed[k] / max(total[k], 1e-30)) ** 2
             ok = s[6, k] == s[6, k] and cameras > 1.0
             freedom = 2.0 * cameras - 3.0
-            # what is known of the noise at other nodes counts as one degree of freedom
-            noise_factor = max((1.0 + sums[2][k]) / (1.0 + freedom), 1.0) if ok else np.nan
             for m in range(3):
-                out[9 + m, at_node] = s[18 + m, k] * noise_factor + parts[m] * common
-            out[12, at_node] = np.sqrt(sums[0][k] / (2.0 * cameras)) if ok else np.nan
-            out[13, at_node] = sums[1][k] / freedom if ok else np.nan
-            out[14, at_node] = noise_factor
+                out[9 + m, at_node] = s[17 + m, k]
+            out[12, at_node] = (removed[k] / max(total[k], 1e-30)) ** 2
+            out[13, at_node] = np.sqrt(s[15, k] / (2.0 * cameras)) if ok else np.nan
+            out[14, at_node] = s[16, k] / freedom if ok else np.nan
+            # one pseudo-observation shrinks chi^2 towards 1
+            out[15, at_node] = max((1.0 + s[16, k]) / (1.0 + freedom), 1.0) if ok else np.nan

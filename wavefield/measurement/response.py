@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prior import Prior
+from wavefield.measurement.field_model import LearnedRecord
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.regrid import interpolation_gain
 
 Float = NDArray[np.floating[Any]]
@@ -58,8 +58,8 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     -----
     The MAP field has the gain S / (S + N), with the spectrum S and the noise N of the blocks that
     were learned from sample frames; for velocities that of each camera's displacement in its own pixels,
-    with the noise of either component of it at the nodes, then the least squares of all, as the mean over
-    the grid: at grazing sight pixels are several times as long, and texture shows less, far away as near.
+    then the least squares of all, as the mean over the grid: at grazing sight pixels are several times as
+    long far away as near.
     """
     velocity = gain_of_velocity(geometry, record, kx, ky)
     out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
@@ -96,7 +96,7 @@ def in_focus(record: LearnedRecord) -> dict[str, float]:
     """Factor on each camera's information if its beads' images were two pixels wide.
     The same light in a spot of width s has gradients whose squares sum up to s^-4.
     """
-    return {name: max(record.width(name) / FOCUSED_WIDTH_PX, 1.0) ** 4 for name, _ in record.beads}
+    return {name: max(width / FOCUSED_WIDTH_PX, 1.0) ** 4 for name, width in record.beads}
 
 
 def _information_weight(prior: Prior, factor: float) -> Prior:
@@ -126,10 +126,10 @@ def _gain_of_velocity_at(
     ]
     inverse = np.linalg.pinv(np.concatenate(jacobians))
     out = np.zeros((*np.broadcast_shapes(np.shape(kx), np.shape(ky)), 3, 3))
-    for i, ((name, prior), jacobian) in enumerate(zip(record.displacement, jacobians)):
+    for i, ((_, prior), jacobian) in enumerate(zip(record.displacement, jacobians)):
         q = np.stack([kx, ky], axis=-1) @ (BLOCK * np.linalg.inv(jacobian[:, :2]))
-        for n, factor in enumerate(dict(record.shown).get(name, (1.0, 1.0))):
-            gain = _gain_between_blocks(_information_weight(prior, factor), q[..., 0], q[..., 1])
+        gain = _gain_between_blocks(prior, q[..., 0], q[..., 1])
+        for n in range(2):
             out += gain[min(n, len(gain) - 1), ..., None, None] * np.outer(inverse[:, 2 * i + n], jacobian[n])
     return out
 

@@ -8,24 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.camera_jitter import level_jitter, motion_for_level
 from wavefield.measurement.elevation import Surface
+from wavefield.measurement.field_model import Model
 from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Instant
-from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.midtime import MidTime, rise_of_water, slope, where_measured, z_by_orders
-from wavefield.measurement.model import Model
 from wavefield.measurement.rolling_shutter import common_lateness, elevation_errors
 from wavefield.measurement.velocity import Motion, Regions, mean_flow, velocity
-from wavefield.variables import AROUND, Quality
-from wavefield.water import GRAVITY
+from wavefield.variables import AROUND
 
 Surfaces = Sequence[Surface | None]
 Float = NDArray[np.floating]
-
-_MIN_NODES_FOR_MEAN_LEVEL = 50
-_SIX_FRAME_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z at mid-time
 
 
 @dataclass(frozen=True)
@@ -37,26 +31,33 @@ class StepEstimate:
     mid_time: MidTime
     left_out: frozenset[str] = frozenset()  # cameras that contradict the others
 
+    @property
+    def nearest(self) -> tuple[Surface, Surface]:
+        """Surfaces of the step's own two frames."""
+        first, second = self.surfaces[AROUND : AROUND + 2]
+        assert first is not None
+        assert second is not None
+        return first, second
+
 
 def estimate_step(
     window: Sequence[Instant],
     moves: Sequence[Flows],
     geometry: GridGeometry,
     model: Model,
-    frame_rate: float,
     times: Float | None = None,
 ) -> StepEstimate | None:
     """Surfaces and motion of a step; None if nothing can be measured.
     Uneven times of the six frames are in intervals from mid-time.
     """
     surfaces: Surfaces = [instant.surface for instant in window]
-    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate, times)
+    estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
     if estimate is None:
         return None
     motion = estimate.motion
     # a knock between two frames spoils every path that contains it: those of four frames are used instead
     if motion.inconsistent and len(moves) > 3:
-        return estimate_step(window, moves[1:-1], geometry, model, frame_rate, times)
+        return estimate_step(window, moves[1:-1], geometry, model, times)
     if not (motion.left_out or motion.regions):
         return estimate
     left_out: frozenset[str] = frozenset()
@@ -68,7 +69,7 @@ def estimate_step(
         moves = [{name: flow for name, flow in one.items() if name not in left_out} for one in moves]
     else:
         surfaces = [_repaired(instant, motion.regions, geometry, model) for instant in window]
-    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate, times, motion.regions)
+    estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times, motion.regions)
     return None if estimate is None else replace(estimate, left_out=left_out)
 
 
@@ -76,8 +77,7 @@ def _estimate(
     surfaces: Surfaces,
     moves: Sequence[Flows],
     geometry: GridGeometry,
-    record: LearnedRecord,
-    frame_rate: float,
+    path_frames: int,
     times: Float | None,
     regions: Regions | None = None,
 ) -> StepEstimate | None:
@@ -85,30 +85,26 @@ def _estimate(
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
-    level_std, jitter_px = _level_jitter(surfaces, geometry, frame_rate, times)
     near = np.float32(0.5) * (first.z + second.z)
-    flow, late = mean_flow(moves, near, geometry, record, times), common_lateness(near, geometry)
+    flow, late = mean_flow(moves, near, geometry, path_frames, times), common_lateness(near, geometry)
     if flow is None:
         return None
     orders = z_by_orders(surfaces, flow, geometry.x, geometry.y, times, late)
     orders, frames, measured = where_measured(orders, surfaces, flow, geometry.x, geometry.y, times, late)
     z = shown = orders[0]
-    motion = velocity(moves, z, geometry, record, regions, jitter_px, times)
+    motion = velocity(moves, z, geometry, path_frames, regions, times)
     if late is not None and motion is not None:
         z = _without_shutters(shown, motion, geometry)
-        motion = velocity(moves, z, geometry, record, regions, jitter_px, times)
+        motion = velocity(moves, z, geometry, path_frames, regions, times)
     if motion is None:
         return None
     if late is not None:
         z = _without_shutters(shown, motion, geometry)
-    std = np.hypot(np.float32(0.5) * (first.std + second.std), np.float32(_SIX_FRAME_NOISE * level_std))
     if geometry.settings.sheet_thickness is not None:  # it does not rise
         rise = np.zeros_like(z)
     else:
         rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
-        # where displacements contradict each other, the cameras show water of another height or other beads
-        std = std * np.sqrt(np.nan_to_num(motion.noise_factor, nan=1.0))
-    return StepEstimate(surfaces, motion, MidTime(z, std, rise, orders, frames, measured))
+    return StepEstimate(surfaces, motion, MidTime(z, rise, frames, measured))
 
 
 def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
@@ -117,24 +113,6 @@ def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float
     error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
     return np.asarray((z + x * z_x + y * z_y - error).astype(np.float32))
-
-
-def _level_jitter(
-    surfaces: Surfaces, geometry: GridGeometry, frame_rate: float, times: Float | None
-) -> tuple[float, float]:
-    """Std of the level of z that no wave explains, metres, and of picture motion that explains it, px."""
-    present = [one for one in surfaces if one is not None]
-    usable = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in present])
-    if len(present) < len(surfaces) or usable.sum() < _MIN_NODES_FOR_MEAN_LEVEL:
-        return 0.0, 0.0
-    if geometry.settings.sheet_thickness is not None:
-        return 0.0, 0.0
-    # waves of half the field's width and more move its mean
-    width = min(float(np.ptp(geometry.x)), float(np.ptp(geometry.y)))
-    phase = float(np.sqrt(2.0 * np.pi * GRAVITY / (0.5 * max(width, geometry.grid.step)))) / frame_rate
-    level = level_jitter([float(one.z[usable].mean(dtype=np.float64)) for one in present], phase, times)
-    motion = np.sqrt(2.0) * motion_for_level(level, geometry.parallaxes(geometry.pairs)) / geometry.pixel
-    return level, float(motion)
 
 
 def _repaired(
@@ -157,10 +135,11 @@ def _repaired(
 
 def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surface:
     """One surface with another in a part of the field."""
-    names = ("z", "eps_y", "std", "quality", "inconsistent")
+    names = ("z", "eps_y", "noise", "missing", "quality", "inconsistent")
     parts = {n: np.where(where, getattr(other, n), getattr(surface, n)) for n in names}
     return Surface(
         **parts,
+        epipolar=max(surface.epipolar, other.epipolar),
         read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)),
         is_measured=lambda x, y: np.where(where, other.is_measured(x, y), surface.is_measured(x, y)),
     )

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.camera_displacements import CameraDisplacements, displacements_at_nodes
-from wavefield.measurement.camera_jitter import displacement_variance
 from wavefield.measurement.flow import Flows
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.node_motion import solve_nodes
 from wavefield.measurement.outlier_detection import (
@@ -29,7 +27,8 @@ Float = NDArray[np.floating]
 Regions = Mapping[str, NDArray[np.bool_]]
 
 _OUTLIER_FRACTION = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
-SHORT_WAVE_VARIANCES = 0.5, 0.5, 1.0  # of u, v, w in deep water, which the prior removes
+# Of u, v, w by deep-water waves in all directions: they move the water along as much as up and down.
+WAVE_VARIANCES = np.array([0.5, 0.5, 1.0])
 _MAX_INCONSISTENT_FRACTION = 0.01  # of the nodes, by chance
 _NODES_FOR_MEAN_FLOW = 3000
 _WINDOW_REACH_PX = 20  # half a window of the coarse levels
@@ -39,16 +38,15 @@ _WINDOW_REACH_PX = 20  # half a window of the coarse levels
 class Motion:
     """Displacement per step of the surface water at the nodes, at mid-time."""
 
-    # (3, ny, nx): (dx, dy, dz) and its standard uncertainty, metres; NaN where fewer than two cameras see the
-    # node
-    d: Float
-    d_std: Float
+    d: Float  # (3, ny, nx): (dx, dy, dz), metres; NaN where fewer than two cameras see the node
+    noise: Float  # (3, ny, nx): variance of d by noise, and of waves that the prior removes, m^2
+    missing: Float
     eps_piv: Float  # (ny, nx): misfit of the cameras' displacements, px
     # (ny, nx): chi^2 of the misfit per degree of freedom; NaN where fewer than two cameras see the node
     misfit: Float
-    # (ny, nx): factor on the variance of noise, at least 1, by the misfit beside the motion of whole images;
-    # NaN as the misfit
-    noise_factor: Float
+    noise_factor: (
+        Float  # (ny, nx): factor on the variance of noise by the misfit, at least 1; NaN as the misfit
+    )
     # (ny, nx): bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them
     # were measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places
     quality: NDArray[np.uint16]
@@ -73,9 +71,8 @@ def velocity(
     steps: Sequence[Flows | None],
     z: Float,
     geometry: GridGeometry,
-    record: LearnedRecord,
+    path_frames: int,
     regions: Regions | None = None,
-    jitter_px: float = 0.0,
     times: Float | None = None,
 ) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
@@ -85,23 +82,21 @@ def velocity(
     displacements themselves would need the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
 
     Noise of the cameras is independent; what the prior removes from a wave all cameras miss alike, so it does
-    not shrink when they are averaged: it is shared among the components as a short wave of any direction
-    moves the water, half as much along x and along y as up and down (its variance); in a light sheet as the
-    fluid's own motion. Motion of the cameras themselves is common to all nodes (`camera_jitter`). Cameras are
+    not shrink when they are averaged: it is shared among the components (`component_variances`). Cameras are
     left out in given regions, or where they are found to contradict the others. Times of the six frames,
     intervals from mid-time, are given where they are uneven.
     """
     names = _cameras(steps)
     if len(names) < 2:
         return None
-    displacements = displacements_at_nodes(names, steps, z, geometry, record, times)
-    parts = shares(geometry.settings, record)
-    motion = solve_motion(displacements, parts, record, jitter_px)
+    displacements = displacements_at_nodes(names, steps, z, geometry, path_frames, times)
+    parts = component_variances(geometry.settings)
+    motion = solve_motion(displacements, parts)
     measured = (displacements.rejected == 0).all(axis=0)
 
     @cache
     def by_others(n: int) -> Motion:
-        return solve_motion(displacements.without(n), parts, record, jitter_px)
+        return solve_motion(displacements.without(n), parts)
 
     def misfit_without(n: int) -> Float:
         return by_others(n).misfit
@@ -131,7 +126,7 @@ def mean_flow(
     steps: Sequence[Flows | None],
     z: Float,
     geometry: GridGeometry,
-    record: LearnedRecord,
+    path_frames: int,
     times: Float | None = None,
 ) -> tuple[float, float] | None:
     """Median displacement of the water over the step, (dx, dy), metres, by all cameras at some nodes.
@@ -141,8 +136,8 @@ def mean_flow(
     if len(names) < 2:
         return None
     every = max(1, round(np.sqrt(z.size / _NODES_FOR_MEAN_FLOW)))
-    displacements = displacements_at_nodes(names, steps, z, geometry, record, times, every)
-    chord = solve_motion(displacements, shares(geometry.settings, record), record).chord
+    displacements = displacements_at_nodes(names, steps, z, geometry, path_frames, times, every)
+    chord = solve_motion(displacements, component_variances(geometry.settings)).chord
     measured = np.isfinite(chord).all(axis=0)
     if not measured.any():
         return 0.0, 0.0
@@ -155,40 +150,39 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
     """One motion with another in a part of the field."""
-    names = ("d", "d_std", "eps_piv", "misfit", "noise_factor", "quality", "frames", "chord", "bend")
+    names = (
+        "d",
+        "noise",
+        "missing",
+        "eps_piv",
+        "misfit",
+        "noise_factor",
+        "quality",
+        "frames",
+        "chord",
+        "bend",
+    )
     return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
-def solve_motion(
-    displacements: CameraDisplacements, parts: Float, record: LearnedRecord, jitter_px: float = 0.0
-) -> Motion:
-    """Least squares over the cameras; parts are the `shares` of what the prior removes."""
+def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
+    """Least squares over the cameras; parts are the `component_variances` of what the prior removes."""
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
     flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
-    factors = displacements.along, displacements.along * displacements.own
     shape = displacements.frames.shape
-    out = np.empty((15, displacements.frames.size), np.float32)
-    residuals, jitter = displacements.camera_jitter()
-    axes = displacements.axes
-    solve_nodes(*flat, *factors, parts, axes, np.float64(residuals), out)  # type: ignore[call-arg]
-    d, chord, bend, variance = out[:12].reshape(4, 3, *shape)
-    eps, misfit, noise_factor = out[12:].reshape(3, *shape)
-    along, across = np.maximum(jitter, record.camera_jitter)
-    variance += displacement_variance(
-        displacements.jacobian,
-        1.0 / displacements.variance,
-        displacements.measured_by_all,
-        displacements.line,
-        (max(along, jitter_px), across),
-    )[:, None, None]
+    out = np.empty((16, displacements.frames.size), np.float32)
+    solve_nodes(*flat, parts, displacements.axes, out)  # type: ignore[call-arg]
+    d, chord, bend, noise = out[:12].reshape(4, 3, *shape)
+    removed, eps, misfit, noise_factor = out[12:].reshape(4, *shape)
     accepted = (displacements.rejected == 0).sum(axis=0)
     why = np.bitwise_or.reduce(displacements.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
     quality = np.where(accepted >= 2, np.uint16(0), why | np.uint16(Quality.FILLED))
     quality |= np.where(displacements.frames < 4, np.uint16(Quality.TWO_FRAME_MEAN), np.uint16(0))
     return Motion(
         d=d,
-        d_std=np.sqrt(variance),
+        noise=noise,
+        missing=parts.astype(np.float32)[:, None, None] * removed,
         eps_piv=eps,
         misfit=misfit,
         noise_factor=noise_factor,
@@ -199,10 +193,9 @@ def solve_motion(
     )
 
 
-def shares(settings: Settings, record: LearnedRecord) -> Float:
-    """Relative variances of u, v, w that the prior removes from waves: of water, or in a light sheet."""
-    sheet = settings.sheet_thickness is not None
-    return np.asarray(np.square(record.moved) if sheet else SHORT_WAVE_VARIANCES)
+def component_variances(settings: Settings) -> Float:
+    """Relative variances of u, v, w that the prior removes: of waves, or all alike in a light sheet."""
+    return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:

@@ -147,9 +147,13 @@ class ChunkMasks(Sequence[np.ndarray | None]):
 
 
 def measure_chunk(
-    chunk: Chunk, geometry: "GridGeometry", frame_rate: float, model: "Model | None" = None
+    chunk: Chunk,
+    geometry: "GridGeometry",
+    frame_rate: float,
+    model: "Model | None" = None,
+    terms: bool = False,
 ) -> Measured:
-    """Measure all steps of a chunk."""
+    """Measure all steps of a chunk; with the terms of the standard uncertainties if asked for."""
     from wavefield.measurement.measure import measure
 
     frames = {name: ChunkFrames(source, chunk) for name, source in chunk.sources.items()}
@@ -161,7 +165,7 @@ def measure_chunk(
 
         stabilizer = Stabilizer(frames, geometry)
         given, corrections = {name: StabilizedFrames(stabilizer, name) for name in frames}, stabilizer.shifts
-    fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures))
+    fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures, terms))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, chunk, geometry)
     _find_ranges(frames, fields, status, chunk, geometry)

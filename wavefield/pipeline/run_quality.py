@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_thread
-from wavefield.measurement.temporal_truncation import fast_waves
-from wavefield.measurement.unresolved_waves import unresolved_std
+from wavefield.measurement.error_budget import fast_waves, ripples
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
@@ -186,11 +185,11 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
     record = prepared.record
     if record is None:
         return
-    rate, (_, wavelength) = prepared.experiment.frame_rate, record.unresolved
+    rate, (_, wavelength) = prepared.experiment.frame_rate, record.ripples
     yield from remark_on_fast_waves(*fast_waves(record.elevation, prepared.geometry.pixel, rate), rate)
-    if not all(record.unresolved):
+    if not all(record.ripples):
         return
-    rise = unresolved_std(*record.unresolved, rate)[1]
+    rise = float(np.sqrt(ripples(record.ripples, rate)[3]))
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     if measured.any():
         w, std = (sample[name].values[measured] for name in ("w", "w_std"))

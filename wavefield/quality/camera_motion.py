@@ -160,7 +160,6 @@ def remarks(
     """Remarks on cameras that move."""
     first_frame = int(cube.frame[0])
     yield from _turned_back(cube, first_frame)
-    yield from camera_jitter(record)
     found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return
@@ -190,24 +189,6 @@ def remarks(
             f"{CAMERA_LIMITS.motion} px at most",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": rms, "std": std},
-        )
-
-
-def camera_jitter(record: "LearnedRecord | None") -> Iterator[Remark]:
-    """Remarks on cameras that move against each other along the line on which they are placed.
-    eps_y does not show this; the displacements of three cameras do.
-    """
-    along = record.camera_jitter[0] if record else 0.0
-    if along > CAMERA_LIMITS.jitter:
-        yield Remark(
-            "cameras",
-            "jitter",
-            "remark" if along > CAMERA_LIMITS.motion else "note",
-            f"their pictures move by {along:.3f} px from frame to frame along the line on which they are "
-            "placed; which of them moves cannot be determined: the uncertainties of z, u, v and w include it",
-            f"less than {CAMERA_LIMITS.jitter} px",
-            "stiffen their mounts, or let no carriage, pump or person move while they record",
-            {"px": along},
         )
 
 

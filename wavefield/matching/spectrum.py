@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
 from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE, footprint
+from wavefield.matching.posterior import Modes
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.wavenumber_rings import (
     DETECTED_SIGNAL_TO_NOISE,
     NOISE_RINGS,
-    RINGS,
     SHORTEST_WAVENUMBER,
     WavenumberRings,
 )
@@ -27,17 +28,12 @@ RING_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # weights of rings w
 MIN_SECTOR_FRACTION = 0.01  # of the ring: least power of a sector
 MIN_SQUARED_WINDOW_GAIN = 0.15  # of the windows: less, and a wave is not resolved
 MIN_POWER_TO_PLATEAU = 3.0  # of the windowed field over the plateau of noise, to be signal
-SHORTEST_IN_COMMON = 2.9  # the same in what several cameras have in common, in which noise averages out
-LOST_SIGNAL_TO_NOISE = 1.0  # the same where nothing but the uncertainty depends on it
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
 SHORTEST_IN_LIMITS = 0.5 * np.pi  # rad per block: what shorter waves show of a spectrum is noise
 MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
-CERTAIN_NOISE_FRACTION = 0.9  # the noise is uncertain by a tenth
 MIN_INFORMATION_SHARE = 1e-3  # of what a prior assumes, in the fields that it gave; else they show nothing
 FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
 FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
-MOST_OVER_KEPT = 3.0  # of the gain that even information would have
-KEPT_MODES = 20.0  # as with even information, that count in every ring: few modes show little
 SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
 SLOPE_RINGS = 6  # from which the slope is fitted
 
@@ -81,16 +77,12 @@ def first_prior(
     return Prior.isotropic(binning.k, power_law, information, area)
 
 
-def better_prior(
+def refined_prior(
     prior: Prior,
-    kx: Float,
-    ky: Float,
-    foot: Float,
+    modes: Modes,
     waves: Sequence[Float],
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
-    common: Float | None = None,
-    kept: Sequence[tuple[Float, Float]] = (),
 ) -> Prior:
     """Prior from the MAP fields that another prior gave.
 
@@ -98,10 +90,8 @@ def better_prior(
     ----------
     prior : Prior
         The one used.
-    kx, ky : ndarray, (mx,) and (my, 1)
-        Wavenumbers of the modes along columns and rows, rad per block.
-    foot : ndarray, (my, mx)
-        Gain of a block's footprint.
+    modes : Modes
+        Cosines of these fields.
     waves : sequence of ndarray, (c, my, mx)
         Cosine coefficients of the MAP fields of sample frames, less those of their prior mean.
     information : float
@@ -109,11 +99,6 @@ def better_prior(
     noise_alone : sequence of (ndarray, float), optional
         Coefficients of fields that the same prior gave of noise alone, and their information: they measure
         how noise changes from ring to ring. Its level is the least of the power over what is expected of it.
-    common : ndarray, (c, directions, rings), optional
-        Power of waves that is expected from what several cameras have in common; NaN where it is not known.
-        Where these fields alone show no waves the spectrum is no less than this, up to their own limit.
-    kept : sequence of (ndarray, ndarray), (c, my, mx), optional
-        Power of random fields, and the part of it that blocks with the information of the samples keep.
 
     Returns
     -------
@@ -130,96 +115,59 @@ def better_prior(
     """
     if not information > MIN_INFORMATION_SHARE * prior.information:  # nothing was visible
         return prior
-    noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
-    spectrum, binning = prior.spectrum(kx, ky), WavenumberRings(kx, ky)
-    measured, of_sectors, noise_power, level = _signals_and_noise(
-        waves, spectrum, noise, binning, foot, noise_alone
+    spectrum, binning = prior.spectrum(modes.kx, modes.ky), WavenumberRings(modes.kx, modes.ky)
+    measured, of_sectors, noise = _signals_and_noise(
+        waves, spectrum, modes.foot, information, binning, noise_alone
     )
-    significant = np.array(
-        [
-            binning.significant(one / np.maximum(own, 1e-30), len(waves))
-            for one, own in zip(measured, noise_power)
-        ]
-    )
-    significant |= _lines(waves, spectrum, noise, level, binning)
-    lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in significant]
+    detected = np.array([binning.significant(one, len(waves)) for one in measured / noise])
+    lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in detected]
     occupied = binning.count > 0
     relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
-    limit = np.maximum(measured, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise_power
-    signal, least = np.where(significant, measured, limit), float(noise.min())
-    upper_limit = np.where(occupied, np.minimum(limit, DETECTED_SIGNAL_TO_NOISE * noise_power), np.inf)
-    rings = np.array(
-        [
-            _extrapolated(binning.middle, one, last, least, limit_of_component)
-            for one, last, limit_of_component in zip(signal, lasts, upper_limit)
-        ]
-    )
-    weight = binning.sector_count * len(waves) * np.square(rings / (rings + noise_power))[:, None]
+    limit = np.maximum(measured, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise
+    highest = np.where(occupied, np.minimum(limit, DETECTED_SIGNAL_TO_NOISE * noise), np.inf)
+    least = float((1.0 / (np.square(modes.foot, dtype=np.float64) * information)).min())
+    parts = zip(np.where(detected, measured, limit), lasts, highest)
+    rings = np.array([_extrapolated(binning.middle, one, last, least, top) for one, last, top in parts])
+    weight = binning.sector_count * len(waves) * np.square(rings / (rings + noise))[:, None]
     power = _shapes(of_sectors / rings[:, None], weight, lasts) * rings[:, None]
-    expected = np.zeros_like(power)
-    if common is not None:
-        searched = occupied & (binning.middle < SHORTEST_IN_COMMON)
-        alone = (significant | ~searched)[:, None]
-        expected = np.where(alone, 0.0, np.minimum(np.nan_to_num(common), limit[:, None]))
-        power = np.maximum(power, expected)
-    lost, share = _lost_waves(measured / noise_power, rings / noise_power, significant, binning)
-    mean = power.mean(axis=1)
-    # where few blocks have most of the information, fields show less of short waves than there is
-    more = np.square(_even_over_kept(spectrum, noise, kept, binning))
-    return Prior(
-        binning.k,
-        tuple(_rounded(directions) for directions in power),
-        information,
-        prior.noise,
-        prior.waves,
-        _rounded(np.where(significant, more, measured * lost / mean)),
-        share,
-        _rounded(expected.mean(axis=1) / mean * more),
-        prior.area,
+    return replace(
+        prior,
+        k=binning.k,
+        power=tuple(tuple(tuple(float(f"{value:.4g}") for value in row) for row in one) for one in power),
+        information=information,
+        detected=tuple(tuple(map(bool, flags)) for flags in detected),
+        undetected_fraction=_undetected_fraction(measured, rings, noise, detected, binning),
     )
 
 
 def _signals_and_noise(
     waves: Sequence[Float],
     spectrum: Float,
-    noise: Float,
-    binning: WavenumberRings,
     foot: Float,
+    information: float,
+    binning: WavenumberRings,
     noise_alone: Sequence[tuple[Float, float]],
-) -> tuple[Float, Float, Float, Float]:
-    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains;
-    and the level of the noise, over what is expected of it, in rings.
+) -> tuple[Float, Float, Float]:
+    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains.
     Fields of noise alone show how it changes from ring to ring; its level is that of rings without waves.
     """
-    ring_power, noise_power = _over_gain(waves, spectrum, noise, binning.rings)
-    sector_power, sector_noise_power = _over_gain(waves, spectrum, noise, binning.sectors)
-    shape = np.ones_like(ring_power)
+
+    def block_noise(of: float) -> Float:
+        return np.asarray(1.0 / (np.square(foot, dtype=np.float64) * of))
+
+    rings, noise = _over_gain(waves, spectrum, block_noise(information), binning.rings)
+    sectors, noise_of_sectors = _over_gain(waves, spectrum, block_noise(information), binning.sectors)
+    shape = np.ones_like(rings)
     if noise_alone:
-        noise_ratios = [
-            np.divide(
-                *_over_gain([field], spectrum, 1.0 / (np.square(foot, dtype=np.float64) * own), binning.rings)
-            )
+        ratios = [
+            np.divide(*_over_gain([field], spectrum, block_noise(own), binning.rings))
             for field, own in noise_alone
         ]
-        shape = np.array([binning.level(one) for one in np.mean(noise_ratios, axis=0)])
+        shape = np.array([binning.level(one) for one in np.mean(ratios, axis=0)])
     resolved = (binning.count > 0) & (binning.middle < SHORTEST_WAVENUMBER)
-    level = [
-        _plateau(one, binning.count[resolved]) for one in (ring_power / (shape * noise_power))[:, resolved]
-    ]
+    level = [_plateau(one, binning.count[resolved]) for one in (rings / (shape * noise))[:, resolved]]
     plateau = shape * np.reshape(level, (-1, 1))
-    noise_power = plateau * noise_power
-    of_sectors = sector_power - plateau[:, None] * sector_noise_power
-    return ring_power - noise_power, of_sectors, noise_power, plateau
-
-
-def _lines(
-    waves: Sequence[Float], spectrum: Float, noise: Float, level: Float, binning: WavenumberRings
-) -> NDArray[np.bool_]:
-    """Rings (c, rings) with a wave of one length and direction, from the noise and its level in rings."""
-    power = np.mean([np.square(f, dtype=np.float64) for f in waves], axis=0)
-    spectrum = np.broadcast_to(spectrum, power.shape)
-    ratio = power / (np.square(spectrum / (spectrum + noise)) * noise * level[:, binning.of_modes])
-    return np.array([binning.lines(one) for one in ratio])
+    return rings - plateau * noise, sectors - plateau[:, None] * noise_of_sectors, plateau * noise
 
 
 def _over_gain(
@@ -233,55 +181,19 @@ def _over_gain(
     return mean(power) / weight, np.maximum(mean(squared_gain * noise) / weight, 1e-30)
 
 
-def _lost_waves(
-    found: Float, of_limit: Float, significant: NDArray[np.bool_], binning: WavenumberRings
-) -> tuple[NDArray[np.bool_], tuple[float, float]]:
-    """Rings (c, rings) without significant waves that show some, and what all show of their limits.
-    Waves that were found and limits are over noise.
+def _undetected_fraction(
+    measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
+) -> float:
+    """Fraction of the limits of rings without significant waves that their fields contain.
+    By least squares of the power over noise, of which the level is uncertain: a + b (limit over noise).
     """
-    # noise hardly changes while the same beads are seen: samples count as one
-    chance = LIMIT_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(binning.count, 1))
-    seen = ~significant & (binning.middle < SHORTEST_IN_LIMITS)
-    # single rings exceed chance by chance, and the level of the noise differs from ring to ring
-    lost = [binning.exceeds(one, LOST_SIGNAL_TO_NOISE) for one in found]
-    weight = binning.count * (seen & (found < of_limit + chance))
-    share = pooled_share(list(map(_share_of_limits, of_limit, found, weight)))
-    return seen & lost & (found > chance), share
-
-
-def _even_over_kept(
-    spectrum: Float, noise: Float, kept: Sequence[tuple[Float, Float]], binning: WavenumberRings
-) -> Float:
-    """The gain S / (S + N) of even information over what fields keep of waves, (1 or c, rings).
-    Beads are few: where blocks differ, less is kept of short waves than with their mean information.
-    """
-    if not kept:
-        return np.ones((1, RINGS))
-    gain = spectrum / (spectrum + noise)
-    powers = [part for _, part in kept], [gain * whole for whole, _ in kept]
-    found, even = (
-        convolve1d(binning.rings(np.mean(one, axis=0)) * binning.count, np.ones(3), axis=-1, mode="constant")
-        for one in powers
-    )
-    few = KEPT_MODES * even.sum(axis=-1, keepdims=True) / max(3.0 * binning.count.sum(), 1.0)
-    return np.asarray(np.clip((even + few) / np.maximum(found + few, 1e-30), 1.0, MOST_OVER_KEPT))
-
-
-def _rounded(table: Float) -> tuple[tuple[float, ...], ...]:
-    """A table for a recipe."""
-    return tuple(tuple(float(f"{value:.4g}") for value in row) for row in table)
-
-
-def _share_of_limits(limit: Float, found: Float, weight: Float) -> tuple[float, float]:
-    """How much of the limits that rings (rings,) have over noise is found in them, and its std.
-    The level of the noise is fitted as well.
-    """
+    limit, found = rings / noise, measured / noise
+    weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
     total = max(float(weight.sum()), 1e-30)
-    mean, level = float(weight @ limit) / total, float(weight @ found) / total
-    apart = limit - mean
-    square = max(float(weight @ np.square(apart)), 1e-6)
-    slope = float(weight @ (apart * found)) / square
-    return slope / max(1.0 + level - slope * mean, 0.1), float(np.sqrt(2.0 / square))
+    mean, level = float((weight * limit).sum()) / total, float((weight * found).sum()) / total
+    square = max(float((weight * np.square(limit - mean)).sum()), 1e-6)
+    slope = float((weight * (limit - mean) * found).sum()) / square
+    return float(np.clip(slope / max(1.0 + level - slope * mean, 0.1), 0.0, 1.0))
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
@@ -300,29 +212,6 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
     for one, last in zip(out, lasts):
         one[:, last:] = one[:, last - 1 : last]
     return out
-
-
-def pooled_share(shares: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """`Prior.share` of several fields of the same waves together, by the precision of each.
-
-    Parameters
-    ----------
-    shares : sequence of (float, float)
-        Of each field, with its standard deviation.
-
-    Returns
-    -------
-    float, float
-        Of all, with its standard deviation.
-
-    Examples
-    --------
-    >>> pooled_share([(0.2, 0.5), (0.6, 0.5)])
-    (0.4, 0.3535533905932738)
-    """
-    precision = np.array([std**-2 if std > 0 else 1e12 for _, std in shares])
-    mean = float(precision @ [share for share, _ in shares] / precision.sum())
-    return mean, float(precision.sum() ** -0.5)
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:
@@ -346,9 +235,9 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
     Examples
     --------
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
-    (1.0, 0.067)
+    (1.0, 0.0)
     """
-    signal = variance - CERTAIN_NOISE_FRACTION * noise
+    signal = variance - noise
     needed = min(FULL_WAVE_FRACTION * waves, FULL_SIGNAL_TO_NOISE * noise)
     return float(np.clip(signal / max(needed, 1e-30), 0.0, 1.0))
 

@@ -1,0 +1,189 @@
+"""The terms of the standard uncertainty: each is the variance that it states."""
+
+import numpy as np
+import pytest
+from measurement_cases import RATE
+
+from wavefield.grid import Grid
+from wavefield.matching import Prior
+from wavefield.measurement import GridGeometry, measure
+from wavefield.measurement.error_budget import (
+    WaveRings,
+    best_path_frames,
+    expected_waves,
+    lost_by_elevation,
+    lost_by_paths,
+    orbits,
+    ripples,
+)
+from wavefield.measurement.time_weights import path_gain
+from wavefield.tank import Scene, Tank
+from wavefield.variables import EXACT_SIX, Quality
+from wavefield.water import dispersion
+
+TIMES = np.arange(6) - 2.5
+LENGTHS = (0.7, 0.4, 0.2, 0.13, 0.1)
+
+
+def sea(rate, t, waves):
+    x, y = np.meshgrid(np.arange(100) * 0.01, np.arange(80) * 0.01)
+    z, w = np.zeros((2, *x.shape))
+    for length, height, angle, shift in waves:
+        k = 2 * np.pi / length
+        omega = np.sqrt(9.81 * k) / rate  # per frame
+        phase = k * (np.cos(angle) * x + np.sin(angle) * y) - omega * t + shift
+        z += height * np.cos(phase)
+        w += height * omega * np.sin(phase)
+    return z, w
+
+
+def carried(rate, t, span, waves, beside=(0.0, 0.0)):
+    """Displacement over ``span`` frames of the water that is beside the nodes at t, (3, n), metres."""
+    x, y = (nodes.ravel() for nodes in np.meshgrid(np.arange(0, 1, 0.04), np.arange(0, 0.8, 0.04)))
+    x, y = x + beside[0], y + beside[1]
+
+    def velocity(x, y, t):
+        out = np.zeros((3, x.size))
+        for length, height, angle, shift in waves:
+            k = 2 * np.pi / length
+            omega = np.sqrt(9.81 * k) / rate
+            phase = k * (np.cos(angle) * x + np.sin(angle) * y) - omega * t + shift
+            out[:2] += height * omega * np.cos(phase) * np.array([[np.cos(angle)], [np.sin(angle)]])
+            out[2] += height * np.cos(phase)
+        return out
+
+    p, steps = np.stack([x, y]), 8
+    h = span / steps
+    for n in range(steps):
+        middle = p + 0.5 * h * velocity(*p, t + n * h)[:2]
+        p = p + h * velocity(*middle, t + (n + 0.5) * h)[:2]
+    rise = velocity(*p, t + span)[2] - velocity(x, y, t)[2]
+    return np.stack([*(p - [x, y]), rise])
+
+
+def rings(rate, waves):
+    """The same waves as rings."""
+    k = np.array([2 * np.pi / length for length, *_ in waves])
+    variance = np.array([0.5 * height**2 for _, height, *_ in waves])
+    return WaveRings(k, variance, np.sqrt(9.81 * k) / rate)
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_what_frames_cannot_follow_is_foreseen(rate, jitter):
+    rng = np.random.default_rng(3)
+    waves = [(length, 0.002 * length, *rng.uniform(0, 6, 2)) for length in LENGTHS]
+    times = TIMES + jitter * rng.uniform(-1, 1, 6)
+    polynomial = np.linalg.solve(np.vander(times, increasing=True).T, np.eye(6)[0])
+    parabola = np.array([0, 0, *np.linalg.solve(np.vander(times[2:5], increasing=True).T, np.eye(3)[0]), 0])
+    lost = {6: [], 3: []}
+    for t in np.arange(8) * 2.3:
+        z = np.array([sea(rate, t + s, waves)[0] for s in times])
+        for frames, weights in ((6, polynomial), (3, parabola)):
+            lost[frames].append(np.mean((np.tensordot(weights, z, 1) - sea(rate, t, waves)[0]) ** 2))
+    for frames, squares in lost.items():
+        stated = lost_by_elevation(rings(rate, waves), frames, times if jitter else None)
+        assert stated == pytest.approx(np.mean(squares), rel=0.3)
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0])
+def test_what_paths_cannot_follow_of_the_rise_is_foreseen(rate):
+    rng = np.random.default_rng(3)
+    waves = [(length, 0.0002 * length, *rng.uniform(0, 6, 2)) for length in LENGTHS]
+    weights = {4: (0, -2, 52, -2, 0), 6: (-3, 10, 34, 10, -3)}
+    missed = {4: [], 6: []}
+    for t in np.arange(8) * 2.3:
+        rises = np.diff([sea(rate, t + s, waves)[0] for s in TIMES], axis=0)
+        for frames, own in weights.items():
+            missed[frames].append(np.mean((np.tensordot(own, rises, 1) / 48 - sea(rate, t, waves)[1]) ** 2))
+    for frames, squares in missed.items():
+        assert lost_by_paths(rings(rate, waves), frames) == pytest.approx(np.mean(squares), rel=0.3)
+    even, uneven = (lost_by_paths(rings(rate, waves), 4, times) for times in (None, TIMES))
+    assert even == pytest.approx(uneven, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_short_waves_that_orbits_carry_are_as_uncertain_as_their_harmonics(seed):
+    """Where matching makes up for what paths leave out of the wave itself."""
+    rng = np.random.default_rng([seed, 7])
+    length, steepness, phase = rng.uniform(0.07, 0.1), rng.uniform(0.1, 0.2), rng.uniform(1.1, 1.6)
+    rate = np.sqrt(2 * np.pi * 9.81 / length) / phase
+    waves = [(length, steepness * length / (np.sqrt(2) * np.pi), *rng.uniform(0, 6, 2))]
+    gain, error = float(path_gain(phase, 4)), []
+    for t in np.arange(8) * 2.3:
+        path = np.array([carried(rate, t, s, waves)[:2] for s in TIMES[1:5]])
+        velocity = np.tensordot((1, -27, 27, -1), path, 1) / 24 / gain
+        place = np.tensordot((-1, 9, 9, -1), path, 1) / 16
+        there = (carried(rate, t, 1e-4, waves, place) - carried(rate, t, -1e-4, waves, place)) / 2e-4
+        error.append(velocity - there[:2])
+    rms = np.sqrt(np.sum(np.mean(np.square(error), axis=(0, 2))))
+    assert 0.75 < np.sqrt(orbits(rings(rate, waves), 4)) / rms < 1.35
+
+
+def test_rings_have_the_variance_of_the_spectrum_as_far_as_waves_are_expected():
+    k = (np.arange(40) + 0.5) * np.pi / 40
+    prior = Prior.isotropic(k, np.exp(-3 * k), 1.0)
+    waves = expected_waves(prior, 1.8e-3, 20.0)
+    ky, kx = (np.pi * np.arange(n) / n for n in (150, 160))
+    every = prior.spectrum(kx, ky[:, None]).mean()  # of all cosines
+    assert waves.variance.sum() == pytest.approx(every, rel=0.05)
+    np.testing.assert_allclose(waves.phase, dispersion(k / 9e-3) / 20.0)
+
+
+def test_still_water_and_slow_waves_lose_nothing_and_fast_ones_most():
+    assert lost_by_paths(WaveRings(*np.zeros((3, 1))), 6) == lost_by_elevation(rings(20.0, []), 6) == 0.0
+    lost = [lost_by_elevation(rings(rate, [(0.1, 1.0, 0, 0)]), 6) for rate in (80.0, 20.0, 10.0)]
+    assert lost == sorted(lost)
+
+
+def test_smooth_paths_are_best_in_noise_and_exact_ones_where_waves_turn_fast():
+    fast, slow = (rings(rate, [(0.1, 0.002, 0, 0)]) for rate in (15.0, 60.0))
+    assert best_path_frames(fast, 1e-12) == EXACT_SIX
+    assert best_path_frames(slow, 1e-7) == 6
+
+
+def of_height_1(length, rate):
+    """Rise of a wave of height 1 from frame to frame, and per frame at mid-time."""
+    phase = dispersion(2.0 * np.pi / length) / rate
+    return np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi)))), phase
+
+
+@pytest.mark.parametrize("rate", [10.0, 30.0, 200.0])
+@pytest.mark.parametrize("typical", [0.01, 0.03, 0.06])  # of 2.5 blocks
+def test_height_and_velocity_of_any_ripple_are_contained(typical, rate):
+    for length in typical * np.linspace(1.0, 1.6, 7):  # up to four blocks
+        rise, _ = of_height_1(length, rate)
+        assert 1.0 - 1e-6 < np.sqrt(ripples((rise, typical), rate)[0]) < 2.1
+    for length in np.linspace(max(0.4 * typical, 0.01), 1.6 * typical, 7):  # from one block
+        rise, at_mid_time = of_height_1(length, rate)
+        stated = np.sqrt(ripples((rise, typical), rate)[3])
+        assert 0.99 * at_mid_time < stated < 8.0 * at_mid_time
+
+
+def test_the_stated_uncertainty_is_the_sum_of_the_terms(series, geometry, model):
+    found = measure(series.block(), geometry, RATE, model, terms=True)
+    terms = found.pop("uncertainty_terms")[0]
+    inside = series.inside
+    for n, name in enumerate("zuvw"):
+        scale = 1.0 if name == "z" else RATE
+        total = scale * np.sqrt(np.square(terms[:, n]).sum(axis=0))
+        np.testing.assert_allclose(total[inside], found[f"{name}_std"][0][inside], rtol=1e-5)
+    assert (terms[0][:, inside].mean(axis=1) > terms[2][:, inside].mean(axis=1)).all(), (
+        "noise is more than what frames leave out here"
+    )
+
+
+def test_uncertainties_hold_for_short_steep_waves():
+    sea = {"kind": "random", "rms": 0.0009, "spectrum": {"kind": "power", "peak": 1.0, "exponent": 3.0}}
+    sea |= {"shortest": 0.06, "longest": 0.09, "period": 1.0}
+    grid = {"x": (-0.2, 0.2), "y": (-0.15, 0.15), "step": 0.01}
+    scene = Scene.load("demo").with_(seed=3, rig={"crop": 0.26}, frames=6, sea=sea, grid=grid)
+    tank = Tank(scene)
+    images = {name: [tank.render(k)[name] for k in range(6)] for name in tank.rig}
+    cube = measure(images, GridGeometry(tank.rig, Grid(**grid)), scene.frame_rate)
+    truth = vars(tank.truth(2))
+    measured = (cube["quality"][0] & Quality.MEASURED) > 0
+    for name in "zuvw":
+        ratio = np.abs(cube[name][0] - truth[name])[measured] / cube[f"{name}_std"][0][measured]
+        assert np.mean(ratio < 1) > 0.5, name
+        assert np.mean(ratio > 5) < 0.01, name

@@ -1,0 +1,135 @@
+"""Ripples shorter than blocks move the beads of all cameras alike: they are found, noise is not."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from measurement_cases import RATE
+
+from wavefield.grid import Grid
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
+from wavefield.measurement.error_budget import ripples
+from wavefield.measurement.regrid import BlockLattice
+from wavefield.measurement.ripples import SharedMotion, ripple_rise, shared_motion
+from wavefield.tank import Scene, Tank
+
+SIDE = 60
+LATTICE = BlockLattice(2.0, 2.0, 5.0, (SIDE, SIDE))
+SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
+    "cam1": [[450.0, 0, 450], [0, 640, 0]],
+    "cam2": [[450.0, 0, -450], [0, 640, 0]],
+    "cam3": [[540.0, 0, 0], [0, 540, 0]],
+}
+
+
+def in_one_step(seed, waves, noise, cameras, removed=0.0):
+    """What is in common where beads move by short waves with this std of the rise, m, and by noise, px.
+    The prior removes waves whose rise has the std removed, m.
+    """
+    rng = np.random.default_rng(seed)
+    water = rng.normal(0, waves, (3, SIDE, SIDE)) * np.sqrt([0.5, 0.5, 1.0])[:, None, None]
+    valid = rng.random((SIDE, SIDE)) > 0.1
+    hessian = rng.gamma(2.0, 1.0, (3, SIDE, SIDE)).astype(np.float32)
+    hessian[1] = 0.1 * np.sqrt(hessian[0] * hessian[2])
+    xx, xy, yy = hessian
+    y, x = LATTICE.step * np.mgrid[:SIDE, :SIDE] + LATTICE.x0
+    estimates, sights, missing = {}, {}, {}
+    for name in cameras:
+        J = np.array(SIGHTS[name])
+        u, v = np.einsum("ik,kyx->iyx", J, water) + rng.normal(0, noise, (2, SIDE, SIDE))
+        one = SimpleNamespace(
+            hessian=hessian, score=np.stack([xx * u + xy * v, xy * u + yy * v]), valid=valid
+        )
+        estimates[name] = SimpleNamespace(found=one)
+        part = np.square(J) @ [0.5, 0.5, 1.0] * removed**2
+        missing[name] = np.broadcast_to(part[:, None, None], (2, SIDE, SIDE))
+        at = np.concatenate([np.stack([x, y]), np.broadcast_to(J.reshape(6, 1, 1), (6, SIDE, SIDE))])
+        sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
+    geometry = SimpleNamespace(sights=sights)
+    return shared_motion(estimates, missing, np.zeros((SIDE, SIDE)), geometry)
+
+
+def found(*conditions):
+    """Standard deviation of the rise that is stated, and the wavelength, metres."""
+    return ripple_rise(in_one_step(*conditions))
+
+
+@pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])
+def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_not(cameras):
+    for seed in range(6):
+        noise = float(np.random.default_rng(seed).uniform(0.01, 0.3))
+        assert found(seed, 0.0, noise, cameras)[0] == 0.0
+        size = 2.0 * noise / 500.0
+        rise, wavelength = found(seed, size, noise, cameras)
+        twice, _ = found(seed, 2.0 * size, 2.0 * noise, cameras)
+        assert 0.8 < rise / size < 2.7  # of two cameras' blocks not all beads are the same
+        assert twice == pytest.approx(2.0 * rise)
+        assert wavelength == pytest.approx(2.5 * 5.0 / 540.0, rel=0.1)
+
+
+def test_waves_that_the_prior_removes_are_not_stated_twice():
+    for seed in range(3):
+        noise = float(np.random.default_rng(seed).uniform(0.01, 0.1))
+        size = noise / 500.0
+        rises = [found(seed, size, noise, tuple(SIGHTS), part * size)[0] for part in (0.0, 0.3, 1.0, 3.0)]
+        shares = np.square(rises).tolist()
+        assert shares == sorted(shares, reverse=True)
+        assert shares[1] > 0.6 * shares[0], "waves beside them are"
+        assert shares[3] < 0.25 * shares[0]
+
+
+def test_without_blocks_in_common_no_waves_are_found():
+    assert found(1, 1e-3, 0.1, ("cam1",)) == (0.0, 0.0)
+
+
+def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch):
+    """Two cameras at sea see the same reflections change: nothing shows that water rises."""
+    turned = np.array(SIGHTS["cam1"]) @ [[1, 0, 0], [0, 1, 0.05], [0, 0, 1]]
+    monkeypatch.setitem(SIGHTS, "beside", turned.tolist())
+    rise, wavelength = found(1, 1e-3, 0.1, ("cam1", "beside"))
+    z, *moved = ripples((rise, wavelength), RATE)
+    assert z == 0 < min(moved)
+
+
+def test_standard_uncertainties_contain_them_and_values_do_not_change(series, geometry, model):
+    waves = 2e-4, 0.02
+    record = replace(model.record, ripples=waves)
+    assert LearnedRecord.from_dict(record.to_dict()) == record
+    without, cube = (measure(series.block(0, 1), geometry, RATE, m) for m in (model, Model(geometry, record)))
+    z, u, _, w = np.sqrt(ripples(waves, RATE))
+    for name, std in {"z": z, "u": u * RATE, "w": w * RATE}.items():
+        assert np.array_equal(cube[name], without[name], equal_nan=True)
+        good = np.isfinite(cube[name]) & ((cube["quality"] & 1) > 0)
+        added = np.sqrt(np.square(cube[f"{name}_std"]) - np.square(without[f"{name}_std"]))
+        assert added[good] == pytest.approx(std, rel=1e-2)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_short_waves_that_blocks_resolve_are_not_found_as_unresolved_ones(seed):
+    length = float(np.random.default_rng(seed).uniform(0.055, 0.09))
+    sea = {
+        "rms": 0.1 * length / (2.0 * np.pi),
+        "spectrum": {"kind": "power", "peak": 1.0, "exponent": 3.0},
+        "shortest": length / 1.2,
+        "longest": length * 1.2,
+        "period": 1.0,
+    }
+    scene = Scene.load("demo").with_(seed=seed, rig={"crop": 0.3}, frames=4, sea=sea)
+    tank = Tank(scene)
+    images = [tank.render(k) for k in range(4)]
+    geometry = GridGeometry(tank.rig, Grid(x=(-0.24, 0.24), y=(-0.18, 0.18), step=0.01))
+    record = learn([(images[0], images[1]), (images[2], images[3])], geometry)
+    assert record.ripples == (0.0, 0.0)
+
+
+def one_pair(share, total=1.0):
+    return SharedMotion(share * total, total, 0.0, 0.05)
+
+
+def test_what_sound_seas_share_is_below_the_gate_and_ripples_are_above():
+    for share in (-0.1, 0.05, 0.13, 0.19):  # gaps, short steep waves
+        assert ripple_rise([one_pair(share)]) == (0.0, 0.0)
+    assert ripple_rise(()) == (0.0, 0.0)
+    rises = [ripple_rise([one_pair(share), one_pair(share)])[0] for share in (0.29, 0.4, 0.47)]
+    assert 1.0 < rises[0] < rises[1] < rises[2] < 3.0

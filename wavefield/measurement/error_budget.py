@@ -1,0 +1,252 @@
+"""The standard uncertainty of z, u, v, w: the sum of the variances that this file computes.
+
+    std^2 = chi^2 (noise through the estimator)          posterior variance, by the information near a node
+          + (spectrum that the prior removes)            posterior variance as well
+          + (spectrum that the weights of frames remove)
+          + (ripples shorter than a block)
+          + (what the set-up states: epipolar error, height of beads, thickness of a light sheet)
+
+Every term is an array (4, ny, nx): variances of z, m^2, and of the displacement per step dx, dy, dz, m^2. The
+uncertainty of z = 0, common to all nodes and times, is kept apart (`level_std`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.matching import Prior
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.measurement.field_model import LearnedRecord
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.step_estimate import StepEstimate
+from wavefield.measurement.time_weights import (
+    ELEVATION_WEIGHTS,
+    elevation_gain,
+    noise_weights,
+    path_gain,
+    place_weights,
+    uneven_weights,
+)
+from wavefield.measurement.velocity import WAVE_VARIANCES
+from wavefield.rig.resolution import pixel_at
+from wavefield.variables import EXACT_SIX
+from wavefield.water import dispersion
+
+Float = NDArray[Any]
+
+TERMS = "noise", "prior", "frames", "ripples", "setup"
+MARGIN = 1.25  # on the error of frame weights: the spectrum in a step differs from that of the sample steps
+CORRELATION_OF_DIRECTIONS = 0.75  # of two waves: 1/2 in all directions, 1 in one
+HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images: 0.17 to 0.20 when path-traced
+RELATIVE_HEIGHT_STD = 0.2  # of the visible part of a bead, which changes with light and view
+LONGEST_RIPPLE, SHORTEST_RIPPLE = 4.0, 1.0  # blocks: the longest are highest, the shortest fastest
+SHORTEST_DAMPED = 0.01  # metres: shorter ripples are damped fast
+
+
+class WaveRings(NamedTuple):
+    """Waves that are expected in a record, in rings of wavenumber, each (rings,)."""
+
+    k: Float  # rad/m
+    variance: Float  # of z, m^2
+    phase: Float  # per step, rad
+
+
+def error_budget(
+    estimate: StepEstimate,
+    geometry: GridGeometry,
+    record: LearnedRecord,
+    frame_rate: float,
+    times: Float | None = None,
+) -> dict[str, Float]:
+    """Variances of z and dx, dy, dz of one step by term, each (4, ny, nx), m^2."""
+    sheet = geometry.settings.sheet_thickness is not None
+    waves = waves_of_flat_sheet() if sheet else expected_waves(record.elevation, geometry.pixel, frame_rate)
+    return {
+        "noise": noise(estimate),
+        "prior": removed_by_prior(estimate),
+        "frames": removed_by_frames(estimate, waves, record.path_frames, times),
+        "ripples": ripples(record.ripples, frame_rate)[:, None, None] + np.zeros_like(estimate.mid_time.z),
+        "setup": stated_by_setup(estimate, geometry),
+    }
+
+
+def noise(estimate: StepEstimate) -> Float:
+    """Noise of the blocks, F^2 A / (F^2 A + 1/S)^2 summed over the modes, through the paths of the cameras.
+
+    Where displacements contradict each other by more than this, chi^2 > 1, it is larger by
+    (1 + (2N - 3) chi^2) / (2N - 2), that of z as well: cameras show other water or other beads.
+    """
+    motion, surfaces = estimate.motion, estimate.nearest
+    z = np.mean([one.noise for one in surfaces], axis=0)
+    chi2 = np.nan_to_num(motion.noise_factor, nan=1.0)
+    return np.concatenate([z[None], motion.noise]) * chi2
+
+
+def removed_by_prior(estimate: StepEstimate) -> Float:
+    """Waves that the prior removes, 1/S / (F^2 A + 1/S)^2 summed over the modes, as far as S is of waves.
+
+    All cameras miss the same waves, so it does not shrink when they are averaged: it is shared among the
+    components as waves move the water.
+    """
+    z = np.mean([one.missing for one in estimate.nearest], axis=0)
+    return np.concatenate([z[None], estimate.motion.missing])
+
+
+def removed_by_frames(
+    estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float | None
+) -> Float:
+    """Waves that turn too fast for the frames: sum S |1 - K(omega dt)|^2, for velocities with (omega dt)^2.
+
+    z comes from 6, 4, 3 or 2 frames, velocities from paths of 6, 4 or 2.
+    """
+    out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
+    for count in np.unique(estimate.mid_time.frames).tolist():
+        out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)
+    for count in np.unique(estimate.motion.frames).tolist():
+        code = max(path_frames, count) if count == 6 else count
+        lost = lost_by_paths(waves, code, times) * WAVE_VARIANCES.astype(np.float32)
+        out[1:] += np.where(estimate.motion.frames == count, lost[:, None, None], np.float32(0))
+    return np.float32(MARGIN**2) * out
+
+
+def lost_by_elevation(waves: WaveRings, frames: int, times: Float | None = None) -> float:
+    """Variance, m^2, that the weights w of the frames at times t remove of z: sum S |1 - sum w e^(ipt)|^2."""
+    weights = ELEVATION_WEIGHTS[frames]
+    if times is None:
+        times = np.arange(6) - 2.5
+    else:
+        weights = uneven_weights(times, np.flatnonzero(weights).tolist())[0]
+    seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
+    return float(waves.variance @ np.square(np.abs(1.0 - seen)))
+
+
+def lost_by_paths(waves: WaveRings, path_frames: int, times: Float | None = None) -> float:
+    """Variance, m^2, that paths remove of the rise per step: sum S |ip - sum w e^(ipt)|^2, and `orbits`."""
+    t, weights = place_weights(path_frames)
+    if times is not None:
+        first = 3 - len(t) // 2
+        some = list(range(first, first + len(t)))
+        weights = uneven_weights(times, some, path_frames == 6)[1][some]
+        t = times[some]
+    seen = np.exp(1j * np.outer(waves.phase, t)) @ weights
+    return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)
+
+
+def orbits(waves: WaveRings, path_frames: int) -> float:
+    """Variance, m^2, that paths remove of the rise per step where waves i carry the water in waves j.
+
+    A particle that is moved by xi meets u + xi u', which turns with the sum or the difference of both phases
+    p, and the frames leave out a part D = 1 - Q(p_i) of xi. With the gains K of paths and Q of places,
+    c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2).
+    """
+    p, gain = waves.phase, path_gain(waves.phase, path_frames)
+    of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))
+    place = 1.0 - elevation_gain(p, min(path_frames, 4))[:, None]
+    lost = np.square(of_difference - gain + place) + np.square(gain - of_sum - place)
+    moved = waves.variance * np.square(waves.k * p)
+    return float(CORRELATION_OF_DIRECTIONS * waves.variance @ lost @ moved)
+
+
+def expected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
+    """Waves of the learned spectrum of z: S k dk / (2 pi) of every ring, as far as they are expected."""
+    k = np.array(elevation.k)
+    power = np.mean(elevation.power, axis=(0, 1)) * elevation.expected_in_rings.min(axis=0)
+    variance = power * k * np.gradient(k) / (2.0 * np.pi)
+    k = k / (BLOCK * pixel)
+    return WaveRings(k, variance, dispersion(k) / frame_rate)
+
+
+def waves_of_flat_sheet() -> WaveRings:
+    """No waves: a light sheet does not rise."""
+    return WaveRings(*np.zeros((3, 1)))
+
+
+def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
+    """Share of the variance of the rise by detected waves that turn by more than half a turn from frame to
+    frame, which frames do not follow, and the longest of them, metres.
+    """
+    waves = expected_waves(elevation, pixel, frame_rate)
+    detected = np.array(elevation.detected or [[True]]).all(axis=0)
+    rise = waves.variance * np.square(waves.phase) * detected
+    fast = (waves.phase > np.pi) & (rise > 0)
+    if not fast.any():
+        return 0.0, 0.0
+    return float(rise[fast].sum() / rise.sum()), float(2.0 * np.pi / waves.k[fast][0])
+
+
+def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
+    """The `path_frames` with the smallest error, for the noise variance of dx, dy, dz together, m^2."""
+
+    def error(code: int) -> float:
+        own, *neighbours = noise_weights(code)
+        lost = MARGIN**2 * float(WAVE_VARIANCES.sum()) * lost_by_paths(waves, code)
+        return noise_variance * (own + 2.0 * sum(neighbours)) + lost
+
+    return min((4, 6, EXACT_SIX), key=error)
+
+
+def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
+    """Variances (4,) by waves shorter than blocks, from the std of their rise per frame and their wavelength.
+
+    With the variance a^2 and the phase p per frame of waves the rise has 2 a^2 (1 - cos p), or 2 a^2 where
+    phases are even, and its rate (a p)^2. z is that of the longest ones, the rise that of the shortest.
+    Without a wavelength cameras from one side share changes of light, which are an error of velocities alone.
+    """
+    rise, wavelength = learned
+    if not rise:
+        return np.zeros(4, np.float32)
+    if not wavelength:
+        return np.array([0.0, *(WAVE_VARIANCES * rise**2)], np.float32)
+    block = wavelength / RIPPLE_BLOCKS
+    shortest = max(SHORTEST_RIPPLE * block, min(wavelength, SHORTEST_DAMPED))
+    phases = dispersion(2.0 * np.pi / np.array([LONGEST_RIPPLE * block, shortest])) / frame_rate
+    z = rise**2 / (2.0 * (1.0 - np.cos(np.minimum(phases, 0.5 * np.pi))))
+    return np.array([z[0], *(WAVE_VARIANCES * z[1] * phases[1] ** 2)], np.float32)
+
+
+RIPPLE_BLOCKS = 2.5  # wavelength that stands for all waves that blocks do not resolve
+
+
+def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
+    """Smooth epipolar error of the calibration in z; thickness of a light sheet; doubt of the beads' tilt.
+
+    A calibration errs along the sight lines about as much as across them, where it shows.
+    """
+    out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
+    out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
+    if geometry.settings.sheet_thickness is not None:  # its light is as wide as four standard deviations
+        out[0] = (0.25 * geometry.settings.sheet_thickness) ** 2
+    tilt = bead_tilt(estimate.mid_time.rise, geometry.grid.step, geometry.settings.bead_height)
+    out[1:3] = np.square(RELATIVE_HEIGHT_STD * tilt)
+    return out
+
+
+def bead_tilt(rise: Float, step: float, height: float) -> Float:
+    """Excess motion of beads per step along x and y, (2, ny, nx), by the rise (ny, nx), metres.
+    A point at a height h above the water along its normal moves by -h d(grad z)/dt more than the water.
+    """
+    along_y, along_x = np.gradient(rise, step)
+    return np.nan_to_num(-height * np.stack([along_x, along_y]))
+
+
+def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
+    """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN where nothing was learned."""
+    levelled = geometry.rig.provenance.get("levelled")
+    if geometry.settings.sheet_thickness is not None:
+        return 0.0  # that of z contains it
+    if isinstance(levelled, Mapping) and "camera_height_std_m" in levelled:
+        return float(levelled["camera_height_std_m"])
+    if isinstance(levelled, Mapping) and "rms_m" in levelled:
+        return float(levelled["rms_m"])
+    if geometry.settings.bead_height:
+        return geometry.settings.bead_height
+    if record is None:
+        return float("nan")
+    x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
+    widths = [width * pixel_at(geometry.rig[name], x, y) for name, width in record.beads]
+    # z is too high by the height of the beads unless the rig was levelled on still water, which includes it
+    return HEIGHT_PER_WIDTH * min(widths)

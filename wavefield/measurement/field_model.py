@@ -1,0 +1,186 @@
+"""What was learned of a record, laid out on the lattices of a geometry: the fields that are estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.matching import Modes, PosteriorVariance, Prior, Slopes
+from wavefield.matching.one_thread import one_thread
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.regrid import thin_plate
+from wavefield.variables import EXACT_SIX
+
+Float = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class LearnedRecord:
+    """Beads, spectra and noise of a record, from sample frames (`learn`).
+
+    Parameters
+    ----------
+    beads : tuple of (str, float)
+        Width of the beads' images per camera, raw px; 0 where a camera sees a texture.
+    elevation : Prior
+        Of z on the rectified lattice, metres.
+    displacement : tuple of (str, Prior)
+        Of each velocity camera's displacement from frame to frame, px of the binned image.
+    motion : tuple of (str, float)
+        Largest variance over the field of each camera's matched displacement in the sample steps, px^2.
+    path_frames : int
+        Of the paths of velocities and of the rate of rise, the kind with the smallest error: 4, 6 or 7
+        (`PATH_WEIGHTS`).
+    ripples : (float, float)
+        Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and their
+        wavelength, metres (`ripple_rise`); 0 without any.
+    """
+
+    beads: tuple[tuple[str, float], ...]
+    elevation: Prior
+    displacement: tuple[tuple[str, Prior], ...]
+    motion: tuple[tuple[str, float], ...] = ()
+    path_frames: int = EXACT_SIX
+    ripples: tuple[float, float] = (0.0, 0.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a recipe.
+
+        Returns
+        -------
+        dict
+        """
+        return {
+            "beads": dict(self.beads),
+            "elevation": self.elevation.to_dict(),
+            "displacement": {name: prior.to_dict() for name, prior in self.displacement},
+            "motion": dict(self.motion),
+            "path_frames": self.path_frames,
+            "ripples": list(self.ripples),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> LearnedRecord:
+        """Inverse of `to_dict`.
+
+        Parameters
+        ----------
+        data : mapping
+            As given by `to_dict`.
+
+        Returns
+        -------
+        LearnedRecord
+        """
+        rise, wavelength = map(float, data["ripples"])
+        return cls(
+            tuple((str(name), float(width)) for name, width in data["beads"].items()),
+            Prior.from_dict(data["elevation"]),
+            tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
+            tuple((str(name), float(variance)) for name, variance in data["motion"].items()),
+            int(data["path_frames"]),
+            (rise, wavelength),
+        )
+
+
+class FieldModel:
+    """A field that is estimated with a prior spectrum: cosines, variance and spline, computed on first use.
+    shape is that of its lattice of blocks; inner (ny, nx) are the blocks whose fit counts, all by default.
+    """
+
+    def __init__(
+        self,
+        prior: Prior,
+        shape: tuple[int, int],
+        smoothing: float = 0.0,
+        inner: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self.prior, self._shape, self._smoothing, self._inner = prior, shape, smoothing, inner
+
+    @cached_property
+    def modes(self) -> Modes:
+        """Cosines of the field."""
+        with one_thread():
+            return Modes(self.prior, self._shape, self._inner)
+
+    @cached_property
+    def spread(self) -> PosteriorVariance:
+        """Variance of the field."""
+        with one_thread():
+            return PosteriorVariance(self.prior, self._shape)
+
+    @cached_property
+    def _spline(self) -> tuple[Float, tuple[Float, Float]]:
+        """From the field's cosines to those of its spline, (my, mx), and its profiles at the edges."""
+        my, mx = self.modes.shape
+        gain = thin_plate(self._shape, self._smoothing)
+        return gain[:my, :mx], self.modes.edge.truncated_profiles((my, mx), (gain[:, 0], gain[0]))
+
+    def splined(self, waves: Float, slopes: Slopes) -> Float:
+        """Spline coefficients of the field, (ny, nx, c), from its cosines (c, my, mx)."""
+        gain, profiles = self._spline
+        out = self.modes.field(waves * gain) + self.modes.edge.field(slopes, profiles)
+        return np.ascontiguousarray(np.moveaxis(out, 0, -1), np.float32)
+
+
+def elevation_model(geometry: GridGeometry, prior: Prior) -> FieldModel:
+    """The elevation on the rectified lattice, metres."""
+    return FieldModel(prior, geometry.lattice.shape, geometry.settings.smoothing, _inner_blocks(geometry))
+
+
+def displacement_model(geometry: GridGeometry, camera: str, prior: Prior) -> FieldModel:
+    """The displacement of one camera, px of its binned image."""
+    return FieldModel(prior, geometry.sights[camera].lattice.shape)
+
+
+class Model:
+    """Elevation and displacements as a record's spectra, noise and transfer describe them.
+
+    Parameters
+    ----------
+    geometry : GridGeometry
+        Its lattices.
+    record : LearnedRecord
+        What sample frames gave (`learn`).
+
+    Attributes
+    ----------
+    record : LearnedRecord
+        As given.
+    elevation : FieldModel
+        Of z on the rectified lattice, metres.
+    displacement : dict of str to FieldModel
+        Of each velocity camera, px of its binned image.
+
+    Notes
+    -----
+    Pickles as its parameters; the copy is computed anew, once per process.
+    """
+
+    def __init__(self, geometry: GridGeometry, record: LearnedRecord) -> None:
+        self._geometry, self.record = geometry, record
+        self.elevation = elevation_model(geometry, record.elevation)
+        self.displacement = {
+            name: displacement_model(geometry, name, prior) for name, prior in record.displacement
+        }
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _cached, (self._geometry, self.record)
+
+
+def _inner_blocks(geometry: GridGeometry) -> NDArray[np.bool_]:
+    """(ny, nx): blocks well inside what the reference and a partner see of the water at rest."""
+    reference, *others = (geometry.views[name].visible_blocks for name in geometry.surface_cameras)
+    both = np.minimum(reference, np.max(others, axis=0)) > 0.99
+    return np.asarray(cv2.erode(both.view(np.uint8), np.ones((15, 15), np.uint8)) > 0)
+
+
+@lru_cache(maxsize=4)
+def _cached(geometry: GridGeometry, record: LearnedRecord) -> Model:
+    return Model(geometry, record)

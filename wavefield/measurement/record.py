@@ -1,0 +1,420 @@
+"""What sample frames show of a whole record, learned once before its first step.
+
+In order: width of the beads, first spectra, noise, second spectra, ripples and the kind of paths. The result
+is one frozen `LearnedRecord`, stored in the recipe, so that all steps are weighted alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from wavefield import matching
+from wavefield.images import made_even
+from wavefield.matching import Modes, Prior
+from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE
+from wavefield.matching.one_thread import one_thread
+from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
+from wavefield.measurement import elevation
+from wavefield.measurement.background import bead_width
+from wavefield.measurement.camera_displacements import displacements_at_nodes
+from wavefield.measurement.error_budget import best_path_frames, expected_waves, waves_of_flat_sheet
+from wavefield.measurement.field_model import (
+    FieldModel,
+    LearnedRecord,
+    displacement_model,
+    elevation_model,
+)
+from wavefield.measurement.flow import camera_flow, filled, map_displacement, motion_variance
+from wavefield.measurement.frame import usable
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.instant import Images, images_of
+from wavefield.measurement.map_elevation import combine, first_information, map_elevation
+from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
+from wavefield.measurement.ripples import SharedMotion, ripple_rise, shared_motion
+from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
+from wavefield.variables import EXACT_SIX, Quality
+
+Frames = Mapping[str, NDArray[Any] | None]
+Float = NDArray[np.floating]
+
+SAMPLES = 4  # steps of a record
+_ROUNDS = 2  # of noise and second spectra: the first noise is several times too small where waves are short
+_MIN_INFORMATION = 1e-3  # of a block, per square px: its own estimate is uncertain by 30 px
+_NOISE_FACTORS = 0.1, 10.0  # accepted range
+_FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
+_HALF_WITHIN = 0.6745  # standard deviations of a Gaussian; of half of a field, so that edges do not count
+_FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
+
+
+def sample_steps(count: int, number: int = 0) -> list[int]:
+    """Steps of a record from which its spectra and noise are learned.
+
+    Parameters
+    ----------
+    count : int
+        Steps of the record.
+    number : int, default 0
+        Which set: others where the first cannot be measured.
+
+    Returns
+    -------
+    list of int
+        At most four, evenly over the record.
+
+    Examples
+    --------
+    >>> sample_steps(100), sample_steps(100, 1), sample_steps(2)
+    ([12, 37, 62, 87], [20, 45, 70, 95], [0, 1])
+    """
+    requested = min(count, SAMPLES)
+    return [int((i + 0.5 + number / 3) * count / requested) % count for i in range(requested)]
+
+
+@one_thread()
+def learn(
+    steps: Sequence[tuple[Frames, Frames]],
+    geometry: GridGeometry,
+    masks: Sequence[tuple[Masks, Masks]] | None = None,
+    threads: int = 1,
+    frame_rate: float | None = None,
+) -> LearnedRecord | None:
+    """Learn a record's beads, spectra and noise from sample frames.
+
+    Parameters
+    ----------
+    steps : sequence of (mapping, mapping)
+        First and second frame of some steps (`sample_steps`), per camera; None where absent.
+    geometry : GridGeometry
+        Rig, grid and settings.
+    masks : sequence of (mapping, mapping), optional
+        True where pixels of these frames do not count, per camera; None where all do.
+    threads : int, default 1
+        Steps that are computed in parallel; the result does not depend on it.
+    frame_rate : float, optional
+        Frames per second, Hz; without it, paths are the exact ones through six frames.
+
+    Returns
+    -------
+    LearnedRecord or None
+        For a `Model`; None if none of the frames can be measured.
+
+    Notes
+    -----
+    The first spectrum is that of windowed fields over the windows' gain; then fields and spectra
+    follow from each other (`refined_prior`). The noise of the displacements is such that the median of the
+    cameras' misfit is that of chi^2.
+    """
+    with ThreadPoolExecutor(threads) as pool:
+        return _learned(steps, geometry, masks or [({}, {})] * len(steps), pool, frame_rate)
+
+
+def _learned(
+    steps: Sequence[tuple[Frames, Frames]],
+    geometry: GridGeometry,
+    masks: Sequence[tuple[Masks, Masks]],
+    pool: ThreadPoolExecutor,
+    frame_rate: float | None,
+) -> LearnedRecord | None:
+    sheet = geometry.settings.sheet_thickness is not None
+    # width of the beads; with it images are prepared and matched
+    beads = _bead_widths(steps, masks, geometry, pool)
+    samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
+    # first spectra
+    heights = [] if sheet else _elevation_samples(samples, geometry, pool)
+    moved = {name: _displacement_samples(name, samples, beads, geometry, pool) for name in geometry.sights}
+    moved = {name: fields for name, fields in moved.items() if fields and name in geometry.velocity_cameras}
+    if len(moved) < 2 or not (heights or sheet):
+        return None
+    z_prior = _elevation_prior(heights, geometry, pool) if heights else _FLAT
+    priors = {name: _first_spectrum(fields, geometry.settings.piv, pool) for name, fields in moved.items()}
+    some = next(iter(priors.values()))
+    priors = {name: priors.get(name, some) for name in geometry.velocity_cameras}
+    # noise, from the differences of the cameras, and second spectra with it
+    z_model = elevation_model(geometry, z_prior)
+    surfaces = list(pool.map(lambda one: _mean_elevation(one, geometry, z_model), samples))
+    for _ in range(_ROUNDS):
+        models = {name: displacement_model(geometry, name, prior) for name, prior in priors.items()}
+        each = pool.map(partial(_differences, geometry, models), samples, surfaces)
+        found = _Differences.typical([one for one in each if one is not None])
+        for name, prior in priors.items():
+            noise = float(np.clip(prior.noise * found.noise, *_NOISE_FACTORS))
+            prior = replace(prior, noise=noise, wave_fraction=found.waves)
+            priors[name] = (
+                _refined(moved[name], prior, OPEN_SIGNAL_TO_NOISE, pool) if name in moved else prior
+            )
+    priors = _with_pooled_fraction(priors)
+    # paths with the smallest error, and ripples
+    path_frames = EXACT_SIX
+    if frame_rate is not None:
+        waves = waves_of_flat_sheet() if sheet else expected_waves(z_prior, geometry.pixel, frame_rate)
+        path_frames = best_path_frames(waves, found.noise_variance)
+    motion = {
+        name: max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements)
+        for name in moved
+    }
+    return LearnedRecord(
+        tuple(beads.items()),
+        z_prior,
+        tuple(priors.items()),
+        tuple(motion.items()),
+        path_frames,
+        ripple_rise(found.shared),
+    )
+
+
+def _with_pooled_fraction(priors: Mapping[str, Prior]) -> dict[str, Prior]:
+    """Priors of cameras that see the same waves: what they contain of undetected ones is that of all."""
+    fraction = float(np.mean([prior.undetected_fraction for prior in priors.values()]))
+    return {name: replace(prior, undetected_fraction=fraction) for name, prior in priors.items()}
+
+
+@dataclass(frozen=True)
+class _SampleStep:
+    """One step with what matching finds, whatever the prior."""
+
+    first: Images
+    second: Images
+    pairs: elevation.MatchedPairs | None  # at the first frame
+    displacements: Mapping[str, matching.Displacement]
+
+    @classmethod
+    def match(
+        cls,
+        geometry: GridGeometry,
+        beads: Mapping[str, float],
+        frames: tuple[Frames, Frames],
+        masks: tuple[Masks, Masks],
+    ) -> _SampleStep:
+        """Prepare and match the images of a step."""
+        first, second = (images_of(*one) for one in zip(frames, [geometry] * 2, [beads] * 2, masks))
+        found = {
+            name: matching.match(first.raw[name], second.raw[name], geometry.settings.piv)
+            for name in first.raw
+            if name in second.raw
+        }
+        return cls(first, second, elevation.match_pairs(first.flat, geometry), found)
+
+
+def _bead_widths(
+    steps: Sequence[tuple[Frames, Frames]],
+    masks: Sequence[tuple[Masks, Masks]],
+    geometry: GridGeometry,
+    pool: ThreadPoolExecutor,
+) -> dict[str, float]:
+    """Median width of every camera's beads, raw px."""
+    out = {}
+    for name in geometry.cameras:
+        images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
+        even = [
+            image if mask is None else made_even(image, mask)
+            for image, mask in images
+            if image is not None and usable(image, geometry.rig[name].size)
+        ]
+        widths = list(pool.map(bead_width, even))
+        out[name] = float(np.median(widths)) if widths else 0.0
+    return out
+
+
+@dataclass(frozen=True)
+class _FieldSample:
+    """One field of a sample step, as windows give it, and how a prior makes it.
+
+    `information` and the coefficients are as if no block were masked: below a mask the water is assumed to be
+    as rough and as visible.
+    """
+
+    field: Float  # (c, ny, nx), without holes
+    information: float  # mean of a block
+    area: float  # that a block's value represents, px^2 (`Prior`)
+    bare: float  # fraction of the blocks that is not masked
+    estimate: Callable[[Modes], tuple[Float, float]]  # coefficients of the MAP field, and its information
+    # The same of a field of noise alone, where the cameras show one
+    noise: Callable[[Modes], tuple[Float, float]] | None = None
+    # Information along the sight lines, variance of z, and of the smooth epipolar error, m^2
+    summary: Callable[[Modes], tuple[float, float, float]] | None = None
+
+
+def _elevation_samples(
+    steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor
+) -> list[_FieldSample]:
+    """The elevation of the samples' first frames, where they show one."""
+
+    def sample_of(step: _SampleStep) -> _FieldSample | None:
+        if step.pairs is None:
+            return None
+        blocks, matches = step.pairs
+        flat, pixel = step.first.flat, geometry.pixel
+        bare = bare_of_pairs(step.first.covered, geometry)
+        turned = [one.turned for one in matches]  # across the sight lines: no wave moves anything there
+
+        def estimate(modes: Modes) -> tuple[Float, float]:
+            # with noise from the scores along: with that across, an excess along would count as waves
+            found = map_elevation(blocks, matches, flat, modes, pixel, noise_across=False)
+            return (found.waves - found.mean) / np.sqrt(bare), float(found.information.mean()) / bare
+
+        def noise(modes: Modes) -> tuple[Float, float]:
+            found = map_elevation(combine(turned), turned, flat, modes, pixel, noise_across=False)
+            return (found.waves - found.mean) / np.sqrt(bare), float(found.information.mean()) / bare
+
+        def summary(modes: Modes) -> tuple[float, float, float]:
+            found = map_elevation(blocks, matches, flat, modes, pixel)
+            z = modes.field(found.waves - found.mean)[0][found.information > 0]
+            std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
+            return float(found.information.mean()) / bare, std**2, found.epipolar**2
+
+        information = first_information(blocks, matches, pixel, _FREEDOM) / bare
+        return _FieldSample(blocks.filled, information, FOOTPRINT_VARIANCE, bare, estimate, noise, summary)
+
+    least = _MIN_INFORMATION / geometry.pixel**2
+    return [one for one in pool.map(sample_of, steps) if one is not None and one.information > least]
+
+
+def _displacement_samples(
+    name: str,
+    steps: Sequence[_SampleStep],
+    beads: Mapping[str, float],
+    geometry: GridGeometry,
+    pool: ThreadPoolExecutor,
+) -> list[_FieldSample]:
+    """The displacement of one camera in the sample steps, where they show one."""
+    area = matching.displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
+
+    def sample_of(step: _SampleStep) -> _FieldSample:
+        match, images = step.displacements[name], (step.first.raw[name], step.second.raw[name])
+        bare = bare_of_camera([step.first.covered.get(name), step.second.covered.get(name)])
+
+        def estimate(modes: Modes) -> tuple[Float, float]:
+            found = map_displacement(match, *images, modes)
+            return (found.waves - found.mean) / np.sqrt(bare), float(found.information.mean()) / bare
+
+        counts = match.valid.astype(np.float32)
+        trace = match.hessian[0] + match.hessian[2]
+        nu = matching.noise_of_scores(match.score, trace, counts, _FREEDOM, with_mismatches=True)
+        information = 0.5 * float((trace * counts / nu).mean()) / bare
+        return _FieldSample(filled(match), information, area, bare, estimate)
+
+    with_displacement = [step for step in steps if name in step.displacements]
+    return [one for one in pool.map(sample_of, with_displacement) if one.information > _MIN_INFORMATION]
+
+
+def _first_spectrum(
+    samples: Sequence[_FieldSample], settings: matching.MatchSettings, pool: ThreadPoolExecutor
+) -> Prior:
+    """Prior of fields of one kind: from windowed fields over the windows' gain, then refined twice."""
+    kx, ky = (np.pi * np.arange(n) / n for n in samples[0].field.shape[:-3:-1])
+    window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
+    fields = [one.field - matching.edge_slopes(one.field) for one in samples]
+    typical = float(np.mean([one.information for one in samples]))
+    prior = matching.first_prior(fields, window, typical, samples[0].area)
+    for ratio in (FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE):
+        prior = _refined(samples, prior, ratio, pool)
+    return prior
+
+
+def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
+    """The spectrum of the fields that a prior gives with at least this signal to noise in every mode."""
+    prior = prior.with_min_signal_to_noise(ratio)
+    modes = Modes(prior, samples[0].field.shape[-2:])
+    waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
+    noise = pool.map(lambda one: one.noise(modes), [one for one in samples if one.noise])
+    alone = [(field, own) for field, own in noise if own > 0]
+    return matching.refined_prior(prior, modes, waves, float(np.mean(information)), alone)
+
+
+def _elevation_prior(
+    samples: Sequence[_FieldSample], geometry: GridGeometry, pool: ThreadPoolExecutor
+) -> Prior:
+    """The prior of the elevation with its information along the sight lines, and how much of it is waves."""
+    prior = _first_spectrum(samples, geometry.settings.stereo, pool)
+    modes = Modes(prior, samples[0].field.shape[-2:])
+    each = list(pool.map(lambda one: one.summary(modes), samples))
+    information, variance, epipolar = np.mean(each, axis=0)
+    prior = replace(prior, information=float(information))
+    waves, noise = (float(part[0]) for part in prior.variances(modes.lattice))
+    return replace(prior, wave_fraction=matching.shrinkage(variance, noise + epipolar, waves))
+
+
+def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
+    """Elevation at the nodes, mean of the two frames of a step, (ny, nx), metres."""
+    if step.pairs is None:
+        first = elevation.surface(step.first.flat, geometry, model)
+    else:
+        first = elevation.surface_of(*step.pairs, step.first.flat, geometry, model)
+    second = elevation.surface(step.second.flat, geometry, model)
+    if first is None or second is None:
+        return None
+    return np.asarray(np.float32(0.5) * (first.z + second.z))
+
+
+@dataclass(frozen=True)
+class _Differences:
+    """What the differences between cameras show in one step, or in several."""
+
+    noise: float = 1.0  # over the priors'
+    waves: float = 1.0  # fraction of the displacements' spectra that all cameras share
+    noise_variance: float = 0.0  # of dx, dy and dz of the water together, m^2
+    shared: tuple[SharedMotion, ...] = ()  # by blocks of two cameras
+
+    @classmethod
+    def typical(cls, steps: Sequence[_Differences]) -> _Differences:
+        """Medians over several steps."""
+        if not steps:
+            return cls()
+        numbers = [(one.noise, one.waves, one.noise_variance) for one in steps]
+        noise, waves, variance = map(float, np.median(numbers, axis=0))
+        return cls(noise, waves, variance, tuple(part for one in steps for part in one.shared))
+
+
+def _differences(
+    geometry: GridGeometry, models: Mapping[str, FieldModel], step: _SampleStep, z: Float | None
+) -> _Differences | None:
+    """Differences between the cameras in one step, on the surface z (ny, nx), metres."""
+    if z is None:
+        return None
+    found = {
+        name: map_displacement(one, step.first.raw[name], step.second.raw[name], models[name].modes)
+        for name, one in step.displacements.items()
+    }
+    flows = {name: camera_flow(one, models[name]) for name, one in found.items()}
+    path = (None, flows, None)
+    motion = velocity(path, z, geometry, EXACT_SIX)
+    if motion is None:
+        return None
+    names = [name for name in flows if name != motion.left_out]
+    displacements = displacements_at_nodes(names, path, z, geometry, EXACT_SIX)
+    good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
+    for where in motion.regions.values():
+        good &= ~where
+    good &= np.isfinite(displacements.moved).all(axis=0)
+    if not good.any():
+        return None
+    # a camera that shakes moves its whole image: that is not noise from block to block
+    fitted = np.einsum("riyx,iyx->ryx", displacements.jacobian, motion.d)
+    rest = np.median((displacements.moved - fitted)[:, good], axis=1)
+    steady = replace(displacements, moved=displacements.moved - rest[:, None, None].astype(np.float32))
+    parts = component_variances(geometry.settings)
+    solved = solve_motion(steady, parts)
+    freedom = 2 * len(names) - 3
+    noise = float(np.median(solved.misfit[good])) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
+    # of the spectra only what the cameras share is waves: their noise is smaller in their mean
+    noise_variance = noise * float(solved.noise[:, good].mean(axis=1, dtype=np.float64).sum())
+    each = image_variance(displacements, parts)[:, good].mean(axis=1)
+    waves = [
+        models[name].prior.variances(models[name].modes.lattice)[0].mean() / one
+        for name, one in zip(names, each, strict=True)
+    ]
+    variance = float(np.var(solved.d[:, good], axis=1, dtype=np.float64).sum())
+    fraction = matching.shrinkage(variance, noise_variance, float(np.mean(waves) * parts.sum()))
+    shared: tuple[SharedMotion, ...] = ()
+    if geometry.settings.sheet_thickness is None:
+        missing = {name: one.missing for name, one in flows.items()}
+        shared = shared_motion(found, missing, z, geometry)
+    return _Differences(noise, fraction, noise_variance, shared)
