@@ -26,6 +26,7 @@ from wavefield.series.readers import close_files
 from wavefield.tank import paper_rig
 from wavefield.variables import FrameFault
 
+pytestmark = pytest.mark.slow
 LONGEST = 10  # s of this process, however busy the machine
 
 
