@@ -8,8 +8,7 @@ import xarray as xr
 
 from wavefield.explorer.map import arrows
 from wavefield.explorer.node import spectrum
-from wavefield.figures.display import limit
-from wavefield.figures.quality_kinds import KINDS, quality_kind
+from wavefield.figures.display import KINDS, limit, quality_kind
 
 STEP = 2
 

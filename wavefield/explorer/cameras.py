@@ -14,7 +14,7 @@ from wavefield.explorer import parts
 from wavefield.explorer.masks import outlines_of
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import LookSession, nearest
-from wavefield.figures.quality_kinds import KINDS, quality_kind
+from wavefield.figures.display import KINDS, quality_kind
 from wavefield.rig import Camera
 
 FRAMES = ("first frame", "second frame")  # of a step

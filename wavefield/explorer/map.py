@@ -25,8 +25,7 @@ from wavefield.explorer import parts
 from wavefield.explorer.parts import asset, number
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import CubeRecord
-from wavefield.figures.display import display, limit
-from wavefield.figures.quality_kinds import KINDS, drawn_kind
+from wavefield.figures.display import KINDS, display, drawn_kind, limit
 
 Field = NDArray[np.floating]
 _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")

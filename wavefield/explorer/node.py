@@ -12,8 +12,7 @@ from wavefield.explorer import parts
 from wavefield.explorer.parts import number
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import CubeRecord, nearest
-from wavefield.figures.display import display
-from wavefield.figures.quality_kinds import KINDS, quality_kind
+from wavefield.figures.display import KINDS, display, quality_kind
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -32,7 +32,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from wavefield.explorer.place import Place
-from wavefield.figures.quality_kinds import KINDS
+from wavefield.figures.display import KINDS
 from wavefield.variables import TABLE
 
 INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"

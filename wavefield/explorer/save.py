@@ -15,8 +15,7 @@ from wavefield.explorer.map import arrows, top_speed
 from wavefield.explorer.parts import words_of
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import CubeRecord, nearest
-from wavefield.figures.display import display
-from wavefield.figures.quality_kinds import KINDS, drawn_kind
+from wavefield.figures.display import KINDS, display, drawn_kind
 
 if TYPE_CHECKING:
     import xarray as xr

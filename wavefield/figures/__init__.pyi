@@ -1,12 +1,5 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
-from wavefield.figures.crest_figures import crest_curves, flatness_curves
-from wavefield.figures.distribution_figures import (
-    distributions,
-    error_distributions,
-    error_maps,
-    rest_distributions,
-)
-from wavefield.figures.kinematics_figures import (
+from wavefield.figures.kinematics import (
     balance_history,
     coherence_curves,
     kinematics_maps,
@@ -15,27 +8,33 @@ from wavefield.figures.kinematics_figures import (
     plane_coherence_maps,
     vorticity_map,
 )
-from wavefield.figures.nonlinear import bicoherence_map
-from wavefield.figures.quality import (
+from wavefield.figures.measurement import (
     coverage_map,
+    distributions,
+    error_distributions,
+    error_maps,
     fault_history,
     misfit_distributions,
     misfit_maps,
     quality_shares,
+    rest_distributions,
     uncertainty_maps,
 )
-from wavefield.figures.rig_figures import camera_frames, method_diagram, rig_views
-from wavefield.figures.spectra_figures import (
+from wavefield.figures.rig import camera_frames, method_diagram, rig_views
+from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
+from wavefield.figures.waves import (
+    bicoherence_map,
+    crest_curves,
     directions,
     dispersion_ridge,
     elevation_spectra,
+    flatness_curves,
     komega_map,
     noise_spectra,
     probe_series,
     wavenumber_spectra,
     wavevector_map,
 )
-from wavefield.figures.surface_figures import elevation_map, surface_3d, velocity_map
 
 __all__ = [
     "balance_history",

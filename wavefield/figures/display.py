@@ -1,11 +1,12 @@
-"""How a variable is displayed: its unit, its colour map and the ends of its colour scale."""
+"""How a variable is displayed: unit, colours, ends of its scale; the quality of a node in words."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wavefield.variables import TABLE
+from wavefield.variables import TABLE, Quality
 
 SIGNED, POSITIVE = "RdBu_r", "cividis"  # colour maps that keep their order for colour-blind readers
 BALANCE = ("z", "z_t", "u", "v", "w")  # the variables of the kinematic condition
@@ -79,3 +80,31 @@ def display(name: str) -> Display:
     if units == "m" and name != "z":  # uncertainties and mismatches are small
         return Display(name, 1000.0, "mm")
     return Display(name, *_UNITS[units])
+
+
+# one kind for each node, the first that applies: bit of `quality`, in words, colour (of Okabe and Ito's)
+KINDS: tuple[tuple[str, str, str], ...] = (
+    ("OUTSIDE", "outside the view", "#d9d9d9"),
+    ("MASKED", "masked", "#000000"),
+    ("REJECTED_RANGE", "rejected: beyond the range", "#009E73"),
+    ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
+    ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
+    ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
+    ("FILLED", "filled", "#56B4E9"),
+    ("FEWER_CAMERAS", "measured without a camera", "#F0E442"),
+    ("MEASURED", "measured", "#0072B2"),
+)
+
+
+def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
+    """Index into `KINDS` of each node, by the gravest of its bits; their number where none is set."""
+    out = np.full(np.shape(quality), len(KINDS), np.uint8)
+    for index in range(len(KINDS) - 1, -1, -1):
+        out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
+    return out
+
+
+def drawn_kind(quality: NDArray[Any]) -> NDArray[np.float32]:
+    """The same for pictures: NaN where nothing applies."""
+    kinds = quality_kind(quality)
+    return np.where(kinds < len(KINDS), kinds, np.nan).astype(np.float32)

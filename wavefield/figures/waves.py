@@ -1,10 +1,13 @@
-"""Spectra of a wave store (`wavefield analyze`): in wavenumber and frequency, and in frequency alone."""
+"""Spectra, dispersion, directions, probes, coherences of three and four waves, crests, increments."""
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import LogNorm
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
+from wavefield.figures.display import POSITIVE
 from wavefield.figures.style import (
     CYCLES,
     HERTZ,
@@ -317,4 +320,93 @@ def probe_series(compared: xr.Dataset) -> Figure:
         ax.get_legend().remove()
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False, fontsize=9)
+    return figure
+
+
+def _draw_above(
+    ax: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, level: np.ndarray | float, label: str
+) -> None:
+    """Draw a coherence (y, x) where it is above its level of chance, grey elsewhere."""
+    ax.set_facecolor("0.92")
+    above = np.where(values > level, values, np.nan)
+    draw_cells(ax, x, y, above, label, norm=Normalize(0, 1), cmap=POSITIVE, extend="neither")
+
+
+def bicoherence_map(higher_order: xr.Dataset) -> Figure:
+    """Bicoherence above the level of chance.
+
+    Parameters
+    ----------
+    higher_order : Dataset
+        Group ``/higher_order`` of a wave store.
+
+    Returns
+    -------
+    Figure
+    """
+    names = [name for name in ("bicoherence", "tricoherence") if name in higher_order]
+    figure, axes = panels(len(names))
+    first, second = (higher_order[d].values / (2 * np.pi) for d in ("omega1", "omega2"))
+    for ax, name in zip(axes[0], names, strict=True):
+        values = higher_order[name].transpose("omega1", "omega2").values
+        level = np.asarray(higher_order[f"{name}_level"].values, float)
+        _draw_above(ax, second, first, values, level, f"{name} (1)")
+        ax.set(xlabel="ω₂ / 2π (Hz)", ylabel="ω₁ / 2π (Hz)", title=f"{name}, grey: chance", aspect="equal")
+    return figure
+
+
+def crest_curves(crests: xr.Dataset) -> Figure:
+    """Fraction of crests and troughs that exceed a level, with the laws of Rayleigh and of Tayfun.
+
+    Parameters
+    ----------
+    crests : Dataset
+        The result of `wavefield.crest_statistics`.
+
+    Returns
+    -------
+    Figure
+    """
+    figure, [[ax]] = panels(1, width=5.6)
+    level = crests.level.values
+    for style, name in zip(LINES[1:], ("crest", "trough"), strict=False):
+        part, std = crests[f"{name}_exceedance"].values, crests[f"{name}_exceedance_std"].values
+        some = part > 0
+        ax.semilogy(level[some], part[some], label=f"{name}s", **style)
+        low = np.maximum(part - 2 * std, part / 20)
+        ax.fill_between(level[some], low[some], (part + 2 * std)[some], color=style["color"], alpha=0.2)
+    for dash, name in (("--", "rayleigh"), (":", "tayfun")):
+        ax.semilogy(level, crests[name].values, color="0.35", linestyle=dash, label=name.capitalize())
+    smallest = 0.3 / max(float(crests.waves), 10.0)
+    finish(ax, "level (standard deviations)", "fraction beyond it", ylim=(smallest, 1.5))
+    return figure
+
+
+def flatness_curves(structure: xr.Dataset) -> Figure:
+    """Second-order structure functions and flatness of increments, over the lag in time and space.
+
+    Parameters
+    ----------
+    structure : Dataset
+        The result of `wavefield.structure_functions`.
+
+    Returns
+    -------
+    Figure
+    """
+    figure, axes = panels(2, rows=2, height=3.4)
+    for column, (unit, names) in enumerate((("s", ("time",)), ("m", ("x", "y")))):
+        above, below = axes[0, column], axes[1, column]
+        for style, name in zip(LINES[1:], names):
+            lag = structure[f"lag_{name}"].values
+            second = structure[f"structure_{name}"].sel(order=2).values
+            above.loglog(lag, second, label=f"along {name}", **style)
+            flat, std = structure[f"flatness_{name}"].values, structure[f"flatness_{name}_std"].values
+            below.semilogx(lag, flat, label=f"along {name}", **style)
+            below.fill_between(lag, flat - 2 * std, flat + 2 * std, color=style["color"], alpha=0.2)
+        below.axhline(3, color="0.35", linestyle="--", label="Gaussian field")
+        for ax in (above, below):
+            ax.xaxis.set_minor_formatter(NullFormatter())
+        finish(above, "", "S₂, the mean squared increment")
+        finish(below, f"lag ({unit})", "flatness S₄ / S₂²")
     return figure
