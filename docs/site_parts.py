@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 TASKS = {
     "Describe an experiment": ("series.", "grid", "measurement.", "execution."),
     "Calibrate the cameras": ("calibration.", "rig."),
-    "Plan and simulate": ("tank.", "pipeline.plan", "pipeline.forecast"),
+    "Plan and simulate": ("tank.", "pipeline.forecast"),
     "Measure": ("pipeline.lazy", "pipeline.running", "pipeline.catalog", "matching.", "store.ledger"),
     "Open, check and export": ("pipeline.opened_run", "store.", "waves.estimation."),
     "Spectra": ("waves.spectra.", "waves.wave_analysis", "pipeline.analysis"),

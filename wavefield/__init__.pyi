@@ -14,7 +14,6 @@ from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.forecast import check
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
-from wavefield.pipeline.plan import plan
 from wavefield.pipeline.running import run
 from wavefield.pipeline.uncertainty_terms import uncertainty_terms
 from wavefield.reports.paper import paper
@@ -30,6 +29,7 @@ from wavefield.store.ledger import status
 from wavefield.store.read import open_cube
 from wavefield.store.verify import verify
 from wavefield.store.wave_store import open_waves
+from wavefield.tank.plan import plan
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate
 from wavefield.waves.dispersion_relation.direction import directions

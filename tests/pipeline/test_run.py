@@ -19,7 +19,7 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, RigError, RunStopped, StoreError
 from wavefield.execution.lock import Lock
 from wavefield.measurement import sample_steps
-from wavefield.pipeline import Workflow, chunk_worker, open_cube, run, status
+from wavefield.pipeline import Workflow, chunk, open_cube, run, status
 from wavefield.store import write_cube
 from wavefield.store.layout import PACKING, in_16_bits
 from wavefield.store.read import open_stored
@@ -44,8 +44,8 @@ def measured(monkeypatch):
         starts.append(chunk.start)
         return real(chunk, geometry, frame_rate, model)
 
-    real = chunk_worker.measure_chunk
-    monkeypatch.setattr(chunk_worker, "measure_chunk", counting)
+    real = chunk.measure_chunk
+    monkeypatch.setattr(chunk, "measure_chunk", counting)
     return starts
 
 
@@ -172,7 +172,7 @@ def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
         signal.raise_signal(signal.SIGALRM)
 
     left = []
-    monkeypatch.setattr(chunk_worker, "measure_chunk", alarm_rings)
+    monkeypatch.setattr(chunk, "measure_chunk", alarm_rings)
     with pytest.raises(RunStopped, match="stopped by its time limit after 0 of"):
         run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(4, time_limit="1h"))
     assert 0 < left[0] <= 3600
@@ -419,9 +419,9 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
             raise ZeroDivisionError("deep inside")
         return real(chunk, geometry, frame_rate, model)
 
-    real = chunk_worker.measure_chunk
+    real = chunk.measure_chunk
     with monkeypatch.context() as patch:
-        patch.setattr(chunk_worker, "measure_chunk", breaking)
+        patch.setattr(chunk, "measure_chunk", breaking)
         with pytest.raises(
             StoreError, match=r"1 of 4 chunks failed, the first \(steps 4 to 7\) with ZeroDivisionError"
         ):
@@ -439,7 +439,7 @@ def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
         calls.append(chunk.start)
         raise ZeroDivisionError("always")
 
-    monkeypatch.setattr(chunk_worker, "measure_chunk", breaking)
+    monkeypatch.setattr(chunk, "measure_chunk", breaking)
     with pytest.raises(StoreError, match="always"):
         run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(1))
     assert len(calls) == 3

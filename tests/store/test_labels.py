@@ -10,7 +10,7 @@ from cube_cases import HERE, different
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
-from wavefield.pipeline import chunk_worker, open_cube, open_run, run
+from wavefield.pipeline import chunk, open_cube, open_run, run
 from wavefield.store.preview import open_preview, read_steps, thinning
 from wavefield.store.read import open_group
 from wavefield.store.relabel import RATES
@@ -26,7 +26,7 @@ def cube(own_tank, reference, monkeypatch):
     def never(*_):
         raise AssertionError("a step was measured again")
 
-    monkeypatch.setattr(chunk_worker, "measure_chunk", never)
+    monkeypatch.setattr(chunk, "measure_chunk", never)
     return own_tank.parent / "cube.zarr"
 
 

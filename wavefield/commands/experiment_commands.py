@@ -89,6 +89,7 @@ def run(
     """
     from wavefield import pipeline
     from wavefield.execution.process import keep_memory
+    from wavefield.pipeline.running import ASSESSING
 
     keep_memory()  # where it measures in this very process
     if output is None and is_store(source.path):
@@ -110,9 +111,13 @@ def run(
             )
         else:
             measured, output = _trial(path, frames, output) if frames else (path, output)
+            assessing = progress.stage_of(f"Assessing {path}")
 
             def report(done: int, total: int, sentence: str) -> None:
-                progress(done, total)
+                if sentence == ASSESSING:
+                    assessing(0, 0)
+                elif sentence != "done":
+                    progress(done, total)
 
             states = [pipeline.run(measured, output, progress=report, **how)]
     if as_json:

@@ -51,6 +51,8 @@ class Progress:
 
     def __call__(self, done: int, total: int) -> None:
         """Print how far the work is."""
+        if not total:  # a stage of one part
+            return
         now = time.monotonic()
         self.done, self.total = int(done), int(total)
         if self.first is None:  # steps that a resumed run found done have no part in its speed

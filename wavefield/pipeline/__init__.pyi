@@ -5,7 +5,6 @@ from wavefield.pipeline.catalog import catalog_add, is_catalog, run_catalog
 from wavefield.pipeline.forecast import Check, check
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
-from wavefield.pipeline.plan import plan
 from wavefield.pipeline.running import run
 from wavefield.store.export import export
 from wavefield.store.ledger import Status, status
@@ -23,7 +22,6 @@ __all__ = [
     "is_catalog",
     "open_cube",
     "open_run",
-    "plan",
     "reconstruct",
     "run",
     "run_catalog",

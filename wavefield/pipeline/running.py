@@ -21,8 +21,7 @@ from wavefield.execution.lock import Lock
 from wavefield.execution.process import deferred_signals, stop_signals, stopped_by
 from wavefield.execution.run_log import jobs_folder, log_file, log_path
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.chunk import Chunk, make_chunk, read_frame
-from wavefield.pipeline.chunk_worker import Work
+from wavefield.pipeline.chunk import Chunk, Work, make_chunk, read_frame
 from wavefield.pipeline.experiment_of_cube import check_images, fingerprints, labels
 from wavefield.pipeline.learning import learn_record, once_per_cube
 from wavefield.pipeline.magnitudes import refuse_small_fields
@@ -49,7 +48,8 @@ log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
 MapFunction = Callable[[Work, Sequence[Chunk]], Generator[tuple[Chunk, Any]]]
 
-MEASURING = ("wavefield.measurement.measure", "wavefield.pipeline.chunk_worker")  # what workers import ahead
+MEASURING = ("wavefield.measurement.measure", "wavefield.pipeline.chunk")  # what workers import ahead
+ASSESSING = "assessing the cube"  # the last stage of a run
 _MAX_MESSAGES = 30  # bad frames that the log names
 _ENOUGH_FAILURES = 3  # chunks that fail before any succeeds: something is wrong with all of them
 
@@ -158,6 +158,7 @@ def process(
             tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
             if todo:
                 _work_off(prepared, lock, todo, map_unordered, tracker)
+                tracker.report(ASSESSING)
             tracker.report("done")
         except KeyboardInterrupt as stop:
             raise RunStopped(

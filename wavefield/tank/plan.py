@@ -13,7 +13,7 @@ from wavefield.rig.resolution import pixel_size
 from wavefield.variables import AROUND, Quality
 
 if TYPE_CHECKING:
-    from wavefield.tank import Scene
+    from wavefield.tank.scene import Scene
 
 _EDGE = 0.04  # m inside the edge of the grid, where errors are counted
 
@@ -58,7 +58,8 @@ def plan(
     >>> found.error.sel(quantity="z")  # doctest: +SKIP
     """
     from wavefield.measurement import GridGeometry, measure
-    from wavefield.tank import Scene, Tank
+    from wavefield.tank.scene import Scene
+    from wavefield.tank.tank import Tank
 
     with TemporaryDirectory() as folder:
         if isinstance(rig, Rig):
