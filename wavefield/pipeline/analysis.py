@@ -1,4 +1,4 @@
-"""The waves of a cube on workers: the analysis of one process, its sums taken elsewhere."""
+"""Waves of a cube computed on workers: as in one process, with the sums over segments taken by workers."""
 
 import pickle
 import tempfile
@@ -25,7 +25,7 @@ _WORKER_IMPORTS = ("wavefield.pipeline.analysis", "wavefield.waves.wave_analysis
 def analyze_on_workers(
     cube: str | Path, out: str | Path, workflow: str | Path | Workflow, **options: Any
 ) -> "xr.DataTree":
-    """Compute the waves of a cube on the workers of a workflow: bit for bit as `wavefield.analyze` does.
+    """Compute the waves of a cube on the workers of a workflow, bit for bit as `wavefield.analyze` does.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def analyze_on_workers(
 
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
-    """Do the work for an item in a file and write the result to one: both are too large for messages."""
+    """Do the work for an item in a file and write the result to a file: both are too large for messages."""
     return _dump(work(_load(numbered[1])), folder)
 
 
@@ -119,7 +119,7 @@ def _not_shared(folder: Path) -> ExperimentError:
 def _in_order(
     map_unordered: MapUnordered, folder: Path, work: Callable[[Any], object], items: Sequence[object]
 ) -> Iterator[Any]:
-    """Yield results in the order of their items: what is done too early waits on the disk."""
+    """Yield results in the order of their items; those that come early wait on the disk."""
     waiting: dict[int, Path] = {}
     requested = 0
     if not items:

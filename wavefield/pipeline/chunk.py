@@ -1,4 +1,4 @@
-"""Measuring one chunk of steps: frames in, arrays and faults out.
+"""Measure one chunk of steps: frames in, arrays and faults out; and write it.
 
 A chunk of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
 mid-time; and one before these, with which the first of them is compared. Chunks do not depend on each other:
@@ -32,11 +32,11 @@ class Source(Protocol):
         ...
 
     def covered(self, index: int) -> np.ndarray | None:
-        """What is masked in a frame, True there; None if nothing is."""
+        """Mask of a frame, True where masked; None without one."""
         ...
 
     def place(self, index: int) -> str:
-        """Which frame this is, for a message."""
+        """Name of a frame for a message."""
         ...
 
     def window(self, start: int, stop: int) -> "Source":
@@ -70,7 +70,7 @@ class Measured:
     frame_status: np.ndarray  # (n,): See `wavefield.variables.FrameStatus`
     faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the whole series
     messages: list[str]  # A sentence about each of them
-    # (3,): By how much each camera was turned back in each frame, by index in the whole series
+    # (3,): Rotation by which each camera was corrected in each frame, by index in the whole series
     # (`wavefield.quality.stabilized`); empty without `vibration: correct`
     shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
@@ -87,14 +87,14 @@ def make_chunk(
 
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
-    """Read a frame; one that equals the frame before it in every pixel is no measurement of its moment.
-    The image of the frame before it is read unless it is given.
+    """Read a frame; one that equals the frame before it in every pixel is marked as repeated.
+    The image before it is read unless it is given.
     """
     frame = source.read(index)
     if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before
         if before is not None and np.array_equal(frame.image, before):
-            words = "is, bit for bit, the frame before it, and counts as missing"
+            words = "is identical to the frame before it, and counts as missing"
             return Frame(frame.image, FrameFault.REPEATED, f"{source.place(index)} {words}")
     return frame
 
@@ -137,7 +137,7 @@ class ChunkFrames(Sequence[np.ndarray | None]):
 
 
 class ChunkMasks(Sequence[np.ndarray | None]):
-    """What is masked in the n + 5 frames of one camera."""
+    """Masks of the n + 5 frames of one camera."""
 
     def __init__(self, source: Source, chunk: Chunk) -> None:
         self._source, self._chunk = source, chunk
@@ -182,7 +182,7 @@ def measure_chunk(
 def _find_dim_frames(
     frames: Mapping[str, ChunkFrames], status: np.ndarray, chunk: Chunk, geometry: "GridGeometry"
 ) -> None:
-    """Name the frames that the measurement found to show next to nothing, though they are not quite blank."""
+    """Mark nearly blank frames of steps that were not fully measured."""
     from wavefield.measurement.frame import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
@@ -193,7 +193,7 @@ def _find_dim_frames(
                 image = lazy[position]
                 if image is not None and not usable(image, geometry.rig[name].size):
                     lazy.faults[index] = FrameFault.BLANK
-                    lazy.messages[index] = f"{name} frame at index {index} shows next to nothing"
+                    lazy.messages[index] = f"{name} frame at index {index} is nearly blank"
 
 
 def _find_ranges(
@@ -203,7 +203,7 @@ def _find_ranges(
     chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
-    """Mark the frames from which the water went further than is searched; their steps have faults."""
+    """Mark frames after which the water left the range that is searched; their steps have faults."""
     from wavefield.measurement.search_limits import at_border, few_measured, moved_beyond, rose_beyond
 
     def mark(name: str, step: int, words: str) -> None:
@@ -230,7 +230,7 @@ def _find_ranges(
 
 @dataclass(frozen=True)
 class Report:
-    """What a worker reports of a chunk that it has written."""
+    """Summary of a chunk that was written, which a worker returns."""
 
     start: int  # Range of steps
     stop: int
@@ -240,7 +240,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Work:
-    """Measures one chunk and writes it: what a worker is sent."""
+    """Measures one chunk and writes it; sent to every worker."""
 
     store: Path  # Where to write
     geometry: "GridGeometry"  # Pickles as rig, grid and settings; computed once per process

@@ -25,7 +25,7 @@ MIN_FREE_SHARE = 1.1  # of what a run writes
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run will take, from measured steps."""
+    """Time, memory and disk that a run will take, from measured steps."""
 
     step_seconds: float  # Time per step on one worker, s
     workers: int  # Workers that share the steps
@@ -72,7 +72,7 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]
 
 @dataclass(frozen=True)
 class _Clocked(FrameSeries):
-    """Frames of one camera that note, for their windows as well, when each is requested."""
+    """Frames of one camera, with the times at which each was requested."""
 
     requested: list[float] = field(default_factory=list)
 
@@ -82,7 +82,7 @@ class _Clocked(FrameSeries):
 
 
 def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, float]:
-    """Measure a chunk; also the seconds that a step takes once its neighbours are there."""
+    """Measure a chunk, and the seconds per step after the first frames were read."""
     series = {name: _Clocked(**vars(one)) for name, one in prepared.series.items()}
     chunk = make_chunk(series, start, stop, prepared.departures)
     since = time.perf_counter()
@@ -116,6 +116,6 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
 
 
 def fraction_measured(quality: np.ndarray) -> float:
-    """Fraction of the nodes in view that were measured: filled ones are finite too, but do not count."""
+    """Fraction of the nodes in view that were measured; filled nodes do not count."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     return float((quality[visible] & Quality.MEASURED != 0).mean()) if visible.any() else 0.0

@@ -1,5 +1,5 @@
-"""The experiment of a cube: its file, named relative to the store, so that a copied folder has its own, and
-its images, compared with those that the cube was begun with by some frames.
+"""The experiment of a cube. Its file is named relative to the store, so that a folder can be copied; some of
+its images are compared with those that the cube was begun with.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
-    """Attributes of a cube that describe its experiment and that no value depends on."""
+    """Attributes of a cube that describe its experiment; no value depends on them."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -60,7 +60,7 @@ def experiment_path(store: Path, attributes: Mapping[str, object]) -> Path:
 
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
-    """Read the experiment of a cube: the given one; else that beside it, or that it names, if it fits."""
+    """Read the experiment of a cube: the given one, or the one beside it or named in it if that fits."""
     named, folder = experiment_path(store, attributes), _named(store, attributes, "image_folder")
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:
@@ -80,7 +80,7 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
 
 
 def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
-    """Refuse an experiment of other images: by their names, and by first frames that are there."""
+    """Refuse an experiment with other images: other names, or another first frame."""
     recipe = json.loads(str(attributes.get("recipe", "{}")))
     for camera, names in recipe.get("images", {}).items():
         if camera not in experiment.cameras or image_names(experiment, camera)[0] != names[0]:
@@ -112,7 +112,7 @@ def _sum(image: np.ndarray) -> int:
 def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
-    """Refuse to go on with other images than a cube was begun with."""
+    """Refuse images that differ from those that a cube was begun with."""
     for name, sums in begun.items():
         for index, requested in sums.items():
             frames = series.get(name)

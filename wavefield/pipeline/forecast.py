@@ -1,4 +1,4 @@
-"""What an experiment has, what is missing, and what its run will cost."""
+"""`check`: what an experiment has, what is missing, and what its run will cost."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -307,7 +307,7 @@ def check(
 def _remarks_on_trial(
     prepared: PreparedRun, coverage: float, fields: Mapping[str, NDArray[Any]], wrong: Sequence[Remark]
 ) -> Iterator[Remark]:
-    """Remarks on rig and grid, and on the fields of the step that was tried if no camera spoils them."""
+    """Remarks on rig and grid, and on the fields of the step tried unless a camera is faulty."""
     yield remark_on_rest(prepared.experiment, prepared.rig)
     yield from remark_on_coverage(coverage)
     yield from remark_on_lengths(prepared.experiment, prepared.rig, fields.get("z", np.zeros(0)))
@@ -322,7 +322,7 @@ def _remarks_on_trial(
 
 
 def _grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:
-    """Remarks on single cameras with which nothing good can be measured."""
+    """Grave remarks on single cameras."""
     cameras = set(prepared.rig)
     return [one for one in remarks if one.weight == "grave" and set(one.subject.split(" and ")) <= cameras]
 
@@ -340,7 +340,7 @@ def _remark_on_disk(cost: Cost) -> Remark:
 
 
 def _unusual_files(series: FrameSeries) -> list[int]:
-    """Frames whose files are less than half as large as most, and some of other sizes than most."""
+    """Frames whose files are less than half as large as most, and those whose sizes differ most."""
     entries = [(index, entry) for index, entry in enumerate(series.entries) if entry is not None]
     sizes = {index: _file_size(entry.path) for index, entry in entries if entry.kind == "file"}
     if not sizes:
@@ -363,7 +363,7 @@ def _file_size(path: str) -> int:
 
 
 def _summary(series: FrameSeries, found: FrameInspection, offset: int) -> CameraCheck:
-    """What there is of one camera; frames are numbered as the run counts them."""
+    """Summary of one camera; frames are numbered as in the run."""
     missing = tuple(int(n) for n in series.missing)
     rows, columns = series.shape
     return CameraCheck(

@@ -56,11 +56,11 @@ class ArraySource:
         return check_content(image, place)
 
     def place(self, index: int) -> str:
-        """Which frame this is, for a message."""
+        """Name of a frame for a message."""
         return f"{self.camera} frame {index}"
 
     def covered(self, index: int) -> np.ndarray | None:
-        """What is masked in a frame, (row, column): True where masked."""
+        """Mask of a frame (row, column), True where masked; None without one."""
         if self.mask is None:
             return None
         mask = self.mask[index] if self.mask.ndim == 3 else self.mask
@@ -155,7 +155,10 @@ def reconstruct(
     geometry = GridGeometry(rig, grid, settings)
     absent = [name for name in geometry.cameras if name not in arrays]
     if absent:
-        raise ExperimentError(f"the frames have no camera {', '.join(absent)}; there are {', '.join(arrays)}")
+        raise ExperimentError(
+            f"the frames have no camera {', '.join(absent)}; there are {', '.join(arrays)}: pass the whole "
+            "tree, not one camera"
+        )
     arrays = {name: arrays[name] for name in geometry.cameras}
     times, frame_rate = _times(arrays, attributes)
     _check_sizes(arrays, rig)
@@ -200,7 +203,7 @@ def reconstruct(
 
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
-    """All variables of a chunk, as the first of the objects of an array with one for each step."""
+    """All variables of a chunk: a dict in the first element of an array with one element per step."""
     geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     out = np.empty(chunk.steps, object)
@@ -209,7 +212,7 @@ def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
 
 
 def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array:
-    """One variable of all chunks."""
+    """One variable of the cube, from the dicts of all chunks."""
     row = TABLE[name]
     nodes = shape if len(row.dims) == 3 else ()
     out: da.Array = da.map_blocks(
@@ -226,7 +229,7 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
 def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The response of the measurement to waves, once its record was learned, and its axes."""
+    """The response of the measurement to waves, which follows from the learned record, and its axes."""
     from wavefield.measurement.response import tabulated
 
     table = tabulated(geometry, None)
@@ -239,7 +242,7 @@ def _gain(
 
 
 def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> None:
-    """Refuse what was learned with other cameras."""
+    """Refuse a record that was learned with other cameras."""
     for part, cameras in (("beads", geometry.cameras), ("displacement", geometry.velocity_cameras)):
         learned = record.get(part)
         absent = [name for name in cameras if not isinstance(learned, Mapping) or name not in learned]
@@ -251,7 +254,7 @@ def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> Non
 
 
 class _Learner:
-    """The geometry that includes the water's motion, and what sample steps show: learned once, then kept."""
+    """Geometry with its search ranges, and the model of the record: learned once, then kept."""
 
     def __init__(
         self, geometry: "GridGeometry", frame_rate: float, record: Mapping[str, object] | None
@@ -281,7 +284,7 @@ class _Learner:
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
-    """What the cube holds once for all steps, frames of a path among it."""
+    """Values that the cube holds once for all steps."""
     geometry, model = known
     record = model.record if model else None
     frames = np.asarray(record.path_frames if record else 4, np.uint8)
@@ -291,7 +294,7 @@ def _from_record(known: "Known") -> dict[str, np.ndarray]:
 def _images(
     frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, xr.Variable]]:
-    """Images by camera, and what is masked."""
+    """Images and masks by camera."""
     if isinstance(frames, xr.DataTree):
         nodes = {name: node.to_dataset() for name, node in frames.children.items()}
         images = {name: node["image"] for name, node in nodes.items() if "image" in node}

@@ -1,4 +1,4 @@
-"""Learning beads, spectra and noise from sample frames of a whole record, before its first chunk."""
+"""Learn beads, spectra and noise from sample frames of a whole record, before its first chunk."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +24,7 @@ _MIN_MOTION_PX = 0.1  # rms: less is noise
 def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from sample frames of a record; `steps` are those that were used."""
+    """Learn from sample steps of a record, which are named as `steps` in the result."""
     from wavefield.measurement import sample_steps
 
     for number in range(_TRIES):
@@ -41,7 +41,7 @@ def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping
 
 
 def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Both frames of a sample step, by camera; None of what is bad or repeats the frame before it."""
+    """Both frames of a sample step, by camera; None where one is bad or repeats the frame before it."""
     first = {name: read_frame(source, len(source) - 2) for name, source in sample.items()}
     second = {name: read_frame(source, len(source) - 1, first[name].image) for name, source in sample.items()}
 
@@ -54,7 +54,7 @@ def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str,
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Sample steps evenly over a record or, where these hardly show its waves, over the part with waves."""
+    """Sample steps, even over the record or, if these miss its waves, over the part with waves."""
     from wavefield.measurement import sample_steps
 
     usual = sample_steps(steps)
@@ -87,7 +87,7 @@ def steps_with_waves(
 def learn_from(
     pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from some steps; the frame rate in Hz."""
+    """Learn from sample steps; frame rate in Hz."""
     from wavefield.measurement import learn
     from wavefield.quality.stabilized import corrected
 
@@ -105,7 +105,7 @@ def learn_from(
 
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
-    """What a cube holds once for all steps: its response to waves, and the uncertainty of z = 0."""
+    """Values that a cube holds once for all steps: its response to waves, and the uncertainty of z = 0."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.response import tabulated
 

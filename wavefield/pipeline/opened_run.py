@@ -72,7 +72,7 @@ class Run:
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
-        """What the cube was made from, as plain data; empty if it does not state it."""
+        """The recipe of the cube as plain data; empty if it has none."""
         found = recipe_of(self.cube.attrs)
         if not found:
             self._reasons["recipe"] = "the cube does not state how it was made"
@@ -106,7 +106,7 @@ class Run:
 
     @cached_property
     def frames(self) -> dict[str, FrameSeries]:
-        """The images of every camera with what is masked in them, if they are still there."""
+        """Images of every camera with their masks, if they are still there."""
         experiment, rig = self.experiment, self.rig
         if experiment is None:
             self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
@@ -124,7 +124,7 @@ class Run:
 
     @cached_property
     def masks(self) -> dict[str, CameraMask]:
-        """What is masked in the images of the cameras; empty where nothing is."""
+        """Masks of the cameras' images; empty without any."""
         return {name: one.mask for name, one in self.frames.items() if one.mask is not None}
 
     @cached_property

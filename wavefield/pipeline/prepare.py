@@ -58,7 +58,7 @@ class PreparedRun:
     departures: np.ndarray | None = None
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
-        """The same with what sample frames of the record give."""
+        """The same run with the record that was learned from sample frames."""
         from wavefield.measurement import LearnedRecord, Model
 
         model = Model(self.geometry, LearnedRecord.from_dict(record)) if record else self.model
@@ -66,7 +66,7 @@ class PreparedRun:
 
     @property
     def record(self) -> "LearnedRecord | None":
-        """What was learned of the record, as plain data."""
+        """The record that was learned from sample frames; None before."""
         return None if self.model is None else self.model.record
 
     @property
@@ -148,13 +148,13 @@ def prepare(
 
 
 def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
-    """Whether the range of displacements is among the settings."""
+    """Whether the settings give the range of displacements to search."""
     stated = (source.settings.get("piv") for source in (experiment, workflow))
     return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in stated)
 
 
 class _SampleImages:
-    """Sample steps of a record, their images as they are matched."""
+    """Images of sample steps, filtered as they are for matching."""
 
     def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
         self.series, self.geometry = series, geometry
@@ -187,7 +187,7 @@ class _SampleImages:
 def load_files(
     experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
 ) -> tuple[Experiment, Workflow]:
-    """Read the files that describe a run, as far as they are not read yet."""
+    """Read the experiment and workflow files, unless they are read already."""
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
     if not isinstance(workflow, Workflow):

@@ -1,4 +1,4 @@
-"""Processing a whole experiment into a store, chunk by chunk, on one process or many.
+"""Process a whole experiment into a store, chunk by chunk, in one process or many.
 
 Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the same command resumes from the
 ledger: only chunks that are not marked done are measured.
@@ -236,7 +236,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Chunks, (start, stop), still to be measured: not done yet, or with bad frames that are good by now."""
+    """Chunks (start, stop) to measure: not done, damaged, or with bad frames that can be read now."""
     damaged = suspicious(path)
     if damaged:
         log.warning("%d chunks are damaged: measuring them again", len(damaged))
@@ -295,7 +295,7 @@ def _work_off(
 
 
 def _log_bad_frames(messages: Sequence[str], logged: int) -> None:
-    """Log the first sentences about bad frames, of which so many are logged, and that there are more."""
+    """Log sentences about bad frames, up to a maximum; `logged` were logged before."""
     for message in messages[: max(_MAX_MESSAGES - logged, 0)]:
         log.warning("%s", message)
     if logged <= _MAX_MESSAGES < logged + len(messages):

@@ -19,7 +19,7 @@ SMOOTHED = OwnFile("smoothed fields", zarr_store("smoothed fields of ", "smoothe
 def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
-    """Write `smooth` of a cube into a Zarr store, which appears complete or not at all; the store's path."""
+    """Write the smoothed fields of a cube to a Zarr store, whole or not at all; returns its path."""
     output = output or beside(store, "smooth", ".zarr")
     found = smooth(open_cube(store)).drop_encoding()
     found = found.drop_vars([name for name in found.coords if name not in CUBE_DIMS])
