@@ -88,20 +88,20 @@ def test_run_takes_the_folder_it_is_in(folder, given, monkeypatch):
     assert given[0][0].resolve() == folder / "experiment.yaml"
 
 
-@pytest.mark.parametrize(("words", "kept"), [("0:8", (3, 7)), ("5:50", (5, 14)), ("4:6", (4, 5))])
+@pytest.mark.parametrize(("words", "kept"), [("0:7", (3, 7)), ("5:50", (5, 14)), ("4:5", (4, 5))])
 def test_a_trial_measures_some_frames_into_a_cube_of_its_own(folder, given, words, kept):
     assert main(["-q", "run", str(folder), "--frames", words]) == 1
     experiment, out = given[0]
     series = experiment.open_frames()["left"]
     assert (series.first, series.first + len(series) - 1) == kept
-    assert out == folder / f"cube_{kept[0]}_{kept[1] + 1}.zarr"
+    assert out == folder / f"cube_{kept[0]}_{kept[1]}.zarr"
 
 
 def test_a_trial_of_frames_that_are_not_there_is_refused(folder, given, capsys):
     assert main(["-q", "run", str(folder), "--frames", "20:50"]) == 1
     assert "has the frames 3 to 14; name some of these" in capsys.readouterr().err
     assert main(["-q", "run", str(folder), "--frames", "5"]) == 2
-    assert "write FIRST:STOP" in capsys.readouterr().err
+    assert "write FIRST:LAST" in capsys.readouterr().err
     assert not given
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import scipy.io
 from click.testing import CliRunner
 from rig_cases import field, random_camera, random_fisheye
 
@@ -149,3 +150,63 @@ def test_a_file_that_is_cut_ends_in_one_sentence(tmp_path, program, cut):
     with pytest.raises(RigError) as error:
         load_rig(path)
     assert "\n" not in str(error.value)
+
+
+LENS = {
+    "IntrinsicMatrix": [[2500.0, 0, 0], [0, 2500.0, 0], [641.0, 513.0, 1]],
+    "RadialDistortion": [-0.1, 0.01],
+    "ImageSize": [1024.0, 1280.0],
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "metres"),
+    [("millimeters", 1e-3), ("mm", 1e-3), ("centimeters", 0.01), ("inches", 0.0254), ("m", 1.0)],
+)
+def test_the_unit_that_matlabs_struct_states_is_taken(tmp_path, words, metres):
+    pair = {"CameraParameters1": LENS | {"WorldUnits": words}, "CameraParameters2": LENS}
+    pair |= {"RotationOfCamera2": np.eye(3), "TranslationOfCamera2": [-100.0, 0, 0]}
+    scipy.io.savemat(tmp_path / "stereo.mat", {"stereoParams": pair})
+    rig = load_rig(tmp_path / "stereo.mat")
+    assert rig["cam2"].centre[0] == pytest.approx(100 * metres)
+    assert load_rig(tmp_path / "stereo.mat", unit="cm")["cam2"].centre[0] == pytest.approx(1.0)
+
+
+def test_a_rig_without_a_unit_whose_cameras_would_be_far_apart_is_refused(tmp_path):
+    pair = {"CameraParameters1": LENS, "CameraParameters2": LENS}
+    pair |= {"RotationOfCamera2": np.eye(3), "TranslationOfCamera2": [-100.0, 0, 0]}
+    scipy.io.savemat(tmp_path / "stereo.mat", {"stereoParams": pair})
+    with pytest.raises(RigError, match="states no unit of length, and in metres its cameras are 100 m apart"):
+        load_rig(tmp_path / "stereo.mat")
+    assert load_rig(tmp_path / "stereo.mat", unit="mm")["cam2"].centre[0] == pytest.approx(0.1)
+    assert load_rig(tmp_path / "stereo.mat", unit="m")["cam2"].centre[0] == pytest.approx(100.0)
+
+
+def test_the_unit_that_vic_states_is_taken(tmp_path):
+    rig = Rig({f"cam{n}": random_camera(n, "p1", "p2", "tau_x", "tau_y") for n in (1, 2)})
+    save_rig(rig, tmp_path / "cal.xml", "vic3d")
+    text = (tmp_path / "cal.xml").read_text()
+    (tmp_path / "cal.xml").write_text(text.replace("<calibration ", '<calibration units="inches" '))
+    found = load_rig(tmp_path / "cal.xml")
+    assert np.linalg.norm(found["cam1"].T) == pytest.approx(25.4 * np.linalg.norm(rig["cam1"].T))
+    assert found.provenance["imported"]["unit"] == "inch"
+
+
+def test_opencvs_two_files_are_read_as_one_and_ros_is_named(tmp_path):
+    rig = Rig({f"cam{n}": random_camera(n, "tau_x", "tau_y", "skew") for n in (1, 2)})
+    save_rig(rig, tmp_path / "all.yml", "opencv")
+    text = (tmp_path / "all.yml").read_text().replace("world_", "other_")
+    at = text.index("R: !!opencv-matrix")
+    (tmp_path / "extrinsics.yml").write_text("%YAML:1.0\n---\n" + text[at:])
+    (tmp_path / "intrinsics.yml").write_text(text[:at])
+    one, two = rig.cameras.values()
+    found = load_rig(tmp_path / "intrinsics.yml")
+    assert np.linalg.norm(found["cam2"].centre) == pytest.approx(np.linalg.norm(one.centre - two.centre))
+    (tmp_path / "extrinsics.yml").unlink()
+    with pytest.raises(RigError, match=r"put it next to intrinsics\.yml"):
+        load_rig(tmp_path / "intrinsics.yml")
+    (tmp_path / "ros.yaml").write_text(
+        "image_width: 640\ncamera_matrix:\n  data: []\ndistortion_model: plumb_bob\n"
+    )
+    with pytest.raises(RigError, match="ROS' camera_info, the lens of one camera without its place"):
+        load_rig(tmp_path / "ros.yaml")

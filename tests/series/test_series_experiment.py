@@ -55,7 +55,7 @@ def test_a_lab_note_is_read(tmp_path):
     ("old", "new", "line", "expected"),
     [
         ("frame_rate: 20.0 ", "frame_rte: 20.0 ", 2, "did you mean 'frame_rate'?"),
-        ("frame_rate: 20.0 ", "frame_rate: -1 ", 2, "frame_rate should be greater than 0"),
+        ("frame_rate: 20.0 ", "frame_rate: -1 ", 2, "frame_rate should be greater than or equal to 0.0001"),
         ("frame_rate: 20.0 ", "frame_rate: fast ", 2, "frame_rate should be a number"),
         ("step: 0.01", "stop: 0.01", 14, "did you mean 'step'?"),
         ("step: 0.01", "step: 0", 14, "grid.step should be greater than 0"),

@@ -113,7 +113,7 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
     if found.cost and found.cost.seconds > TRIAL_SECONDS:
         first = found.first_frame
         click.echo(
-            f"A trial first: {command_line('run', source, *more, '--frames', f'{first}:{first + 50}')}"
+            f"A trial first: {command_line('run', source, *more, '--frames', f'{first}:{first + 49}')}"
         )
     print_next("run", source, *more)
 

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """First frame and the one after the last, from words such as 0:50."""
+    """First and last frame, from words such as 0:49."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)
-    if not match or int(match[2]) - int(match[1]) < 2:
-        raise click.BadParameter(f"{value!r}: write FIRST:STOP, two frames at least, such as 0:50")
+    if not match or int(match[2]) <= int(match[1]):
+        raise click.BadParameter(f"{value!r}: write FIRST:LAST, two frames at least, such as 0:49")
     return int(match[1]), int(match[2])
 
 
@@ -39,14 +39,14 @@ def _trial(source: Path, frames: tuple[int, int], output: Path | None) -> tuple[
     experiment = Experiment.load(source)
     record = next(iter(experiment.open_frames().values()))
     last_of_record = record.first + len(record) - 1
-    first, last = max(frames[0], record.first), min(frames[1] - 1, last_of_record)
+    first, last = max(frames[0], record.first), min(frames[1], last_of_record)
     if last <= first:
         raise ExperimentError(
             f"--frames {frames[0]}:{frames[1]}: {experiment.path} has the frames {record.first} to "
             f"{last_of_record}; name some of these"
         )
     cut = experiment.model_copy(update={"frames": FramesSection(first=first, last=last)})
-    return cut, output or experiment.resolve(f"cube_{first}_{last + 1}.zarr")
+    return cut, output or experiment.resolve(f"cube_{first}_{last}.zarr")
 
 
 @click.command(
@@ -54,7 +54,7 @@ def _trial(source: Path, frames: tuple[int, int], output: Path | None) -> tuple[
 Examples:
   wavefield run experiment.yaml                      # writes cube.zarr next to it
   wavefield run .                                    # the experiment in this folder
-  wavefield run experiment.yaml --frames 0:50        # a trial, into cube_0_50.zarr
+  wavefield run experiment.yaml --frames 0:49        # a trial, into cube_0_49.zarr
   wavefield run experiment.yaml -o cube.zarr --workflow workflows/slurm.yaml
   wavefield run campaign.yaml run07 run08            # entries of a catalog
   wavefield run campaign.yaml -p location=/disk2     # a catalog whose images are elsewhere
@@ -66,9 +66,9 @@ Examples:
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Cube to write.")
 @click.option(
     "--frames",
-    metavar="FIRST:STOP",
+    metavar="FIRST:LAST",
     callback=_range,
-    help="A trial: only the frames from number FIRST to before STOP, into a cube of its own.",
+    help="A trial: only the frames from number FIRST to LAST, both included, into a cube of its own.",
 )
 @JSON
 @click.pass_context

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
-from wavefield.robust import robust_std
 from wavefield.series.formats import open_recording
+from wavefield.series.formats.recording import usual_interval
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import Numbered
 from wavefield.series.rates import is_video, recordings_of
@@ -54,11 +54,9 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
     if not np.ptp(times) > 0:
         return None
     if is_video(paths[0]):
-        intervals = np.diff(times)
-        usual = float(np.median(intervals))
-        # whole multiples of one interval are even, whatever the playback; others are times of their own
-        scale = 1.0 / (usual * frame_rate)
-        return times * scale if len(paths) == 1 and usual > 0 and intervals.min() > 0 else None
+        usual = usual_interval(times)
+        one_clock = len(paths) == 1 and usual > 0 and np.diff(times).min() > 0
+        return times / (usual * frame_rate) if one_clock else None
     header = f", its header {stated:g} Hz" if stated else ""
     refuse_other_rate(times, frame_rate, f"{paths[0]}: its time stamps are at {{rate:g}} Hz{header}")
     return times
@@ -71,7 +69,7 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
         return
     if intervals.min() > 0:
         usual = intervals[np.abs(intervals / np.median(intervals) - 1.0) < 0.5]  # without dropped images
-        interval, scatter = float(usual.mean()), float(robust_std(usual)) / np.sqrt(len(usual))
+        interval, scatter = float(usual.mean()), float(usual.std()) / np.sqrt(len(usual))
     else:  # stamps that are rounded to more than an interval
         interval = float(np.ptp(times)) / len(intervals)
         scatter = float(intervals.max()) / len(intervals)

@@ -1,6 +1,6 @@
 """The experiment file: one YAML file that describes an experiment as a lab note would."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +34,8 @@ from wavefield.series.probes import read_probes
 from wavefield.series.rates import one_rate, recorded_rates, video_rates
 from wavefield.series.record import open_record
 from wavefield.text import html_table
+
+SAME_PLACE = 1e-4  # of a camera's distance: nearer cameras show no parallax
 
 
 class Experiment(RecordSection):
@@ -336,13 +338,10 @@ class Experiment(RecordSection):
         absent = [name for name in self.measuring_cameras if name not in rig.cameras]
         if absent:
             raise RigError(f"{source} has no camera {', '.join(absent)}; it has {', '.join(rig)}")
-        for name, (width, height) in (sizes or {}).items():
-            if name in rig.cameras and rig[name].size != (width, height):
-                w, h = rig[name].size
-                raise RigError(
-                    f"{source} was made for images of {name} of {w} x {h} px, but these have "
-                    f"{width} x {height}; use the rig of these images"
-                )
+        for name, one in (series or {}).items():
+            if name in rig.cameras:
+                _check_image_size(source, rig[name].size, one)
+        _refuse_same_place(source, rig, self.measuring_cameras)
         return with_water_level(rig, self.water.level) if self.water.level else rig
 
     def choose_grid(self, rig: Rig, settings: Mapping[str, object] | None = None) -> Grid:
@@ -377,6 +376,35 @@ class Experiment(RecordSection):
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
         used |= set(self.velocity.cameras if self.velocity else ())
         return [name for name in self.cameras if name in used]
+
+
+def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
+    """Refuse a rig of images of another size, (width, height); name arrays whose axes are out of order."""
+    rows, columns = series.shape
+    if size == (columns, rows):
+        return
+    count, name = len(series) + sum(series.beyond), series.camera
+    if size == (rows, columns):
+        remedy = "they are transposed: save them as (time, row, column); in MATLAB, permute(images, [2 1 3])"
+    elif sorted(size) == sorted((count, rows)):
+        remedy = "time is their last axis: save them as (time, row, column)"
+    else:
+        remedy = "use the rig of these images"
+    raise RigError(
+        f"{source} was made for images of {name} of {size[0]} x {size[1]} px, but these have "
+        f"{columns} x {rows}; {remedy}"
+    )
+
+
+def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
+    """Refuse cameras that measure together from one place; lenses alone are all at the origin."""
+    if rig.lenses_alone:
+        return
+    for k, one in enumerate(names):
+        for other in names[k + 1 :]:
+            apart = float(np.linalg.norm(rig[one].centre - rig[other].centre))
+            if apart < SAME_PLACE * float(np.linalg.norm(rig[one].centre)):
+                raise RigError(f"{source}: {one} and {other} are in one place; is one entry a copy?")
 
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:

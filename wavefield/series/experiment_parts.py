@@ -49,7 +49,7 @@ class RecordSection(ConfigSection):
     name: Name = Field(examples=["coriolis-07"])
     description: str = ""
     frame_rate: float = Field(
-        gt=0, le=1e7, examples=["20.0"], description="Hz; by default what recordings state"
+        ge=1e-4, le=1e7, examples=["20.0"], description="Hz; by default what recordings state"
     )
     folder: PathText | None = Field(
         default=None, description="folder of the images, if not that of this file"

@@ -19,6 +19,7 @@ from wavefield.series.listing import has_pattern, number_frames
 from wavefield.series.readers import FrameEntry
 
 WATER = "water"  # the key of masks on the water, not in one camera's image
+MAX_CORNERS = 2000  # of a polygon; what is finer is an image
 CIRCLE_CORNERS = 64  # of a circle's outline
 POINTS_PER_SIDE = 16  # of an edge on the water: it is no straight line in an image
 CYLINDER_LEVELS = 5  # heights at which a cylinder is projected
@@ -71,6 +72,10 @@ class MaskSection(ConfigSection):
             return None
         if len(corners) < 3:
             raise ValueError(f"a polygon needs three corners or more, not {len(corners)}")
+        if len(corners) > MAX_CORNERS:
+            raise ValueError(
+                f"a polygon of {len(corners)} corners; give {MAX_CORNERS} at most, or draw a mask image"
+            )
         if (crossed := crossing(corners)) is not None:
             a, b = (number + 1 for number in crossed)
             raise ValueError(
@@ -92,18 +97,19 @@ def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
     """Two sides of a polygon that cross, by the corners at which they begin, from 0; None if none do."""
     p = np.asarray(corners, float)
     q = np.roll(p, -1, axis=0)
+    along = q - p
 
-    def side(i: int, point: NDArray[np.float64]) -> float:
-        """On which side of the line through side i a point is."""
-        (dx, dy), (x, y) = q[i] - p[i], point - p[i]
-        return float(np.sign(dx * y - dy * x))
+    def side(i: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """On which side of the line through side i points are."""
+        apart = points - p[i]
+        return np.asarray(np.sign(along[i, 0] * apart[:, 1] - along[i, 1] * apart[:, 0]))
 
-    for i in range(len(p)):
-        for j in range(i + 2, len(p)):
-            if i == 0 and j == len(p) - 1:
-                continue  # neighbours
-            if side(i, p[j]) * side(i, q[j]) < 0 and side(j, p[i]) * side(j, q[i]) < 0:
-                return i, j
+    for i in range(len(p) - 2):
+        others = np.arange(i + 2, len(p) - (i == 0))  # without its neighbours
+        straddled = side(i, p[others]) * side(i, q[others]) < 0
+        for j in others[straddled]:
+            if side(j, p[[i]])[0] * side(j, q[[i]])[0] < 0:
+                return i, int(j)
     return None
 
 

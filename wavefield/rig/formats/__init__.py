@@ -5,7 +5,6 @@ Lengths become metres. Pixel coordinates become (column, row) with pixel centres
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -95,12 +94,12 @@ def load_rig(
             {"imported": {name: rig.provenance.get("imported", {}) for name, rig in rigs.items()}},
         )
     path = Path(path)
-    options = ImportOptions(sizes, names, unit or "m")
+    options = ImportOptions(sizes, names, unit)
     try:
         rig = _imported(path, options)
         if rig is None:  # wavefield's own, or the folder of an experiment
             return Rig.load(path / "rig.yaml" if path.is_dir() else path)
-        return rig if unit is None else _in_unit(rig, options)
+        return rig
     except RigError as error:
         sentence = str(error)
         if str(path) not in sentence:
@@ -111,14 +110,6 @@ def load_rig(
             f"{path} is not a rig file of a program that `wavefield rig convert --help` lists: "
             f"{one_line(error)}"
         ) from None
-
-
-def _in_unit(rig: Rig, options: ImportOptions) -> Rig:
-    """The rig with its lengths in the unit that was stated, where its program has one of its own."""
-    note = dict(rig.provenance["imported"])
-    factor = options.length / LENGTHS.get(str(note.get("unit")), options.length)
-    cameras = {name: replace(one, translation=factor * one.T) for name, one in rig.cameras.items()}
-    return Rig(cameras, {"imported": note | {"unit": options.unit}})
 
 
 def _imported(path: Path, options: ImportOptions) -> Rig | None:
@@ -132,6 +123,11 @@ def _imported(path: Path, options: ImportOptions) -> Rig | None:
         return _load_xml(path, options)
     if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
         return load_opencv(path, options)
+    if "camera_matrix:" in text and "distortion_model:" in text:
+        raise RigError(
+            "it is ROS' camera_info, the lens of one camera without its place: write its numbers into a "
+            "rig.yaml, as docs/formats.md shows"
+        )
     return load_dice_text(text, path, options) if is_dice_text(text) else None
 
 

@@ -25,6 +25,17 @@ LENGTHS = {
 }
 
 
+_ABBREVIATED = {
+    "millimeter": "mm",
+    "centimeter": "cm",
+    "decimeter": "dm",
+    "micrometer": "um",
+    "in": "inch",
+    "inche": "inch",
+}
+MAX_DISTANCE = 20.0  # m between cameras: more, of a file that states no unit, is another unit
+
+
 Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres: world to camera
 FIRST_CAMERA: Pose = np.eye(3), np.zeros(3)
 NO_WORLD_POSE = "no pose in the world: the frame is that of the first camera; level it on the water"
@@ -36,18 +47,24 @@ class ImportOptions:
 
     sizes: Mapping[str, Size] | None = None  # Image (width, height) per camera, px
     names: Sequence[str] | None = None  # Of the cameras, in the file's order; cam1, cam2, ... if left out
-    unit: str = "m"  # Unit of length, or a number of metres
+    unit: str | None = None  # Unit of length, or its size in metres; None: the file's own or the program's
 
-    @property
-    def length(self) -> float:
-        """The unit of length, metres."""
-        if self.unit in LENGTHS:
-            return LENGTHS[self.unit]
+    def length(self, usual: str | None, stated: str = "") -> tuple[float, str]:
+        """Unit of length in metres, and its name: as the user gives it, as the file states it, or the usual.
+        Without any it is the metre, and the name is empty.
+        """
+        unit = self.unit or stated.strip() or usual
+        if unit is None:
+            return 1.0, ""
+        plain = unit.lower().replace("metre", "meter").removesuffix("s")
+        for word in (unit, plain, _ABBREVIATED.get(plain, "")):
+            if word in LENGTHS:
+                return LENGTHS[word], word
         try:
-            return float(self.unit)
+            return float(unit), unit
         except ValueError:
             raise RigError(
-                f"{self.unit!r} is no unit of length; use one of {', '.join(LENGTHS)}, or a number of metres"
+                f"{unit!r} is not a unit of length; use one of {', '.join(LENGTHS)}, or its size in metres"
             ) from None
 
     def size(self, name: str, program: str, stored: tuple[float, float] | None = None) -> Size:
@@ -158,3 +175,29 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
     one, two = rig.cameras.values()
     R = two.R @ one.R.T
     return one, two, R, two.T - R @ one.T
+
+
+def stated_unit(element: ET.Element) -> str:
+    """Unit of length that an XML element states in an attribute or an element ``unit``; empty if it does not.
+
+    Examples
+    --------
+    >>> stated_unit(ET.fromstring('<calibration units="m"><camera/></calibration>'))
+    'm'
+    """
+    for one in element.iter():
+        for name, value in [(one.tag, one.text or ""), *one.attrib.items()]:
+            if name.lower() in ("unit", "units", "lengthunit", "coordunit"):
+                return value
+    return ""
+
+
+def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
+    """Refuse cameras that are far apart in metres, where nothing states that their lengths are metres."""
+    centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
+    apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
+    if not unit and apart > MAX_DISTANCE:
+        raise RigError(
+            f"it states no unit of length, and in metres its cameras are {apart:.4g} m apart: convert with "
+            "its unit, as in `wavefield rig FILE --unit mm -o rig.yaml`"
+        )

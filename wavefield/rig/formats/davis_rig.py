@@ -22,7 +22,6 @@ AGAIN = (
 MARK_TABLE = "MarkPositionTable.xml"
 MAX_ERROR_RATIO = 2.0  # of the marks' misfit over the error that DaVis states
 ACCEPTED_MISFIT = 0.1  # px, in any case
-MILLIMETRE = 1e-3  # m
 
 
 def load_davis(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
@@ -42,11 +41,12 @@ def load_davis(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
             f"it is DaVis', of the kind {other[0].get('Type', 'unknown')}, not PinholeOpenCV: {AGAIN}"
         )
     names = options.named(len(mappers))
-    cameras = {name: _camera(mapper) for name, mapper in zip(names, mappers, strict=True)}
-    note: dict[str, object] = {"program": "DaVis", "file": path.name, "unit": "mm"}
+    length, unit = options.length("mm")
+    cameras = {name: _camera(mapper, length) for name, mapper in zip(names, mappers, strict=True)}
+    note: dict[str, object] = {"program": "DaVis", "file": path.name, "unit": unit}
     misfits = {}
     for name, mapper in zip(names, mappers, strict=True):
-        rms = _misfit_of_marks(cameras[name], path.parent, mapper.get("CameraIdentifier", ""))
+        rms = _misfit_of_marks(cameras[name], path.parent, mapper.get("CameraIdentifier", ""), length)
         if rms is None:
             continue
         misfits[name] = round(rms, 4)
@@ -62,7 +62,7 @@ def load_davis(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     return Rig(cameras, {"imported": note})
 
 
-def _camera(mapper: ET.Element) -> Camera:
+def _camera(mapper: ET.Element, length: float) -> Camera:
     pixel = _number(mapper, "SensorPixelSizeMm", "Value")
     fx, fy = (_number(mapper, "FocalLengthPixel", axis) / pixel for axis in "xy")
     cx, cy = (_number(mapper, "PrincipalPoint", axis) for axis in "xy")
@@ -71,7 +71,7 @@ def _camera(mapper: ET.Element) -> Camera:
         _number(mapper, "TangentialDistortion", f"tangentialDistortionCoefficient{n}", 0.0) for n in (1, 2)
     )
     R = turned_about_axes(*(_number(mapper, "RotationAngles", name) for name in ("Rx", "Ry", "Rz")))
-    T = [MILLIMETRE * _number(mapper, "TranslationMm", name) for name in ("Tx", "Ty", "Tz")]
+    T = [length * _number(mapper, "TranslationMm", name) for name in ("Tx", "Ty", "Tz")]
     width, height = (int(_number(mapper, "OriginalImageSize", name)) for name in ("Width", "Height"))
     return Camera(fx, fy, cx, cy, R, T, (width, height), k1=k1, k2=k2, p1=p1, p2=p2)
 
@@ -86,7 +86,7 @@ def _number(mapper: ET.Element, tag: str, name: str, absent: float | None = None
     return float(text)
 
 
-def _misfit_of_marks(camera: Camera, folder: Path, number: str) -> float | None:
+def _misfit_of_marks(camera: Camera, folder: Path, number: str, length: float) -> float | None:
     """Rms distance of marks from their projections by a camera, weighted as in DaVis, px; None without any.
     The tables in the cameras' folders are alike: each holds the marks of all cameras.
     """
@@ -102,6 +102,6 @@ def _misfit_of_marks(camera: Camera, folder: Path, number: str) -> float | None:
     if not rows:
         return None
     x, y, z, column, row, weight = np.array(rows).T
-    X, Y = camera.project(MILLIMETRE * x, MILLIMETRE * y, MILLIMETRE * z)
+    X, Y = camera.project(length * x, length * y, length * z)
     apart = (X - column) ** 2 + (Y - row) ** 2
     return float(np.sqrt((weight * apart).sum() / max(weight.sum(), 1e-12)))

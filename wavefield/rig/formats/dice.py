@@ -146,7 +146,7 @@ def _camera(parameters: Parameters, turn: Array | None, model: str) -> tuple[Cam
     placed = turn is not None or any(name in parameters for name in _POSE)
     if turn is None:
         turn = turned_about_axes(*np.radians([value("ALPHA"), value("BETA"), value("GAMMA")]).tolist())
-    T = MM * np.array([value("TX"), value("TY"), value("TZ")])
+    T = np.array([value("TX"), value("TY"), value("TZ")])
     size: Size = (0, 0)
     if "IMAGE_HEIGHT_WIDTH" in parameters:
         height, width = _braces(parameters["IMAGE_HEIGHT_WIDTH"])
@@ -164,6 +164,7 @@ def _rig(
     if not cameras:
         raise RigError("it holds no camera")
     names = options.named(len(cameras), own if own and all(own) and len(set(own)) == len(own) else None)
+    length, unit = options.length("mm")
     R, T = FIRST_CAMERA
     out: dict[str, Camera] = {}
     for name, (camera, _) in zip(names, cameras, strict=True):
@@ -171,8 +172,8 @@ def _rig(
         if relative and not out:
             R, T = camera.R, camera.T
         size = options.size(name, "this DICe file", camera.size if any(camera.size) else None)
-        out[name] = replace(camera, rotation=turn, translation=shift, size=size)
-    note = {"program": "DICe", "file": path.name, "unit": "mm"}
+        out[name] = replace(camera, rotation=turn, translation=length * shift, size=size)
+    note = {"program": "DICe", "file": path.name, "unit": unit}
     if not cameras[0][1]:
         note["left_out"] = NO_WORLD_POSE
     return Rig(out, {"imported": note})

@@ -15,6 +15,7 @@ from wavefield.rig.formats.common import (
     Pose,
     StoredCamera,
     as_pair,
+    refuse_implausible,
     refuse_terms,
     rig_of_file,
     rotation_near,
@@ -31,9 +32,11 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
     except NotImplementedError:
         raise RigError("it is of version 7.3: save it in MATLAB with the option '-v7'") from None
 
+    length, unit = options.length(None, _world_units(data))
+
     def second(R: ArrayLike, T: ArrayLike) -> Pose:
         """Pose of the second camera, from what the file stores."""
-        return rotation_near(np.asarray(R, float)), options.length * np.ravel(np.asarray(T, float))
+        return rotation_near(np.asarray(R, float)), length * np.ravel(np.asarray(T, float))
 
     if "fc_left" in data:
         right = _bouguet(data, "_right")
@@ -59,8 +62,17 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
                 "it holds no calibration: save Bouguet's results, or toStruct(params) of MATLAB's Camera "
                 "Calibrator"
             )
-    note = {"program": "MATLAB", "file": path.name, "unit": options.unit}
+    refuse_implausible(cameras, unit)
+    note = {"program": "MATLAB", "file": path.name, "unit": unit or "m"}
     return rig_of_file(cameras, options, "this .mat file", note)
+
+
+def _world_units(data: object) -> str:
+    """The unit of length that a struct of the Calibrator states at any depth; empty if none does."""
+    if not isinstance(data, Mapping):
+        return ""
+    own = data.get("WorldUnits")
+    return own if isinstance(own, str) else next(filter(None, map(_world_units, data.values())), "")
 
 
 def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:

@@ -13,6 +13,7 @@ from wavefield.rig.formats.common import (
     ImportOptions,
     Pose,
     StoredCamera,
+    refuse_implausible,
     rig_of_file,
     rotation_near,
 )
@@ -31,8 +32,9 @@ Nodes = list[tuple[str, Array]]  # names and values of a file
 Parts = dict[str, Array]  # of one camera: K, D, size or width and height, fisheye, worldr and worldt
 
 
-def _nodes(storage: cv2.FileStorage) -> Nodes:
-    """All matrices and numbers at the file's first two levels."""
+def _nodes(path: Path) -> Nodes:
+    """All matrices and numbers at the first two levels of a file."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     out: Nodes = []
 
     def collect(node: cv2.FileNode, prefix: str, depth: int) -> None:
@@ -50,7 +52,10 @@ def _nodes(storage: cv2.FileStorage) -> Nodes:
                 elif depth:
                     collect(child, key, depth - 1)
 
-    collect(storage.root(), "", 1)
+    try:
+        collect(storage.root(), "", 1)
+    finally:
+        storage.release()
     return out
 
 
@@ -89,20 +94,22 @@ def _part(stem: str, value: Array) -> str:
 
 def load_opencv(path: Path, options: ImportOptions) -> Rig:
     """Read OpenCV's storage: one camera, or several with the pose of the second from the first."""
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    try:
-        nodes = _nodes(storage)
-    finally:
-        storage.release()
-    note = {"program": "OpenCV", "file": path.name, "unit": options.unit}
+    nodes = _nodes(path)
+    other = path.with_name(path.name.replace("intrinsics", "extrinsics"))
+    if other != path and other.is_file():  # OpenCV's sample of stereo calibration writes these two
+        nodes += _nodes(other)
+    length, unit = options.length(None)
+    note = {"program": "OpenCV", "file": path.name, "unit": unit or "m"}
     all_parts = _cameras(nodes)
     cameras = []
     for n, (name, parts) in enumerate(zip(options.named(len(all_parts)), all_parts, strict=True)):
         R, T = _pose(n, name, parts, dict(nodes))
         D = parts.get("D", np.zeros(0)).ravel()
-        pose = FIRST_CAMERA if R is FIRST_CAMERA[0] else (R, options.length * T)
+        pose = FIRST_CAMERA if R is FIRST_CAMERA[0] else (R, length * T)
         fisheye = bool(np.any(parts.get("fisheye", 0)))
         cameras.append(StoredCamera(parts["K"], D, pose, _stored_size(parts), fisheye))
+    if not all("worldt" in parts for parts in all_parts):  # our own files are in metres
+        refuse_implausible(cameras, unit)
     return rig_of_file(cameras, options, "this OpenCV file", note)
 
 
@@ -152,7 +159,10 @@ def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose
     if n == 1 and R is not None and T is not None:
         matrix = np.asarray(cv2.Rodrigues(R)[0], float) if R.size == 3 else R
         return rotation_near(matrix), T.ravel()
-    raise RigError(f"camera {name!r} has no pose: a stereo file holds R and T of the second camera")
+    raise RigError(
+        f"camera {name!r} has no pose: a stereo file holds R and T of the second camera; "
+        "if they are in extrinsics.yml, put it next to intrinsics.yml"
+    )
 
 
 def save_opencv(rig: Rig, path: str | Path) -> None:

@@ -28,14 +28,15 @@ def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     (name,) = options.named(1, [path.stem])
     size = options.size(name, "UVMAT")
     _check_size(calibration, size)
-    unit = (calibration.findtext("CoordUnit") or "").strip()
-    if unit not in LENGTHS:
-        raise RigError(f"its <CoordUnit> {unit!r} is no unit of length")
+    stated = (calibration.findtext("CoordUnit") or "").strip()
+    if not stated:
+        raise RigError("its <CoordUnit> is missing")
+    length, unit = options.length(None, stated)
     fx, fy = numbers_of(calibration, "fx_fy", 2)
     Cx, Cy = numbers_of(calibration, "Cx_Cy", 2)
     k1 = numbers_of(calibration, "kc")[0] if calibration.find("kc") is not None else 0.0
     R = np.array([[float(v) for v in (row.text or "").split()] for row in rows])
-    T = LENGTHS[unit] * np.array(numbers_of(calibration, "Tx_Ty_Tz", 3))
+    T = length * np.array(numbers_of(calibration, "Tx_Ty_Tz", 3))
     # pixel centres at half-integers there, the lowest row's at Y = 1/2
     camera = Camera(fx, fy, Cx - 0.5, size[1] - 0.5 - Cy, rotation_near(_FLIP @ R), _FLIP @ T, size, k1=k1)
     note: dict[str, object] = {"program": "UVMAT", "file": path.name, "unit": unit}

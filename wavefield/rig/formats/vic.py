@@ -1,4 +1,4 @@
-"""VIC-3D's XML, lengths in millimetres."""
+"""VIC-3D's XML, lengths in millimetres unless it states another unit."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -7,7 +7,13 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import ImportOptions, numbers_of, refuse_terms, turned_about_axes
+from wavefield.rig.formats.common import (
+    ImportOptions,
+    numbers_of,
+    refuse_terms,
+    stated_unit,
+    turned_about_axes,
+)
 from wavefield.rig.rig import Rig
 
 
@@ -17,6 +23,7 @@ def load_vic(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     if not elements:
         raise RigError("it has no <camera>: the project was not calibrated")
     mask = root.find(".//polygonmask")
+    length, unit = options.length("mm", stated_unit(root))
     cameras = {}
     for name, element in zip(options.named(len(elements)), elements, strict=True):
         values = [float(v) for v in (element.text or "").split()]
@@ -27,11 +34,11 @@ def load_vic(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
         pose = numbers_of(element, "orientation", 6)
         stored = None if mask is None else (int(mask.attrib["width"]), int(mask.attrib["height"]))
         size = options.size(name, "this VIC-3D file", stored)
-        T = 1e-3 * np.array(pose[3:])
+        T = length * np.array(pose[3:])
         cameras[name] = Camera(
             fx, fy, cx, cy, turned_about_axes(*np.radians(pose[:3])), T, size, k1, k2, k3=k3, skew=skew
         )
-    return Rig(cameras, {"imported": {"program": "VIC-3D", "file": path.name, "unit": "mm"}})
+    return Rig(cameras, {"imported": {"program": "VIC-3D", "file": path.name, "unit": unit}})
 
 
 def save_vic(rig: Rig, path: str | Path) -> None:

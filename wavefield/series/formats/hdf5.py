@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_index
+from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_index, usual_interval
 
 if TYPE_CHECKING:
     import h5py  # 12 MB in every worker, for the few who have such images
@@ -28,11 +29,12 @@ class _Dataset:
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
         self.path, self._file, self._data = path, file, data
         self.count, self.shape = int(data.shape[0]), (int(data.shape[1]), int(data.shape[2]))
+        self._plain = _is_plain(data)
         self._times = _times(data)
         rate = data.attrs.get("frame_rate", file.attrs.get("frame_rate"))
         self.rate = _rate(self._times) if rate is None else float(np.ravel(rate)[0])
         self.first = 0
-        self._plain = _is_plain(data)
+        self.count = self._filled()
 
     def read(self, index: int) -> Pixels:
         """Read one image."""
@@ -45,9 +47,22 @@ class _Dataset:
         except (OSError, RuntimeError) as error:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
 
+    def _filled(self) -> int:
+        """Images before those at the end that were preallocated and never written, all of one value."""
+        if self._is_empty(self.count - 1) and not self._is_empty(0):
+            return bisect_left(range(self.count), True, key=self._is_empty)
+        return self.count
+
+    def _is_empty(self, index: int) -> bool:
+        try:
+            image = self.read(index)
+        except FrameError:
+            return False
+        return bool((image == image.flat[0]).all())
+
     def times(self) -> Times:
         """Times of the images, s; empty where the file does not hold them."""
-        return self._times
+        return self._times[: self.count]
 
     def _in_file_order(self, index: int, out: Pixels) -> bool:
         """Read the chunk that is the image; False where none was written, or filters were left out."""
@@ -75,8 +90,8 @@ def _times(data: h5py.Dataset) -> Times:
 
 
 def _rate(times: Times) -> float | None:
-    """Images per second, by most intervals."""
-    usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    """Images per second, by the usual interval."""
+    usual = usual_interval(times)
     return float(f"{1 / usual:.6g}") if usual > 0 else None
 
 

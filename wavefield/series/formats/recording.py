@@ -96,6 +96,13 @@ class RawRecording:
             self._stream = None
 
 
+def usual_interval(times: Times) -> float:
+    """Mean interval of times, s, without those across images that were dropped; 0 where it is not known."""
+    intervals = np.diff(times)
+    middle = float(np.median(intervals)) if len(intervals) else 0.0
+    return float(intervals[np.abs(intervals / middle - 1.0) < 0.5].mean()) if middle > 0 else 0.0
+
+
 def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> Callable[[Stream], Pixels]:
     """Reader of complete bytes: straight into the image."""
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.images import grey
-from wavefield.series.formats.recording import Pixels, Times, no_times, refuse_index
+from wavefield.series.formats.recording import Pixels, Times, no_times, refuse_index, usual_interval
 from wavefield.text import one_line
 
 RATE_TOLERANCE = 0.02  # by which the nominal rate may differ from that of the times
@@ -81,7 +81,7 @@ class Video:
         nominal = float(self._stream.guessed_rate or self._stream.average_rate or 0)
         if not self._timed or self.count < 2:
             return nominal or None
-        usual = float(np.median(np.diff(times)))
+        usual = usual_interval(times)
         alike = nominal > 0 and abs(nominal * usual - 1) < RATE_TOLERANCE
         return float(f"{nominal if alike else 1 / usual:.6g}")
 
