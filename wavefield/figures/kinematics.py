@@ -119,12 +119,17 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     Notes
     -----
     Counterpart of the paper's coherence curves, with its common normalisation, on the left; the standard
-    magnitude-squared coherence with its level of chance on the right.
+    magnitude-squared coherence with its level of chance on the right. Thin and pale where noise exceeds the
+    waves.
     """
     figure, [[left, right]] = panels(2)
     k = cycles(coherence)
+    valid = coherence.valid.values if "valid" in coherence else np.ones(k.size, bool)
     for ax, stem in ((left, "C_"), (right, "gamma2_")):
-        draw_curves(ax, k, {label: np.abs(coherence[stem + n].values) for n, label in _COHERENCES.items()})
+        curves = {label: np.abs(coherence[stem + n].values) for n, label in _COHERENCES.items()}
+        for style, values in zip(LINES, curves.values(), strict=False):
+            ax.plot(k, values, color=style["color"], linewidth=0.7, alpha=0.5)
+        draw_curves(ax, k, {label: np.where(valid, values, np.nan) for label, values in curves.items()})
     right.plot(k, coherence.level_w.values, color="0.5", linestyle=":", label="chance (5 %)")
     finish(left, CYCLES, "|C(k)|, common normalisation (1)", ylim=(0, 1.1))
     finish(right, CYCLES, "γ²(k) (1)", ylim=(0, 1.05))

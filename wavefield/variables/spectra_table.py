@@ -158,6 +158,7 @@ for _a in FIELD_UNITS:
 rows("cross", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
 
 # ---- /coherence ----
+rows("coherence", ("k",), ("valid", "1", "where the waves exceed the noise"), dtype="bool")
 for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
     for _t, _text in (("w", "w"), ("nl", "-u . grad z"), ("tot", "w - u . grad z")):
         rows(

@@ -12,6 +12,7 @@ from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
+from wavefield.waves.dispersion_relation.plane_spectrum import PlaneSpectrum
 from wavefield.waves.dispersion_relation.sector_covariances import (
     LINES_AROUND,
     harmonic_stds,
@@ -35,6 +36,8 @@ SECTORS = 36  # of the group `directional`: ten degrees, as wave models have the
 BANDWIDTH_HZ = 0.2
 STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
 LOWEST_HZ = 0.5  # the integrated w holds little but drift below
+SHORTEST_WAVES = 0.8  # of the grid's largest k: sectors are incomplete beyond
+MIN_SIGNAL_TO_NOISE = 3.0  # energy near the relation over that of the noise there: less has no direction
 UNIFORM_STD = np.pi / np.sqrt(3)  # rad, of a direction of which nothing is known
 
 
@@ -141,7 +144,8 @@ def directions(
         ``direction``, ``spread`` (frequency): mean direction and directional spread, rad, and
         ``direction_std``, ``spread_std``, their standard uncertainties; ``r1``, ``r2``
         (frequency), moduli of the first two harmonics; ``isotropy`` (frequency): 1 - the larger of them,
-        1 for an isotropic sea, 0 for a single direction. ``efth`` (freq, dir) is the same spectrum as
+        1 for an isotropic sea, 0 for a single direction. All but ``energy`` are NaN at frequencies whose
+        waves the grid does not resolve or the noise hides. ``efth`` (freq, dir) is the same spectrum as
         oceanographers write it: per Hz and degree, ``dir`` in degrees, where waves come from, clockwise from
         the y axis. With wavespectra installed, ``import wavespectra`` gives the result ``.spec``.
 
@@ -187,7 +191,7 @@ def directions(
     if frequency is None:
         frequency, step = resolved_frequencies(plane, depth, gamma)
         bandwidth = step * (1 - 1e-9) if bandwidth is None else bandwidth  # a line at either end counts once
-    out = sector_spectrum(
+    found = sector_spectrum(
         plane,
         frequency,
         depth,
@@ -197,7 +201,8 @@ def directions(
         gamma=gamma,
         bandwidth=BANDWIDTH_HZ if bandwidth is None else bandwidth,
     )
-    return out.assign(oceanographic(out)[["efth"]])
+    clear = above_noise(plane, found, (depth, gamma), current)
+    return only_at(found, clear).assign(oceanographic(found)[["efth"]])
 
 
 def elevation_density(density: xr.DataArray, current: tuple[float, float], frames: int) -> xr.DataArray:
@@ -216,9 +221,41 @@ def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> t
     """Frequencies, Hz, that the segment and the grid of a spectrum resolve, and their distance."""
     omega = density["omega"].values
     line = float(omega[1]) / (2 * np.pi)
-    shortest = dispersion(0.8 * float(density["kx"].max()), depth, gamma) / (2 * np.pi)
+    shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     step = max(STEP_HZ, line)
     return np.arange(max(LOWEST_HZ, 3 * line), min(shortest, 0.9 * omega[-1] / (2 * np.pi)), step), step
+
+
+def _largest_k(density: xr.DataArray) -> float:
+    """Largest wavenumber, rad/m, that the grid samples in all directions."""
+    return float(min(density["kx"].max(), density["ky"].max()))
+
+
+def above_noise(
+    density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Frequencies, of those of `sector_spectrum`, at which the grid resolves waves that exceed the noise."""
+    spectrum = PlaneSpectrum.of(density, water[0])
+    frequency = found["frequency"].values
+    centres = wavenumber(2 * np.pi * frequency, *water)
+    plane, omega = spectrum.plane, spectrum.omega
+    cells = np.flatnonzero(plane.k < SHORTEST_WAVES * _largest_k(density))
+    shift = current[0] * plane.kx[cells] + current[1] * plane.ky[cells]
+    out = centres <= SHORTEST_WAVES * _largest_k(density)
+    for i in np.flatnonzero(out):
+        half_width = max(HALF_WIDTH * centres[i], MIN_HALF_WIDTH * plane.cell)
+        ring = np.abs(plane.k[cells] - centres[i]) < half_width
+        line = np.rint((2 * np.pi * frequency[i] + shift[ring]) / omega[1]).astype(int)
+        inside = (line >= 0) & (line < omega.size)
+        at = line[inside], cells[ring][inside]
+        out[i] = spectrum.energy[at].sum() > MIN_SIGNAL_TO_NOISE * spectrum.noise[at].sum()
+    return np.asarray(out)
+
+
+def only_at(found: xr.Dataset, there: NDArray[np.bool_]) -> xr.Dataset:
+    """Directions and spreads at some of the frequencies, NaN at the others; energies stay."""
+    known = xr.DataArray(there, dims="frequency")
+    return found.assign({name: found[name].where(known) for name in found if name != "energy"})
 
 
 def oceanographic(found: xr.Dataset) -> xr.Dataset:
@@ -237,7 +274,12 @@ def oceanographic(found: xr.Dataset) -> xr.Dataset:
         },
         {"freq": ("freq", found["frequency"].values), "dir": ("dir", compass[order])},
     )
-    return annotate(out, "directional")
+    out = annotate(out, "directional")
+    out["efth"].attrs["comment"] = (
+        "as blurred by the windows: a spread computed from it, such as dspr of wavespectra, is too large;"
+        " directional_spread has the blur taken off"
+    )
+    return out
 
 
 def sector_spectrum(
@@ -363,7 +405,8 @@ def direction_group(
     current, dof = used.velocity, welch.dof
     lines = density["omega"].values / (2 * np.pi)
     out = sector_spectrum(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
-    out = _with_error_of_current(out, density, used, (depth, gamma))
+    clear = above_noise(density, out, (depth, gamma), current)
+    out = only_at(_with_error_of_current(out, density, used, (depth, gamma)), clear)
     out = out[["D", "dof", "low", "high", "direction", "direction_std", "spread", "spread_std"]]
     out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")})
     out = out.assign_coords(frequency=2 * np.pi * out["frequency"]).rename(frequency="omega_map")

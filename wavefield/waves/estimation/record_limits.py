@@ -13,6 +13,7 @@ FILLED_STEPS = 12  # at which the error of filled nodes is found
 MIN_PERIODS = (
     10  # of the strongest wave: fewer do not separate it from its neighbours, nor its height from chance
 )
+MIN_PERIODS_OF_HEIGHT = 3  # its standard uncertainty is that of a chi-squared value: fewer give no height
 MIN_SEGMENTS_FOR_TENSION = 4  # before a fitted surface tension is more than noise
 MAX_TENSION_STD = 0.05  # standard uncertainty of the surface tension, relative
 
@@ -81,14 +82,19 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
     periods = seconds * float(statistics["peak_frequency"])
     if periods >= MIN_PERIODS:
         return Noted(statistics, [])
-    gone = [f"{name}{end}" for name in ("peak_frequency", "peak_k", "steepness") for end in ("", "_std")]
-    return Noted(
-        statistics.drop_vars(gone, errors="ignore"),
-        [
-            f"No spectral peak, no steepness: the record holds {periods:.2g} peak periods ({seconds:.3g} s); "
-            f"{MIN_PERIODS:g} are needed."
-        ],
-    )
+    gone = ["peak_frequency", "peak_k", "steepness"]
+    notes = [
+        f"No spectral peak, no steepness: the record holds {periods:.2g} peak periods ({seconds:.3g} s);"
+        f" {MIN_PERIODS} are needed."
+    ]
+    if not periods >= MIN_PERIODS_OF_HEIGHT:
+        gone += ["significant_height"]
+        notes.append(
+            f"No significant wave height: the record holds {periods:.2g} peak periods;"
+            f" {MIN_PERIODS_OF_HEIGHT} are needed."
+        )
+    gone = [f"{name}{end}" for name in gone for end in ("", "_std")]
+    return Noted(statistics.drop_vars(gone, errors="ignore"), notes)
 
 
 def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:

@@ -203,6 +203,7 @@ class _Noise:
     fit_w: Array
     white_z: Array  # (k,)
     white_dz: Array
+    known: bool  # whether half of the lines of most rings are off free waves: else the median is of waves
 
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
@@ -224,8 +225,11 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
         white_dz = _white(noise_w * spectra.shape, use)
         fit_w = np.where(omega[:, None] > 0, white_dz / spectra.shape, np.inf)
     fit_z = np.broadcast_to(white_z, spectra.zz.shape)
+    known = bool(((off & (omega > 0)[:, None]).mean(axis=0) > 0.5).mean() > 0.5)
     tiny = _tiny(spectra)
-    return _Noise(noise_z, noise_w, np.maximum(fit_z, tiny), np.maximum(fit_w, tiny), white_z, white_dz)
+    return _Noise(
+        noise_z, noise_w, np.maximum(fit_z, tiny), np.maximum(fit_w, tiny), white_z, white_dz, known
+    )
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
@@ -356,8 +360,9 @@ def from_spectra(
         known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))  # of the ring itself, not of what leaks in
         out["Ez_komega"] = (("omega", "k"), np.where(known, energies_k[-1], np.nan))
     band = np.pi / spectra.dt
-    out["sigma_z"] = ((), np.sqrt(float(noise.white_z.sum()) * spectra.step * band))
-    out["sigma_dz"] = ((), np.sqrt(float(noise.white_dz.sum()) * spectra.step * band))
+    for name, white in (("sigma_z", noise.white_z), ("sigma_dz", noise.white_dz)):
+        sigma = np.sqrt(float(white.sum()) * spectra.step * band)
+        out[name] = ((), sigma if noise.known else np.nan)
     out["noise_coherence"] = ((), _noise_coherence(ring, spectra, water))
     out["range_frequency"] = ("source", [r[0] for r in reach])
     out["range_decades"] = ("source", [r[1] for r in reach])
@@ -464,7 +469,8 @@ def fused_spectra(
     Dataset
         ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``,
         ``high_``, ``valid_``; ``noise_z``, ``noise_w`` and their fits; ``weight_z``, ``wiener`` (omega);
-        ``sigma_z``, ``sigma_dz`` (m); ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
+        ``sigma_z``, ``sigma_dz`` (m), NaN where segments are too short to tell noise from waves;
+        ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
         (source); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.
 
     Raises

@@ -14,6 +14,7 @@ from wavefield.waves.spectra.cross_spectra import door, lazy_cross_spectra
 from wavefield.waves.spectra.field_spectra import finish
 
 NAMES = ("rise", "w", "nl")
+MIN_SIGNAL_TO_NOISE = 2.0  # of the energy of a ring over that of its noise
 PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 
@@ -21,6 +22,12 @@ def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any
     """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1))."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - chance ** (1 / more)
+
+
+def _above_noise(energy: xr.DataArray) -> xr.DataArray:
+    """Rings (k,) whose energy (omega, k) exceeds their noise: waves are on few of a ring's lines."""
+    noise = energy.median("omega") * energy.sizes["omega"]
+    return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
 
 
 def from_spectra(ring: xr.Dataset) -> xr.Dataset:
@@ -50,6 +57,8 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
             out[f"level_{name}{ending}"] = xr.apply_ufunc(
                 significance_level, samples, dask="parallelized", output_dtypes=[float]
             )
+    # noise of z_t and w comes from the same images, and is coherent
+    out["valid"] = _above_noise(rise) & _above_noise(ring["E_w"]) & ring["valid"].any("omega")
     return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
 
 
@@ -70,7 +79,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     -------
     Dataset
         ``C_w``, ``C_nl``, ``C_tot`` (k), complex; ``gamma2_w``, ``samples_w``, ``bias_w``, ``level_w`` and
-        likewise ``nl``, ``tot`` (k); the same with ``_komega`` over (omega, k).
+        likewise ``nl``, ``tot`` (k); the same with ``_komega`` over (omega, k). ``valid`` (k): where the
+        waves exceed the noise, which is coherent too.
 
     Raises
     ------

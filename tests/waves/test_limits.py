@@ -1,0 +1,62 @@
+"""What a record, its grid or its noise does not determine is refused, absent or marked."""
+
+import numpy as np
+import pytest
+from independent_seas import Sea
+
+import wavefield as wf
+
+
+@pytest.mark.parametrize(("highest", "seed"), [(2.5, 1), (3.0, 2), (4.0, 3)])
+def test_the_current_of_a_noise_free_sea_that_ends_early_is_found(highest, seed):
+    current = 0.08 * np.cos(seed), 0.08 * np.sin(seed)
+    sea = Sea(current, 0.7, highest=highest, directions=((0.7, 5.0, 1.0),), shape=(800, 70, 90), seed=seed)
+    fit = wf.fit_dispersion(wf.spectrum(sea.cube(("w",)).w).E, 0.7)
+    assert np.hypot(float(fit.current_x) - current[0], float(fit.current_y) - current[1]) < 0.005
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    """The analysis of a sea that ends at 2.4 Hz, in noise, on a grid that holds waves to 2.6 Hz."""
+    names = ("z", "z_t", "u", "v", "w")
+    sea = Sea(
+        highest=2.4, directions=((0.5, 8.0, 1.0),), noise=3e-4, shape=(600, 24, 30), dx=0.07, height=0.02
+    )
+    return wf.analyze(sea.cube(names).assign_attrs(water_depth=np.inf), maps=(1.5, 2.0, 2.8, 4.0))
+
+
+def test_waves_that_the_grid_does_not_resolve_have_no_direction(coarse):
+    found = coarse["direction"].to_dataset()
+    there = np.isfinite(found.direction.values)
+    assert there.tolist() == [True, True, False, False]
+    np.testing.assert_array_equal(np.isfinite(found.direction_std.values), there)
+    np.testing.assert_array_equal(np.isfinite(found.D.values).all(axis=1), there)
+    error = (found.direction - 0.5) / found.direction_std
+    assert np.abs(error.values[there]).max() < 3
+
+
+def test_waves_below_the_noise_have_no_direction():
+    sea = Sea(highest=2.4, directions=((0.5, 8.0, 1.0),), noise=3e-4, shape=(600, 48, 60), height=0.02)
+    found = wf.directions(sea.cube(("w",)).w, [2.0, 4.0], current=(0.0, 0.0))
+    assert np.isfinite(found.direction.values).tolist() == [True, False]
+    assert np.isfinite(found.energy.values).all()
+
+
+def test_coherent_noise_beyond_the_waves_is_marked():
+    sea = Sea(highest=3.0, shape=(640, 40, 48), height=0.01)
+    cube = sea.cube(("z", "z_t", "u", "v", "w"))
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(cube.w.shape, dtype="f4")
+    cube["z_t"], cube["w"] = cube.z_t + noise, cube.w + noise
+    found = wf.coherence(cube)
+    beyond = found.k > 80
+    assert float(found.gamma2_w.where(beyond).mean()) > 0.9
+    assert not bool(found.valid.where(beyond, False).any())
+    assert bool(found.valid.sel(k=slice(14, 25)).all())
+
+
+def test_a_short_record_states_neither_height_nor_noise():
+    cube = Sea(lowest=1.0, highest=4.0, shape=(14, 32, 40), height=0.012).cube(("z", "z_t", "u", "v", "w"))
+    waves = wf.analyze(cube)
+    assert "significant_height" not in waves["statistics"]
+    assert "No significant wave height" in waves.attrs["notes"]
+    assert np.isnan(waves["fusion"].sigma_dz)
