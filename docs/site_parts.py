@@ -123,7 +123,7 @@ def _paragraphs(text: str) -> str:
 
 def write_commands(folder: Path) -> None:
     """Write a page for every command, and the table of them all."""
-    from wavefield.quality.explanations import EXPLANATIONS
+    from wavefield.quality.remarks import EXPLANATIONS
 
     folder.mkdir(exist_ok=True)
     rows = ["| command | what it does |", "|---|---|"]

@@ -105,7 +105,7 @@ def test_a_camera_that_moved_is_named_and_corrected():
 
 
 def test_of_two_cameras_a_motion_is_corrected_and_the_ambiguity_of_positions_is_stated():
-    from wavefield.pipeline.still_water import remark_on_rest
+    from wavefield.quality.remarks import remark_on_rest
 
     tank = Tank(scene(surface=BESIDE, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}}))
     images = [tank.render(k) for k in range(FRAMES - 1)]
@@ -172,7 +172,7 @@ def test_command_finds_the_sheet_of_an_experiment(tmp_path):
     rig = Rig.load(folder / "sheet.yaml")
     assert rig.provenance["light_sheet"]["height_m"] == pytest.approx(0.002, abs=3e-5)
 
-    from wavefield.pipeline.still_water import remark_on_rest
+    from wavefield.quality.remarks import remark_on_rest
 
     experiment = Experiment.load(folder / "experiment.yaml")
     assert "the middle of the light sheet" in str(remark_on_rest(experiment, rig))

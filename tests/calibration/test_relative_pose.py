@@ -13,7 +13,7 @@ from wavefield.calibration.relative_pose import match_features, place_second
 from wavefield.commands.cli import main
 from wavefield.errors import RigError
 from wavefield.images import write_image
-from wavefield.pipeline.still_water import remark_on_rest
+from wavefield.quality.remarks import remark_on_rest
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.series import Experiment

@@ -140,7 +140,7 @@ def test_check_reports_where_cameras_are_not_of_the_same_moments(folder, tmp_pat
     changed = _changed(folder, tmp_path, cameras=cameras)
     assert main(["-q", "check", changed, "--workflow", workflow, "--json"]) == 3
     found = json.loads(capsys.readouterr().out)
-    assert found["verdict"]["line"].startswith("not to be trusted: cam2 early")
+    assert found["verdict"]["line"].startswith("not to be trusted: cam2 offset")
     assert "add 1 to its `offset`" in found["verdict"]["remarks"][0]["remedy"]
 
 
@@ -149,7 +149,7 @@ def test_probes_that_are_not_there_are_missed(folder, checked, tmp_path, capsys)
     assert "probes: probe1, probe2, from 0 to" in checked
     changed = _changed(folder, tmp_path, probes="nowhere.csv", frames={"first": 0, "last": 9})
     assert main(["-q", "check", changed, "--workflow", workflow]) == 3
-    assert re.search(r"probes: .*nowhere.csv.* \[unreadable\]", capsys.readouterr().out)
+    assert re.search(r"probes: .*nowhere.csv.* \[probe\]", capsys.readouterr().out)
     cube = str(tmp_path / "cube.zarr")
     assert main(["-q", "run", changed, "--workflow", workflow, "-o", cube]) == 3
     assert main(["-q", "analyze", cube]) == 0

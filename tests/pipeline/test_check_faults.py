@@ -77,5 +77,5 @@ def test_a_rig_in_centimetres_is_reported_by_its_baseline(lab):
     rig = Rig.load(lab / "rig.yaml")
     large = Rig({n: replace(c, translation=100 * np.asarray(c.translation)) for n, c in rig.cameras.items()})
     experiment = Experiment.load(lab / "experiment.yaml")
-    assert [one.kind for one in remark_on_lengths(experiment, large, np.zeros(1))] == ["baseline"]
+    assert [one.kind for one in remark_on_lengths(experiment, large, np.zeros(1))] == ["lengths"]
     assert not [*remark_on_lengths(experiment, rig, np.zeros(1))]

@@ -29,15 +29,15 @@ def table(times, heights):
 
 def test_probes_that_cannot_be_read_are_a_remark(tmp_path):
     remarks, line = check_probes(experiment(tmp_path, "nothing\n"), SPAN)
-    assert [one.code for one in remarks] == ["unreadable"]
-    assert "probes.csv" in remarks[0].sentence
+    assert [one.code for one in remarks] == ["probe"]
+    assert "probes.csv" in remarks[0].found
     assert line == ""
 
 
 def test_probes_that_share_no_time_with_the_frames_are_a_remark(tmp_path):
     times = 3600 + np.arange(50) / 10
     remarks, line = check_probes(experiment(tmp_path, table(times, np.sin(times))), SPAN)
-    assert [one.code for one in remarks] == ["no-overlap"]
+    assert [one.code for one in remarks] == ["probe"]
     assert "from 3600 to 3604.9 s; frames from 0 to 5 s" in line
     assert check_probes(experiment(tmp_path, table(times, np.sin(times)), ", clock: -3600"), SPAN)[0] == []
 

@@ -12,7 +12,8 @@ from wavefield.grid import Grid
 from wavefield.images import write_image
 from wavefield.measurement import Settings
 from wavefield.measurement.error_budget import level_std
-from wavefield.pipeline.still_water import level_at_rest, remark_on_rest
+from wavefield.pipeline.still_water import level_at_rest
+from wavefield.quality.remarks import remark_on_rest
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_at
 from wavefield.series import Experiment
@@ -47,7 +48,7 @@ def test_the_record_at_rest_levels_the_rig(lab, capsys):
     assert rise == pytest.approx(-SUNK, abs=3e-4)
     assert rig.provenance["levelled"]["height_m"] == pytest.approx(SUNK, abs=3e-4)
     remark = remark_on_rest(Experiment.load(lab), rig)
-    assert (remark.kind, remark.weight) == ("levelled", "note")
+    assert (remark.kind, remark.weight) == ("water level", "note")
     assert "z = 0 is the water at rest" in str(remark)
 
 
@@ -69,12 +70,12 @@ def test_the_visible_height_of_beads_is_reported_where_they_may_show(lab, tmp_pa
 def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
     rig, experiment = Rig.load(lab.with_name("rig.yaml")), Experiment.load(lab)
     named = remark_on_rest(experiment, rig)
-    assert (named.kind, named.weight) == ("not levelled", "remark")
+    assert (named.kind, named.weight) == ("water level", "remark")
     assert "run `wavefield calibrate experiment.yaml` again" in str(named)
     plain = tmp_path / "experiment.yaml"
     plain.write_text(lab.read_text().replace(REST, ""))
     absent = remark_on_rest(Experiment.load(plain), rig)
-    assert (absent.kind, absent.weight) == ("no rest", "note")
+    assert (absent.kind, absent.weight) == ("water level", "note")
     assert "name them with the key `rest`" in str(absent)
     with pytest.raises(ExperimentError, match="names no record at rest"):
         Experiment.load(plain).at_rest()
@@ -136,5 +137,5 @@ def test_the_note_on_missing_still_water_gives_the_uncertainty_of_the_level(lab,
     plain.write_text(lab.read_text().replace(REST, ""))
     found = remark_on_rest(Experiment.load(plain), Rig.load(lab.with_name("rig.yaml")), 0.00044)
     assert found.weight == "note"
-    assert "0.44 mm" in found.sentence
+    assert "0.44 mm" in found.means
     assert found.values == {"level_std_m": 0.00044}

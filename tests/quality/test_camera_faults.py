@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.quality.camera_faults import _blurred, _nobody, find_camera_faults
+from wavefield.quality.cameras import _blurred, _nobody, find_camera_faults
 from wavefield.quality.patch_matching import REACH, PairConsistency, PatchMatcher
 from wavefield.rig.resolution import pixel_at
 from wavefield.store.verdict import Remark, Verdict, read_verdict
@@ -71,11 +71,11 @@ def late(name, frame):
     [
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
         (swapped, "cam1 and cam2", "swapped", "when their images are exchanged"),
-        (late, "cam3", "late", "take 1 from its `offset`"),
-        (reversed_, "cam2", "reversed", "is run backwards"),
+        (late, "cam3", "offset", "Take 1 from its `offset`"),
+        (reversed_, "cam2", "offset", "is run backwards"),
         (covered, "cam2", "covered", "shows nothing in"),
-        (Shots(11, cam2={"defocus": 2.0}), "cam2", "out of focus", "blurred by"),
-        (Shots(11, cam2={"defocus": 4.0}), "cam2", "out of focus", "blurred by"),
+        (Shots(11, cam2={"defocus": 2.0}), "cam2", "blurred", "blurred by"),
+        (Shots(11, cam2={"defocus": 4.0}), "cam2", "blurred", "blurred by"),
     ],
 )
 def test_a_faulty_camera_is_named_with_its_fault(read, subject, kind, expected):
@@ -93,8 +93,8 @@ def test_patches_that_are_found_and_scatter_are_not_called_missing(fraction, spr
     eps_y = spread * np.random.default_rng(0).standard_normal(count)
     pair = PairConsistency(fraction, eps_y, np.zeros(3), np.arange(count))
     remark = _nobody(SimpleNamespace(found={("cam1", "cam2"): [pair, pair]}))
-    assert expected in remark.sentence
-    assert ("miss each other irregularly" in remark.sentence) == and_scatter
+    assert expected in remark.found
+    assert ("miss each other irregularly" in remark.found) == and_scatter
 
 
 def test_a_knocked_camera_is_named_and_the_miss_is_reported_in_px():
@@ -154,7 +154,7 @@ def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
     verdict.save(tmp_path / "cube.zarr")
     assert read_verdict(tmp_path / "cube.zarr") == verdict
     assert read_verdict(tmp_path / "other.zarr") is None
-    assert str(grave) == "cam1: it agrees when mirrored; correct it [mirrored]"
+    assert str(grave) == "cam1: it agrees when mirrored. as calibrated. correct it. [mirrored]"
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from wavefield.tank.tank import Tank
 
 
 @pytest.mark.parametrize(
-    ("thickness", "found"), [(0.0005, []), (0.004, [("not compared", "remark")])], ids=["thin", "deep"]
+    ("thickness", "found"), [(0.0005, []), (0.004, [("light sheet", "remark")])], ids=["thin", "deep"]
 )
 def test_a_sound_light_sheet_is_not_called_untrustworthy_for_its_depth(thickness, found, tmp_path):
     tank = Tank(

@@ -41,7 +41,7 @@ def test_nothing_is_measured_across_images_that_all_cameras_dropped(own_tank, re
     state = run(own_tank, workflow=HERE)
     assert state.failed_steps == (5, 6, 7)
     assert {bad.numbers for bad in state.bad_frames} == {(6, 7)}
-    assert ("cam3", "dropped images") in {(r.subject, r.kind) for r in state.verdict.remarks}
+    assert ("cam3", "missing frames") in {(r.subject, r.kind) for r in state.verdict.remarks}
     cube, good = open_cube(state.store).load(), open_cube(reference).load()
     np.testing.assert_array_equal(cube.time, good.time)
     # the sample steps beside the gap are others: of 16 cm of water each gives another spectrum

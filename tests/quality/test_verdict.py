@@ -11,8 +11,11 @@ from wavefield.commands.cli import main
 from wavefield.images import read_image, write_image
 from wavefield.matching import Prior
 from wavefield.measurement.error_budget import fast_waves
-from wavefield.pipeline.run_quality import _left_out
-from wavefield.quality.field_remarks import remark_on_fast_waves, remark_on_unresolved_waves
+from wavefield.quality.remarks import (
+    remark_on_cameras_left_out,
+    remark_on_fast_waves,
+    remark_on_unresolved_waves,
+)
 from wavefield.variables import Quality
 from wavefield.water import dispersion
 
@@ -58,17 +61,17 @@ def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab
     printed("report", cube, status=0)
     page = lab.with_name("report.html").read_text()
     assert "Verdict: not to be trusted: cam2 mirrored" in page
-    assert "correct its images" in page
+    assert "Correct its images" in page
 
 
 def test_the_verdict_names_a_camera_without_which_much_was_measured():
     quality = np.full((2, 10, 10), int(Quality.MEASURED), np.uint16)
     quality[:, :, :3] |= np.uint16(Quality.without(1))
     quality[0, 0, 9] |= np.uint16(Quality.without(2))  # not worth a word
-    (remark,) = _left_out(quality, ["left", "middle", "right"])
+    (remark,) = remark_on_cameras_left_out(quality, ["left", "middle", "right"])
     assert (remark.subject, remark.kind) == ("middle", "left out")
     assert remark.weight == "remark"
-    assert "30.0 % of the nodes were measured without middle" in remark.sentence
+    assert "30.0 % of the nodes were measured without middle" in remark.found
 
 
 def test_a_run_in_which_nothing_could_be_measured_failed(lab, capsys):

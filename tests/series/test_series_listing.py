@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from series_cases import number_image, write_experiment, write_frames
 
 from wavefield.errors import ExperimentError
-from wavefield.quality.recording_remarks import remark_on_recordings
+from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern, newest_frames, number_frames
 from wavefield.series.readers import close_files
@@ -202,7 +202,7 @@ def test_a_frame_rate_that_is_left_out_is_that_of_the_videos(tmp_path, ending, c
     experiment = Experiment.load(path)
     assert experiment.frame_rate == pytest.approx(12.5)
     [remark] = [one for one in remark_on_recordings(experiment, experiment.open_frames()) if one.code]
-    assert "12.5 Hz is that of the playback of its video" in remark.sentence
+    assert "12.5 Hz is the playback rate of its video" in remark.found
     path.write_text(text + "frame_rate: 500\n")
     experiment = Experiment.load(path)
     assert experiment.frame_rate == 500

@@ -11,7 +11,7 @@ import tifffile
 import zarr
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.quality.recording_remarks import remark_on_recordings
+from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.formats import open_recording
 from wavefield.series.formats.packed import packed
@@ -317,8 +317,8 @@ def test_a_camera_that_alone_dropped_images_stays_aligned_with_the_others(tmp_pa
     even = 9.0 + np.arange(80) / 2000
     reported, missing = remarks_on(tmp_path, a=even, b=np.delete(even, [7, 8, 40]) + 0.3)
     assert missing == {"a": [], "b": [7, 8, 40]}
-    assert list(reported) == [("b", "dropped images")]
-    assert reported["b", "dropped images"].values == {"dropped": 3, "first": 6}
+    assert list(reported) == [("b", "missing frames")]
+    assert reported["b", "missing frames"].values == {"dropped": 3, "first": 6}
 
 
 def test_clocks_that_drift_apart_are_reported_and_their_jitter_is_not(tmp_path):
@@ -328,8 +328,8 @@ def test_clocks_that_drift_apart_are_reported_and_their_jitter_is_not(tmp_path):
     reported, missing = remarks_on(
         tmp_path, a=9.0 + even, b=9.3 + 1.005 * even
     )  # in the end by .4 of an interval
-    assert list(reported) == [("b", "drift")]
-    assert reported["b", "drift"].values["intervals"] == pytest.approx(0.375, abs=0.02)
+    assert list(reported) == [("b", "frame times")]
+    assert reported["b", "frame times"].values["intervals"] == pytest.approx(0.375, abs=0.02)
     assert missing == {"a": [], "b": []}
 
 
@@ -351,8 +351,8 @@ def test_times_of_no_whole_intervals_are_reported_and_shift_no_frame(tmp_path):
     for times, first in ((late, 19), (bursts, 39)):
         reported, missing = remarks_on(tmp_path, a=times)
         assert missing == {"a": []}
-        assert list(reported) == [("a", "uneven times")]
-        assert reported["a", "uneven times"].values["first"] == first
+        assert list(reported) == [("a", "frame times")]
+        assert reported["a", "frame times"].values["first"] == first
 
 
 @pytest.mark.parametrize("attached", [True, False], ids=["coordinate", "beside"])

@@ -7,7 +7,7 @@ from click.shell_completion import CompletionItem
 
 
 def _complete(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    from wavefield.quality.explanations import EXPLANATIONS
+    from wavefield.quality.remarks import EXPLANATIONS
 
     return [CompletionItem(code) for code in EXPLANATIONS if code.startswith(begun)]
 
@@ -16,7 +16,7 @@ def _complete(context: click.Context, parameter: click.Parameter, begun: str) ->
     epilog="""\b
 Examples:
   wavefield explain             # all codes
-  wavefield explain no-rest
+  wavefield explain water-level
 """
 )
 @click.argument("code", required=False, shell_complete=_complete)
@@ -26,7 +26,7 @@ def explain(context: click.Context, code: str | None) -> None:
 
     CODE is the word in brackets at the end of the remark; without it, all codes are listed.
     """
-    from wavefield.quality.explanations import EXPLANATIONS, first_sentence
+    from wavefield.quality.remarks import EXPLANATIONS, first_sentence
 
     if code is None:
         formatter = context.make_formatter()

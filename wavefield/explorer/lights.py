@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.quality_limits import RECORD_LIMITS
-from wavefield.quality.time_check import kinematic_misfit
+from wavefield.quality.record import kinematic_misfit
+from wavefield.quality.remarks import RECORD_LIMITS
 from wavefield.robust import PER_MEDIAN
 from wavefield.text import spell_time
 from wavefield.variables import Quality

@@ -14,7 +14,7 @@ from wavefield.execution.process import peak_memory
 from wavefield.pipeline.chunk import Measured, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
-from wavefield.quality.frame_remarks import complete_steps
+from wavefield.quality.record import complete_steps
 from wavefield.series import Frame, FrameSeries
 from wavefield.store.layout import COMPRESSION
 from wavefield.text import spell_time

@@ -22,10 +22,19 @@ from wavefield.pipeline.magnitudes import (
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.pipeline.probe_check import check_probes
 from wavefield.pipeline.run_quality import clocks, compare_cameras, record_span
-from wavefield.pipeline.still_water import remark_on_rest
-from wavefield.quality.field_remarks import remark_on_coverage, remark_on_eps_piv, remark_on_holes
-from wavefield.quality.frame_remarks import FrameInspection, inspect_frames, remark_on_frames, sample_frames
-from wavefield.quality.recording_remarks import remark_on_recordings
+from wavefield.quality.record import (
+    FrameInspection,
+    inspect_frames,
+    remark_on_frames,
+    remark_on_recordings,
+    sample_frames,
+)
+from wavefield.quality.remarks import (
+    remark_on_coverage,
+    remark_on_eps_piv,
+    remark_on_holes,
+    remark_on_rest,
+)
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.verdict import Remark, Verdict
@@ -330,11 +339,11 @@ def _grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Rem
 def _remark_on_disk(cost: Cost) -> Remark:
     return Remark(
         "disk",
-        "room",
+        "disk space",
         "remark",
-        f"a run writes {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free",
-        f"{MIN_FREE_SHARE} times as much",
-        "free some room or write elsewhere with -o",
+        f"a run writes {spell_size(cost.disk)}, and {spell_size(cost.free)} are free",
+        f"It may stop before its end ({MIN_FREE_SHARE} times as much should be free)",
+        "Free some space or write elsewhere with -o",
         {"bytes": cost.disk, "free": cost.free},
     )
 

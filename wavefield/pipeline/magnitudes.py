@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.quality.field_remarks import MIN_COVERAGE, MIN_USEFUL_COVERAGE
+from wavefield.quality.remarks import MIN_COVERAGE, MIN_USEFUL_COVERAGE
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.resolution import pixel_sides, pixel_size
@@ -185,11 +185,12 @@ def remark_on_lengths(experiment: Experiment, rig: Rig, z: NDArray[np.floating])
     if baseline > _MAX_BASELINE:
         yield Remark(
             "rig",
-            "baseline",
+            "lengths",
             "remark",
-            f"{' and '.join(pairs[apart.index(baseline)])} are {baseline:.3g} m apart",
-            f"{_MAX_BASELINE:g} m at most",
-            "if the rig is not in metres, every elevation and velocity is wrong by that factor",
+            f"{' and '.join(pairs[apart.index(baseline)])} are {baseline:.3g} m apart (at most "
+            f"{_MAX_BASELINE:g} m)",
+            "If the rig is not in metres, every elevation and velocity is wrong by that factor",
+            "`wavefield rig convert FILE --unit UNIT` converts another program's rig",
             {"baseline": baseline},
         )
     depth = experiment.water.depth
@@ -205,11 +206,11 @@ def remark_on_lengths(experiment: Experiment, rig: Rig, z: NDArray[np.floating])
         return
     yield Remark(
         "water",
-        "depth",
+        "lengths",
         "remark",
         f"water.depth of {name} is {depth:g} m, but {found}",
-        "",
-        "is it in metres? Leave it out where the waves in view are too short to feel the bottom",
+        "Dispersion and depth correction would be wrong",
+        "Is it in metres? Leave it out where the waves in view are too short to feel the bottom",
         {"depth": depth, "lowest": lowest, "distance": distance},
     )
 
@@ -220,12 +221,12 @@ def remark_on_speed(experiment: Experiment, rig: Rig, grid: Grid, pixels: float)
     if speed > _MAX_SPEED:
         yield Remark(
             "record",
-            "speed",
+            "frame rate",
             "grave",
-            f"the water moves by {pixels:.0f} px from frame to frame, which is {speed:.3g} m/s at "
+            f"the water moves by {pixels:.0f} px from frame to frame, {speed:.3g} m/s at "
             f"{experiment.frame_rate:g} Hz",
-            f"{_MAX_SPEED:g} m/s at most",
-            f"is frame_rate of {experiment.path.name} in Hz, and the rig in metres?",
+            f"No water is that fast (at most {_MAX_SPEED:g} m/s): velocities are wrong by a factor",
+            f"Is frame_rate of {experiment.path.name} in Hz, and the rig in metres?",
             {"speed": speed},
         )
 

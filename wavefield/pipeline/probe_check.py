@@ -6,7 +6,7 @@ import numpy as np
 
 from wavefield.errors import WavefieldError
 from wavefield.pipeline.experiment_of_cube import load_experiment
-from wavefield.quality.probe_remarks import compare_probes, remark_on_fits, remark_on_probe_file
+from wavefield.quality.remarks import compare_probes, remark_on_fits, remark_on_probe_file
 from wavefield.series import Experiment
 from wavefield.store.read import open_cube, open_group
 from wavefield.store.verdict import Remark
@@ -15,7 +15,7 @@ from wavefield.store.verdict import Remark
 def check_probes(experiment: Experiment, span: tuple[float, float]) -> tuple[list[Remark], str]:
     """Remarks on the probes, and a line on them; ``span`` is the time of the first and last frame, s."""
     remarks = list(remark_on_probe_file(experiment, span))
-    if experiment.probes is None or any(one.kind == "unreadable" for one in remarks):
+    if experiment.probes is None or any(not one.values for one in remarks):  # they cannot be read
         return remarks, ""
     probes = experiment.read_probes()
     clock = probes["time"].values

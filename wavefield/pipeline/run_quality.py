@@ -1,12 +1,11 @@
 """The verdict on an experiment before its run, and on a cube after it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_thread
@@ -14,27 +13,29 @@ from wavefield.measurement.error_budget import fast_waves, ripples
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
-from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality import camera_delay, camera_motion
 from wavefield.quality.camera_delay import Synchrony
-from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
-from wavefield.quality.field_remarks import (
+from wavefield.quality.cameras import CameraFaults, find_camera_faults
+from wavefield.quality.patch_matching import PatchMatcher
+from wavefield.quality.record import (
+    COMPARED,
+    remark_on_cleared_steps,
+    remark_on_jitter,
+    remark_on_kinematics,
+    remark_on_recordings,
+    rise_ratios,
+    steps_to_leave_out,
+)
+from wavefield.quality.remarks import (
+    remark_on_cameras_left_out,
     remark_on_coverage,
     remark_on_eps_piv,
     remark_on_fast_waves,
     remark_on_holes,
+    remark_on_probes,
+    remark_on_rest,
+    remark_on_steps,
     remark_on_unresolved_waves,
-)
-from wavefield.quality.patch_matching import PatchMatcher
-from wavefield.quality.probe_remarks import remark_on_probes
-from wavefield.quality.recording_remarks import remark_on_recordings
-from wavefield.quality.time_check import (
-    COMPARED,
-    remark_on_jitter,
-    remark_on_kinematics,
-    remark_on_steps_left_out,
-    rise_ratios,
-    steps_to_leave_out,
 )
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
@@ -42,7 +43,6 @@ from wavefield.store.ledger import Status
 from wavefield.store.read import open_cube
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.store.write_cube import clear_steps
-from wavefield.text import spell_ranges
 from wavefield.variables import FrameStatus, Quality
 
 
@@ -55,9 +55,7 @@ class RunLimits:
     instants_for_first_delays: int = 4  # the same before it
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
-    without_camera: tuple[float, float] = (0.01, 0.1)  # fraction of the nodes: more is noted, remarked upon
     deep_sheet: float = 4.0  # px between sight lines: particles of thinner ones make one picture
-    faulty: float = 0.01  # of the steps with bad frames: fewer are only noted
 
 
 LIMITS = RunLimits()
@@ -86,12 +84,12 @@ def compare_cameras(prepared: PreparedRun) -> CameraFaults:
 def _not_compared(depth: float) -> Remark:
     return Remark(
         "cameras",
-        "not compared",
+        "light sheet",
         "remark",
-        f"the light sheet is {depth:.0f} px deep between their sight lines: patches of their images cannot "
-        "be compared, and a wrong rig or frames of other moments would not be found",
-        f"less than {LIMITS.deep_sheet:g} px",
-        "`wavefield rig sheet`, which correlates all frames together, compares them",
+        f"the light sheet is {depth:.0f} px deep between their sight lines (at most {LIMITS.deep_sheet:g} "
+        "px to compare patches)",
+        "A wrong rig or frames of other moments would not be found",
+        "Run `wavefield rig sheet`, which correlates all frames together",
     )
 
 
@@ -131,7 +129,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
         remark_on_rest(experiment, prepared.rig, float(cube.get("z_level_std", np.nan))),
         *remark_on_recordings(experiment, series),
         *remark_on_probes(experiment, cube, record_span(experiment, series)),
-        *_steps(status),
+        *remark_on_steps(status),
         *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
         *(_stored_values(cube, sample) if comparable else ()),
         *_short_waves(sample, prepared),
@@ -151,31 +149,6 @@ def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Rema
     instants = min(LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6))
     yield from camera_delay.remarks(synchrony_of(prepared, instants))
     yield from camera_motion.remarks(cube, prepared.geometry, prepared.record, _patch_matcher(prepared))
-
-
-def _steps(status: Status) -> Iterator[Remark]:
-    if status.failed:
-        everything = status.failed == status.steps
-        yield Remark(
-            "record",
-            "failed steps",
-            "grave" if everything else "remark",
-            f"{'all' if everything else status.failed} of {status.steps} steps could not be measured, "
-            f"from frame {spell_ranges(status.failed_steps, 3)}",
-            "none",
-            "check these frames: are they present, bright and seeded in all cameras?",
-            {"failed": status.failed, "steps": status.steps},
-        )
-    if status.faulty:
-        yield Remark(
-            "record",
-            "bad frames",
-            "remark" if status.faulty > LIMITS.faulty * status.steps else "note",
-            f"{status.faulty} of {status.steps} steps have bad frames around them",
-            f"less than {100 * LIMITS.faulty:.0f} %",
-            "copy these frames again and run the same command",
-            {"faulty": status.faulty, "steps": status.steps},
-        )
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
@@ -212,7 +185,7 @@ def leave_out_discontinuous_steps(path: Path) -> None:
 
 def _stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Remark]:
     yield from remark_on_kinematics(sample)
-    yield from remark_on_steps_left_out(cube)
+    yield from remark_on_cleared_steps(cube)
     yield from remark_on_jitter(rise_ratios(cube), sample)
 
 
@@ -221,25 +194,6 @@ def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:
     if not np.isfinite(sample.z).any():
         return  # the ledger reports it
     yield from remark_on_eps_piv(sample.z.values, sample.eps_piv.values)
-    yield from _left_out(sample.quality.values, sample.attrs["cameras"])
+    yield from remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"])
     yield from remark_on_coverage(in_view)
     yield from remark_on_holes(fraction_measured(sample.quality.values))
-
-
-def _left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
-    """Cameras without which much was measured."""
-    has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
-    for number, camera in enumerate(cameras):
-        bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
-        fraction = float(((quality & bit) != 0)[has_value].mean()) if has_value.any() else 0.0
-        if fraction > LIMITS.without_camera[0]:
-            yield Remark(
-                camera,
-                "left out",
-                "remark" if fraction > LIMITS.without_camera[1] else "note",
-                f"{100 * fraction:.1f} % of the nodes were measured without {camera}: its frame was missing,"
-                " or it was inconsistent with the others there",
-                f"less than {100 * LIMITS.without_camera[0]:.0f} %",
-                f"check the images of {camera}: a drop on its window, a reflection, focus, a late frame?",
-                {"fraction": fraction},
-            )

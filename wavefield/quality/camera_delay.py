@@ -32,7 +32,7 @@ from wavefield.quality.patch_matching import (
     compare,
     scaled,
 )
-from wavefield.quality.quality_limits import CAMERA_LIMITS
+from wavefield.quality.remarks import CAMERA_LIMITS
 from wavefield.quality.stabilized import prepared
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
@@ -340,11 +340,10 @@ def remarks(found: Synchrony) -> Iterator[Remark]:
         "cameras",
         "rolling shutter",
         "remark",
-        f"the rows of an image seem to be read one after the other, the last {1e3 * late:.2g} ms "
-        f"{'after' if one.seconds > 0 else 'before'} the first (+- {1e3 * one.std * found.rows:.2g} ms): the "
-        f"water moves {off:.2f} px from the middle to the edge",
-        f"{CAMERA_LIMITS.delay_motion} px at most",
-        f"state the time from row to row for each camera (`row_time: {one.seconds:.2g}`, or what its data "
+        f"the last row of an image is read {1e3 * late:.2g} ms {'after' if one.seconds > 0 else 'before'} "
+        f"the first (+- {1e3 * one.std * found.rows:.2g} ms)",
+        f"The water moves {off:.2f} px from the middle to the edge meanwhile: z and velocities are off there",
+        f"State the time from row to row for each camera (`row_time: {one.seconds:.2g}`, or what its data "
         "sheet gives), or use a global shutter",
         {"row_time": one.seconds, "std": one.std, "px": off},
     )
@@ -360,21 +359,26 @@ def _on_delays(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
             "delayed",
             "remark" if off > CAMERA_LIMITS.delay_motion else "note",
             f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
-            f"(+- {1e3 * one.std:.3f} ms): the water moves {off:.2f} px meanwhile",
-            f"{CAMERA_LIMITS.delay_motion} px at most",
-            "trigger all cameras by one signal and give them one exposure time",
+            f"(+- {1e3 * one.std:.3f} ms)",
+            f"The water moves {off:.2f} px meanwhile: z is off by about as much",
+            "Trigger all cameras by one signal and give them one exposure time",
             {"delay": one.seconds, "std": one.std, "px": off},
         )
 
 
 def sentence(found: Mapping[str, Delay], interval: float = np.inf) -> str:
-    """Delays of all cameras, ms, in a line.
-    Those less certain than half the interval of frames (s) are left out.
-    """
+    """Delays of all cameras; those less certain than half the interval of frames (s) are left out."""
     first = next((name for name, one in found.items() if one.std == 0), "")
-    words = [
-        f"{name} is later than {first} by {1e3 * one.seconds:.3f} +- {1e3 * one.std:.3f} ms"
-        for name, one in found.items()
-        if name != first and one.std < MAX_STD_INTERVALS * interval
-    ]
+    words = []
+    for name, one in found.items():
+        late, std = 1e3 * one.seconds, 1e3 * one.std
+        if name == first or one.std >= MAX_STD_INTERVALS * interval:
+            continue
+        if abs(late) < 2.0 * std or abs(late) < 1e3 * CAMERA_LIMITS.delay:
+            within = max(abs(late) + std, 1e3 * CAMERA_LIMITS.delay)
+            words.append(f"{first} and {name} are synchronous within {within:.2g} ms")
+        else:
+            words.append(
+                f"{name} is {abs(late):.3f} +- {std:.3f} ms {'later' if late > 0 else 'earlier'} than {first}"
+            )
     return "; ".join(words) or "not determined: too little moves or matches"

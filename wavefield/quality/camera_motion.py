@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
-from wavefield.quality.quality_limits import CAMERA_LIMITS
+from wavefield.quality.remarks import CAMERA_LIMITS
 from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.sampling import from_first_to_last
@@ -169,12 +169,12 @@ def remarks(
         off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
         yield Remark(
             name,
-            "knocked",
+            "moved",
             "grave" if off > 10 * CAMERA_LIMITS.motion else "remark",
-            f"it moved between frames {first_frame + one.frame - 1} and {first_frame + one.frame}: since "
-            f"then sight lines miss each other by {off:.2f} px more",
-            f"less than {CAMERA_LIMITS.jump} px",
-            "run the two parts by themselves (`frames: {first, last}`), the second with a rig corrected by "
+            f"sight lines miss each other by {off:.2f} px more from frame {first_frame + one.frame} on",
+            f"It was knocked between frames {first_frame + one.frame - 1} and {first_frame + one.frame}; z "
+            "is off by about as much since then",
+            "Run the two parts by themselves (`frames: {first, last}`), the second with a rig corrected by "
             "`wavefield refine`",
             {"frame": first_frame + one.frame, "px": off},
         )
@@ -182,12 +182,12 @@ def remarks(
     if rms > max(CAMERA_LIMITS.jump, 3 * std):
         yield Remark(
             "cameras",
-            "shaking",
+            "vibration",
             "remark" if rms > CAMERA_LIMITS.motion else "note",
-            f"their pictures shake by {rms:.3f} +- {std:.3f} px from step to step "
-            "(tilt and roll across the sight lines)",
-            f"{CAMERA_LIMITS.motion} px at most",
-            "stiffen their mounts, or let no carriage, pump or person move while they record",
+            f"their sight lines miss each other by {rms:.3f} +- {std:.3f} px more or less from step to step",
+            "The cameras tilt or roll on their mounts: z and velocities are off by about as much",
+            "Stiffen the mounts and keep carriages, pumps and people away; `settings: {vibration: correct}` "
+            "turns the images back",
             {"px": rms, "std": std},
         )
 
@@ -206,8 +206,9 @@ def _turned_back(cube: xr.Dataset, first_frame: int) -> Iterator[Remark]:
         if rms > CAMERA_LIMITS.jump / 5:
             yield Remark(
                 name,
-                "turned back",
+                "vibration",
                 "note",
-                f"its pictures were turned back by {rms:.3f} px rms across the sight lines{when}",
+                f"its images were turned back by {rms:.3f} px rms across the sight lines{when}",
+                "As the settings request (`vibration: correct`)",
                 values={"px": rms} | ({} if at is None else {"frame": float(first_frame + known[at])}),
             )

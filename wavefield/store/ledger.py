@@ -15,7 +15,6 @@ from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.text import short_path, spell_ranges
 from wavefield.variables import FrameFault, FrameStatus
 
-_LEDGER = ("failed steps", "bad frames")  # remarks that the ledger's own lines contain
 _WORDS = {
     FrameFault.MISSING: "missing",
     FrameFault.UNREADABLE: "corrupt or truncated",
@@ -126,7 +125,7 @@ class Status:
         if any(bad.fault is not FrameFault.RANGE for bad in self.bad_frames):
             lines.append("  copy bad frames again and run the same command: their steps are measured again")
         if self.verdict and self.complete:
-            lines += [f"  {remark}" for remark in self.verdict.remarks if remark.kind not in _LEDGER]
+            lines += [f"  {remark}" for remark in self.verdict.remarks]
         return "\n".join(lines)
 
 

@@ -26,8 +26,8 @@ class Remark:
     subject: str  # What it is about: a camera, the probes, the record
     kind: str  # One word for scripts, such as "mirrored"
     weight: Weight  # note: for information; remark: to be considered; grave: results are not usable
-    sentence: str  # What was measured
-    expected: str = ""  # What was expected
+    found: str  # What was found, with the number
+    means: str = ""  # What it means for the result
     remedy: str = ""  # What to do
     values: Mapping[str, float | list[int]] = field(default_factory=dict)  # The numbers behind it
 
@@ -37,8 +37,9 @@ class Remark:
         return re.sub(r"[^a-z0-9]+", "-", self.kind.lower()).strip("-")
 
     def __str__(self) -> str:
-        remedy = f"; {self.remedy}" if self.remedy else ""
-        return f"{self.subject}: {self.sentence}{remedy} [{self.code}]"
+        parts = [part for part in (self.found, self.means, self.remedy) if part]
+        text = " ".join(part if part[-1] in ".?!" else f"{part}." for part in parts)
+        return f"{self.subject}: {text} [{self.code}]"
 
 
 @dataclass(frozen=True)

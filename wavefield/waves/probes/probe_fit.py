@@ -32,40 +32,36 @@ class ProbeFit:
     # (float, float): Where in the cube it fits, m, if that is elsewhere than stated
     place: tuple[float, float] | None = None
 
-    def problems(self, dt: float) -> Iterator[tuple[str, str, str]]:
-        """What does not fit: a word, a sentence, a remedy."""
+    def problems(self, dt: float) -> Iterator[tuple[str, str]]:
+        """What does not fit, and a remedy."""
         if abs(self.best) < SAME_WAVES:
             if self.place is not None:
                 x, y = self.place
-                yield "position", f"it fits the elevation at x {x:.2f}, y {y:.2f} m", "correct its place"
+                yield f"it fits the elevation at x {x:.2f}, y {y:.2f} m", "Correct its place"
             else:
                 yield (
-                    "unlike",
                     f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
-                    "is it in the cameras' field, of the same record, and was it wet?",
+                    "Is it in the cameras' field, of the same record, and was it wet?",
                 )
             return
         if self.best < 0:
-            yield "sign", "it falls where the elevation rises", "turn its sign (`factor: -1` in `probes:`)"
+            yield "it falls where the elevation rises", "Turn its sign (`factor: -1` in `probes:`)"
         if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.peak_correlation) + MIN_IMPROVEMENT:
             yield (
-                "clock",
                 f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
-                f"add {-self.lag:.3f} to its times (`clock` in `probes:`), or correct the cameras' `offset`",
+                f"Add {-self.lag:.3f} to its times (`clock` in `probes:`), or correct the cameras' `offset`",
             )
         for factor, unit in _UNITS.items():
             if 0.7 < self.gain / factor < 1.4:
                 yield (
-                    "unit",
                     f"it is {self.gain:.3g} times the elevation, as if it were in {unit}",
-                    f"state it: `unit: {unit}` in `probes:`",
+                    f"State it (`unit: {unit}` in `probes:`)",
                 )
                 return
         if not 0.8 < self.gain < 1.25:
             yield (
-                "gain",
                 f"it is {self.gain:.2f} times the elevation",
-                "calibrate it, or give its `factor` in `probes:`",
+                "Calibrate it, or give its `factor` in `probes:`",
             )
 
 

@@ -1,37 +1,151 @@
-"""Cameras that are inconsistent with the others, and why: mirrored, swapped, late, blurred, covered, knocked.
+"""Cameras that are inconsistent with the others, and why: mirrored, swapped, late, blurred, covered, moved.
 
-Every camera is compared with every other at some instants of the record. One that agrees with none while the
-others agree among themselves is examined again as if its images were mirrored, another camera's, of another
-moment: what makes it agree is what is wrong with it.
+Every camera is compared with every other at some instants of the record, patch by patch. One that agrees with
+none while the others agree among themselves is compared again as if its images were mirrored, another
+camera's, or of another moment: what makes it agree is what is wrong with it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, product
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.pair_consistency import MAX_SCATTER, ConsistencyTable, covered, score
 from wavefield.quality.patch_matching import (
     FLIPS,
     REACH,
+    STILL,
     Pair,
     PairConsistency,
     PatchMatcher,
+    agreement,
+    compare,
+    grounds,
+    most_alike,
     rms_over_field,
 )
-from wavefield.quality.quality_limits import CAMERA_LIMITS
+from wavefield.quality.remarks import CAMERA_LIMITS
 from wavefield.rig.resolution import pixel_at
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
+MAX_SCATTER = 0.4  # px of eps_y: more is not the same water
 MIN_PATCHES = 6  # with fewer no camera is judged
 # Planes on which patches of cameras that disagree are laid in turn: heights over the reach of the search in
 # the widest pair, and slopes along either axis
 LEVELS = 0.0, -1.5, 1.5, -3.0, 3.0
 TILT = 0.15
 MOST_TILTED = 30  # patches
+
+
+class ConsistencyTable:
+    """Agreements of all pairs at all instants."""
+
+    def __init__(
+        self, patch_matcher: PatchMatcher, names: list[str], frames: tuple[int, ...], threads: int = 1
+    ) -> None:
+        self.patch_matcher, self.names, self.frames = patch_matcher, names, frames
+        self.pairs: list[Pair] = list(combinations(names, 2))
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # lays out its lens
+            self.grounds = dict(zip(frames, pool.map(lambda k: grounds(patch_matcher, k, names), frames)))
+            found = list(pool.map(lambda k: [self.compare(pair, k) for pair in self.pairs], frames))
+            blurs = list(pool.map(lambda k: [blur(patch_matcher.read(name, k)) for name in names], frames))
+        self.found: dict[Pair, list[PairConsistency]] = dict(zip(self.pairs, map(list, zip(*found))))
+        self.blur: dict[str, list[float]] = dict(zip(names, map(list, zip(*blurs))))
+
+    def compare(
+        self, pair: Pair, frame: int, images: Pair | None = None, *, change: str = "", later: int = 0
+    ) -> PairConsistency:
+        """Images of the cameras of a pair, or of two others through the lenses of the pair.
+        Those of the second may be changed, or of another moment.
+        """
+        patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
+        found = []
+        for plane in patch_matcher.planes:
+            laid = partial(patch_matcher.sampled, plane=plane) if plane != STILL else patch_matcher.patches
+            one, other = laid(first, frame, "", a), laid(second, frame + later, change, b)
+            found.append(patch_matcher.on_still_water(compare(one, other), pair, plane))
+        ground = self.grounds[frame][first] if first == a else None
+        if not change and second == b and ground is not None:
+            ground = ground & self.grounds[frame][second]
+        return agreement(patch_matcher, pair, most_alike(found), ground)
+
+    def level(self) -> float:
+        """Fraction of patches from which on two cameras agree."""
+        return max(
+            CAMERA_LIMITS.agreement,
+            CAMERA_LIMITS.agreement_to_best * max(score(found) for found in self.found.values()),
+        )
+
+    def good(self) -> list[Pair]:
+        """Pairs of cameras that agree."""
+        limit = self.level()
+        return [pair for pair, found in self.found.items() if score(found) >= limit]
+
+    def camera_numbers(self) -> dict[str, dict[str, list[float]]]:
+        """Of every camera, over time."""
+        return {
+            name: {
+                "blur": [round(value, 3) for value in self.blur[name]],
+                "brightness": [round(self._brightness(name, k), 2) for k in self.frames],
+                "coverage": [round(1 - value, 3) for value in covered(self, name)],
+            }
+            for name in self.names
+        }
+
+    def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
+        """Of every pair, over time."""
+        return {
+            "-".join(pair): {
+                "agreement": [round(one.fraction, 3) for one in found],
+                "eps_y": [round(rms_over_field(one.smooth), 3) for one in found],
+            }
+            for pair, found in self.found.items()
+        }
+
+    def _brightness(self, name: str, frame: int) -> float:
+        return float(np.asarray(self.patch_matcher.read(name, frame)).mean())
+
+
+def score(found: Sequence[PairConsistency]) -> float:
+    """How well two cameras agree over some instants: patches found, nothing if they scatter."""
+    scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
+    if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
+        return 0.0
+    return float(np.mean([one.fraction for one in found]))
+
+
+def blur(image: NDArray[np.generic] | None) -> float:
+    """Standard deviation of the finest details of an image, px, from the correlation of neighbouring pixels.
+    Unlike `bead_width`, also of images without beads and of any width.
+    """
+    if image is None:
+        return float("nan")
+    fine = np.asarray(image, np.float32)
+    fine = fine - cv2.blur(fine, (15, 15))
+    power = float((fine * fine).mean())
+    if power <= 0:
+        return float("nan")
+    one, two = (
+        [float((fine[k:] * fine[:-k]).mean()), float((fine[:, k:] * fine[:, :-k]).mean())] for k in (1, 2)
+    )
+    # two pixels apart over one: white noise has no part in either
+    ratio = np.clip(np.array(two) / np.maximum(one, 1e-6 * power), 1e-4, 0.9999)
+    return float(np.sqrt(-3 / (4 * np.log(np.sqrt(ratio.prod())))))
+
+
+def covered(table: ConsistencyTable, name: str) -> list[float]:
+    """Fraction of the patches in which a camera shows nothing where another shows something."""
+    out = []
+    for ground in table.grounds.values():
+        others = np.mean([ground[other] for other in table.names if other != name], axis=0) > 0.5
+        out.append(float((others & ~ground[name]).sum() / max(others.sum(), 1)))
+    return out
 
 
 @dataclass(frozen=True)
@@ -61,7 +175,7 @@ def find_camera_faults(
     inconsistent, explained = _inconsistent(table, count)
     own = {remark.subject: remark for remark in remarks}
     explained = [  # cameras that are too blurred or covered to match are not inconsistent
-        replace(own[one.subject], weight="grave") if one.kind == "contradicts" and one.subject in own else one
+        replace(own[one.subject], weight="grave") if one.kind == "disagree" and one.subject in own else one
         for one in explained
     ]
     remarks = [remark for remark in remarks if remark.subject not in inconsistent] + explained
@@ -91,9 +205,8 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
                 "covered",
                 "grave" if fraction > CAMERA_LIMITS.covered_grave else "remark",
                 f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
-                f"less than {100 * CAMERA_LIMITS.covered:.0f} %",
-                "check for objects in front of it and for missing light; what it does not "
-                "show is not measured",
+                "That part is measured by the others, or not at all",
+                "Check for objects in front of it and for missing light; draw lasting ones as a `mask:`",
                 {"fraction": fraction},
             )
 
@@ -113,11 +226,11 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
         if wider > CAMERA_LIMITS.blur_ratio and width > 1.0:
             yield Remark(
                 name,
-                "out of focus",
+                "blurred",
                 "remark",
-                f"its images are blurred by {width:.1f} px",
-                f"{usual:.1f} px as the other cameras",
-                "focus it; where it is to stay, leave it out (`surface: pairs`, `velocity: cameras`)",
+                f"its images are blurred by {width:.1f} px, those of the other cameras by {usual:.1f} px",
+                "Short waves are lost first",
+                "Focus it, or leave it out (`surface: pairs`, `velocity: cameras`)",
                 {"blur": width, "usual": usual},
             )
 
@@ -139,7 +252,7 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
         for name in sorted(inconsistent)
     ]
     if not consistent:  # nobody agrees with anybody: what is explained goes first
-        remarks = [one for one in remarks if one.kind != "contradicts"][:1] or [_nobody(table)]
+        remarks = [one for one in remarks if one.kind != "disagree"][:1] or [_nobody(table)]
     return inconsistent, remarks
 
 
@@ -147,7 +260,8 @@ def _nobody(table: ConsistencyTable) -> Remark:
     best = max(score(found) for found in table.found.values())
     share = max(float(np.mean([one.fraction for one in found])) for found in table.found.values())
     sentence = (
-        f"no two of them see the same water: at best {100 * share:.0f} % of the patches are found again"
+        f"at best {100 * share:.0f} % of the patches of two cameras match (sound records: more than "
+        f"{100 * CAMERA_LIMITS.agreement:.0f} %)"
     )
     if share > best:  # found, but of no use
         sentence += f", and their sight lines miss each other irregularly, by {MAX_SCATTER:g} px or more"
@@ -156,8 +270,8 @@ def _nobody(table: ConsistencyTable) -> Remark:
         "disagree",
         "grave",
         sentence,
-        f"more than {100 * CAMERA_LIMITS.agreement:.0f} %",
-        "is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
+        "No two of them see the same water: nothing can be measured",
+        "Is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
         {"agreement": best},
     )
 
@@ -180,9 +294,10 @@ def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
         f"{which[0]} and {which[1]}",
         "swapped",
         "grave",
-        f"they agree with the others ({100 * best:.0f} % of the patches) when their images are exchanged",
-        f"{100 * before:.0f} % as they are named",
-        "exchange their `images` in the experiment file, or their names in the rig",
+        f"{100 * best:.0f} % of their patches match when their images are exchanged, {100 * before:.0f} % as "
+        "named",
+        "Nothing measured with them is right",
+        "Exchange their `images` in the experiment file, or their names in the rig",
         {"agreement": best, "as named": before},
     )
 
@@ -203,48 +318,58 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
         for other in (n for n in table.names if n not in pair):
             tried["swapped", other, partner] = [table.compare((partner, other), k, pair) for k in frames]
     scores = {key: score(found) for key, found in tried.items()}
-    (kind, detail, _), best = max(scores.items(), key=lambda one: one[1])
+    (change, detail, _), best = max(scores.items(), key=lambda one: one[1])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
     if best < max(CAMERA_LIMITS.agreement, level, 2 * now):
         return _inconsistent_pairs(table, name, now)
-    return _explained(name, kind, detail, {"agreement": best, "as it is": now})
+    return _explained(name, change, detail, {"agreement": best, "as it is": now})
 
 
-# What is wrong with a camera that agrees with the others when its images are taken otherwise, and the remedy.
+# Kind, finding and remedy for a camera that agrees with the others when its images are taken otherwise
 _EXPLANATIONS = {
     "mirrored": (
+        "mirrored",
         "its images are {}",
-        "correct its images, or calibrate it with target images that are oriented alike",
+        "Correct its images, or calibrate it with target images of the same orientation",
     ),
-    "late": ("its frames are taken {} later", "take {} from its `offset` in the experiment file"),
-    "early": ("its frames are taken {} before", "add {} to its `offset` in the experiment file"),
-    "reversed": ("its record is run backwards", "number its images in the order of time"),
+    "swapped": (
+        "swapped",
+        "its images are those that {} would take",
+        "Correct its `images` in the experiment file",
+    ),
+    "late": (
+        "offset",
+        "it agrees with the others when its frames are taken {} later",
+        "Take {} from its `offset` in the experiment file",
+    ),
+    "early": (
+        "offset",
+        "it agrees with the others when its frames are taken {} before",
+        "Add {} to its `offset` in the experiment file",
+    ),
+    "reversed": (
+        "offset",
+        "it agrees with the others when its record is run backwards",
+        "Number its images in the order of time",
+    ),
 }
 
 
-def _explained(name: str, kind: str, detail: str, values: Mapping[str, float]) -> Remark:
-    if kind == "swapped":
-        sentence = f"its images are those that {detail} would take"
-        remedy = f"correct its `images` in the experiment file: they show what {detail} sees"
-    else:
-        cause, remedy = (part.format(detail) for part in _EXPLANATIONS[kind])
-        sentence = f"it agrees with the others when {cause}"
-    expected = "images as the rig has them, of the same moments"
-    return Remark(name, kind, "grave", sentence, expected, remedy, values)
+def _explained(name: str, change: str, detail: str, values: Mapping[str, float]) -> Remark:
+    kind, found, remedy = (part.format(detail) for part in _EXPLANATIONS[change])
+    return Remark(name, kind, "grave", found, "Nothing measured with it is right", remedy, values)
 
 
 def _inconsistent_pairs(table: ConsistencyTable, name: str, now: float) -> Remark:
     usual = max(score(found) for found in table.found.values())
-    expected = f"more than {100 * CAMERA_LIMITS.agreement:.0f} %"
-    if usual:
-        expected = f"{100 * usual:.0f} % as the others among themselves"
+    others = f", {100 * usual:.0f} % among the others" if usual else ""
     return Remark(
         name,
-        "contradicts",
+        "disagree",
         "grave",
-        f"it agrees with no other camera: {100 * now:.0f} % of its patches are found again",
-        expected,
-        "is it sharp and bright, are its frames of the same moments, is the rig that of these images?",
+        f"{100 * now:.0f} % of its patches match those of any other camera{others}",
+        "It does not see the same water as the others",
+        "Is it sharp and bright, are its frames of the same moments, is the rig that of these images?",
         {"agreement": now, "usual": usual},
     )
 
@@ -270,7 +395,10 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     ]
     subject = faulty_cameras[0] if len(faulty_cameras) == 1 else "rig"
     between = " and of ".join("-".join(pair) for pair in wrong)
-    sentence = f"the sight lines of {between} miss each other by {most:.2f} px on the water"
+    sentence = (
+        f"the sight lines of {between} miss each other by {most:.2f} px on the water (at most "
+        f"{CAMERA_LIMITS.epipolar_error} px after a good calibration)"
+    )
     return [_moved(subject, most, sentence, {f"eps_y {'-'.join(pair)}": px for pair, px in missed.items()})]
 
 
@@ -280,8 +408,8 @@ def _moved(subject: str, off: float, sentence: str, values: Mapping[str, float])
         "moved",
         "grave" if off > CAMERA_LIMITS.epipolar_error_grave else "remark",
         sentence,
-        f"less than {CAMERA_LIMITS.epipolar_error} px",
-        "correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
+        "A camera has moved since the calibration, or the rig is another's: z is off by about as much, in px",
+        "Correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
         values,
     )
 
@@ -306,10 +434,7 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     if abs(worst) <= CAMERA_LIMITS.epipolar_error or sure < 6:
         return []
     names = " and ".join("-".join(pair) for pair in which)
-    sentence = (
-        f"{names} see the same water at different heights, as if a camera had moved "
-        f"{abs(worst):.2f} px along the parallax"
-    )
+    sentence = f"{names} see the same water at different heights, by {abs(worst):.2f} px along the parallax"
     return [_moved("rig", abs(worst), sentence, {"height": worst})]
 
 

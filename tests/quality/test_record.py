@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavefield.quality.quality_limits import RECORD_LIMITS
-from wavefield.quality.time_check import (
+from wavefield.quality.record import (
     kinematic_misfit,
     remark_on_kinematics,
     rise_ratios,
     steps_to_leave_out,
 )
+from wavefield.quality.remarks import RECORD_LIMITS
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.read import open_cube
 from wavefield.store.recipe import Recipe

@@ -1,0 +1,533 @@
+"""What is wrong with a record: frames that are missing or bad, clocks that disagree, time that jumps.
+
+Time is checked by the kinematic condition at the free surface, dz/dt + u . grad z = w. Within a step, dz/dt
+comes from the two frames of the step, and the residual is compared with its standard uncertainty. Between
+steps, dz/dt comes from the steps before and after: these are two frame intervals apart only if no frame was
+lost, doubled or late, so that w over dz/dt + u . grad z jumps where time does. A step over a lost frame has
+4/3 of the usual ratio and its neighbours 4/5 of it; a step onto a doubled frame has 0 and its neighbours 4/3.
+Neither uses what the standard uncertainties were computed from.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import special  # scipy.stats takes half a second to import
+
+from wavefield.quality.remarks import RECORD_LIMITS
+from wavefield.robust import PER_MEDIAN, robust_std
+from wavefield.series import Experiment, FrameSeries
+from wavefield.series.rates import is_alike, recorded_rates, video_rates
+from wavefield.store.verdict import Remark
+from wavefield.text import spell_ranges
+from wavefield.variables import FrameFault, FrameStatus, Quality
+
+Array = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+MAX_FRAMES_READ_ALL = 40  # a record of no more frames is read as a whole
+SAMPLED_STEPS = 12  # of a longer one
+FAULTS = {
+    FrameFault.UNREADABLE: ("cannot be read", "Copy them again from the recording"),
+    FrameFault.BLANK: ("are blank (all pixels equal)", "Was the lens covered, or the light off?"),
+    FrameFault.WRONG_SIZE: (
+        "have another size or type than the others",
+        "Put the frames of one setting of the camera into one record",
+    ),
+}
+PIECES = 16  # of a record: over each the jitter of two clocks is averaged
+MIN_COMMON_FRAMES = 64  # frames that two cameras share: fewer are not compared
+MIN_NODES = 50  # measured nodes of a step; with fewer it is not checked
+MARGIN_NODES = 3  # from the edge of the grid, where slopes are less accurate
+CHANGING_NOISE = 0.25  # of the variance of z by noise; the rest stays with the beads from frame to frame
+COMPARED = ["z", "z_t", "u", "v", "w", "z_std", "u_std", "v_std", "w_std"]
+PATH_REACH = 2  # steps: the six frames of a step reach so many steps to either side
+MAX_LEFT_OUT = 0.5  # of the steps of a record with several discontinuities; more are not left out
+PATCHES = 8  # along the shorter side of the field
+# A wave that turns by p from frame to frame has the ratio p / sin p. Where most turn by more than a sixth of
+# a turn, sound simulated seas scatter as much as a lost frame does, and nothing is judged.
+MAX_RATIO = 1.2
+CELLS = 3  # parts of the field along either side whose ratios are compared
+SIGNIFICANCE = 4.0  # standard deviations
+MIN_RATIO = 0.05  # smallest ratio that counts: log(0) of a doubled frame
+JITTER_VARIANCE = 4.375  # variance of the difference of consecutive ratios over that of the frame times
+VARYING_TURN = 0.5  # of (ratio - 1)^2: variance of ratios because the waves in view change; simulated seas
+CHANCE = 1e-3  # that an even record shows as large a jitter
+
+
+@dataclass(frozen=True)
+class FrameInspection:
+    """What reading some frames of one camera has shown."""
+
+    read: tuple[int, ...]  # Indices of the frames that were read
+    faults: Mapping[int, tuple[FrameFault, str]]  # Fault and sentence of those that are bad
+    repeated: frozenset[int]  # Indices of those that equal the frame before them in every pixel
+
+    def numbers(self, first: int, fault: FrameFault) -> tuple[int, ...]:
+        """Numbers of the frames with a fault."""
+        return tuple(first + index for index, (kind, _) in self.faults.items() if kind == fault)
+
+
+def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
+    """Indices of the frames to be read: all of a short record, else those of some steps drawn at random."""
+    complete = complete_steps(series)
+    if len(complete) < MAX_FRAMES_READ_ALL:
+        return tuple(range(len(complete) + 1))
+    # evenly spaced ones would all be good, or all be bad, where every second frame is
+    drawn = np.random.default_rng(0).permutation(np.flatnonzero(complete))[:SAMPLED_STEPS]
+    return tuple(sorted({int(frame) for step in drawn for frame in (step, step + 1)}))
+
+
+def inspect_frames(series: FrameSeries, indices: tuple[int, ...]) -> FrameInspection:
+    """Read some frames of a camera and compare each with the one before it, where that was read, too."""
+    faults: dict[int, tuple[FrameFault, str]] = {}
+    repeated, read = set(), []
+    before, image_before = -2, None
+    for index in indices:
+        if series.entries[index] is None:
+            continue
+        read.append(index)
+        image, fault, message = series.read(index)
+        alike = image is not None and image_before is not None and np.array_equal(image, image_before)
+        if fault:
+            faults[index] = fault, message
+        elif alike and before == index - 1:
+            repeated.add(index)
+        before, image_before = index, image
+    return FrameInspection(tuple(read), faults, frozenset(repeated))
+
+
+def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
+    """Steps of which both frames have a file in every camera."""
+    present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
+    return np.asarray(present[:-1] & present[1:])
+
+
+def remark_on_frames(
+    series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection], sample: tuple[int, ...]
+) -> Iterator[Remark]:
+    """Report cameras with many bad or repeated frames, and records of which few steps can be measured."""
+    for name, found in inspections.items():
+        read = [index for index in found.read if index in set(sample)]
+        if not read:
+            continue
+        for fault, (words, remedy) in FAULTS.items():
+            # one setting of a camera gives frames of one size: a single other one is reported
+            least = 0 if fault == FrameFault.WRONG_SIZE else max(1, RECORD_LIMITS.bad_frames * len(read))
+            everywhere = [index for index, (other, _) in found.faults.items() if other == fault]
+            bad = [index for index in everywhere if index in read]
+            count, those = len(read), "frames read"
+            if len(bad) <= least:  # files of unusual sizes were read beside the sample
+                bad, count, those = everywhere, len(series[name]), "frames"
+                least = max(least, 0 if fault == FrameFault.WRONG_SIZE else RECORD_LIMITS.bad_frames * count)
+            if len(bad) > least:
+                numbers = spell_ranges([series[name].first + index for index in bad], 3)
+                what = f"{words}: frames {numbers} ({found.faults[bad[0]][1]})"
+                yield _bad_frames(name, len(bad), count, f"{those} {what}", remedy)
+        pairs = sum(index - 1 in read for index in read)
+        if len(found.repeated) > max(1, RECORD_LIMITS.bad_frames * pairs):
+            numbers = spell_ranges([series[name].first + index for index in sorted(found.repeated)], 3)
+            what = f"frames read equal the frame before them in every pixel: frames {numbers}"
+            remedy = "Copy the recording again, or leave these frames out (`frames`)"
+            yield _bad_frames(name, len(found.repeated), pairs, what, remedy)
+    yield from _usable(series, inspections, sample)
+
+
+def _bad_frames(name: str, bad: int, count: int, what: str, remedy: str) -> Remark:
+    return Remark(
+        name,
+        "bad frames",
+        "grave" if bad > RECORD_LIMITS.usable_steps * count else "remark",
+        f"{bad} of {count} {what}",
+        "Their steps are measured without them, or not at all",
+        remedy,
+        {"bad": bad, "frames": count},
+    )
+
+
+def _usable(
+    series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection], sample: tuple[int, ...]
+) -> Iterator[Remark]:
+    complete = complete_steps(series)
+    good = {
+        name: {index for index in found.read if index not in found.faults}
+        for name, found in inspections.items()
+    }
+    drawn = [index for index in sample if index + 1 in sample and index < len(complete) and complete[index]]
+    usable = [
+        all(
+            index in good[name] and index + 1 in good[name] and index + 1 not in inspections[name].repeated
+            for name in inspections
+        )
+        for index in drawn
+    ]
+    share = float(complete.mean()) * float(np.mean(usable)) if usable else 0.0
+    if share < RECORD_LIMITS.usable_steps and complete.any() and not all(usable):
+        yield Remark(
+            "record",
+            "bad frames",
+            "grave",
+            f"only about {100 * share:.0f} % of {len(complete)} steps have two good frames of every camera",
+            "The other steps are measured with fewer cameras, or not at all",
+            "Copy the frames named here again, or state a range of good ones (`frames`)",
+            {"share": share, "steps": len(complete)},
+        )
+
+
+def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """Report frames that are not there, and recordings that contradict the experiment file or each other."""
+    measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
+    yield from _missing(measuring)
+    yield from _ends(experiment, measuring)
+    yield from _rates(experiment, series)
+    for one in series.values():
+        yield from _gaps(one)
+    yield from _drifts(series, experiment.frame_rate)
+
+
+def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """Cameras with many missing frames, and cameras that have few steps in common."""
+    for name, one in series.items():  # recordings with a clock report dropped images themselves
+        missing = one.missing
+        if one.times is not None or len(missing) <= RECORD_LIMITS.bad_frames * len(one):
+            continue
+        there = one.first + np.flatnonzero([entry is not None for entry in one.entries])
+        gap = int(np.argmax(np.diff(there))) if len(there) > 1 else 0
+        longest = (
+            f"; the longest gap is between frames {there[gap]} and {there[gap + 1]}"
+            if len(there) > 1 and there[gap + 1] - there[gap] > 1
+            else ""
+        )
+        yield Remark(
+            name,
+            "missing frames",
+            "grave" if len(missing) > RECORD_LIMITS.usable_steps * len(one) else "remark",
+            f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}{longest}",
+            "Their steps are measured without this camera, or not at all",
+            "Copy them, or state the range of frames that is complete (`frames`)",
+            {"missing": len(missing), "frames": len(one)},
+        )
+    if not series:
+        return
+    complete = complete_steps(series)
+    share = float(complete.mean())
+    if share < RECORD_LIMITS.usable_steps:
+        yield Remark(
+            "record",
+            "missing frames",
+            "grave",
+            f"only {100 * share:.0f} % of {len(complete)} steps have both frames of every camera",
+            "The other steps are measured with fewer cameras, or not at all",
+            "Copy the missing frames; frames of one moment must have one number (`offset`)",
+            {"share": share, "steps": len(complete)},
+        )
+
+
+def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """Cameras of which much is not used because others begin later or end earlier."""
+    given = experiment.frames.first is not None, experiment.frames.last is not None
+    for name, one in series.items():
+        ends = [n for n, stated in zip(one.beyond, given) if not stated]
+        if sum(ends) > max(2, RECORD_LIMITS.unused_frames * len(one)):
+            yield Remark(
+                name,
+                "missing frames",
+                "remark",
+                f"{sum(ends)} of its frames are before or after the record, where another camera has none",
+                "They are not used",
+                "Copy the other cameras' images; frames of one moment must have one number (`offset`)",
+                {"frames": sum(ends)},
+            )
+
+
+def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """A frame rate that the recordings, or the duration, contradict."""
+    file, rate = experiment.path.name, experiment.frame_rate
+    frames = max((len(one) for one in series.values()), default=0)
+    hours = frames / rate / 3600.0
+    if hours > RECORD_LIMITS.hours:
+        yield Remark(
+            "record",
+            "frame rate",
+            "remark",
+            f"{frames} frames at {rate:g} Hz last {hours:.3g} h",
+            "Velocities are proportional to the frame rate",
+            f"Is frame_rate of {file} in Hz, and are the frames numbered one by one?",
+            {"hours": hours},
+        )
+    named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
+    for name, recorded in recorded_rates(named, experiment.image_folder).items():
+        if not is_alike(recorded, rate):
+            yield Remark(
+                name,
+                "frame rate",
+                "remark",
+                f"its recording states {recorded:g} Hz, {file} {rate:g} Hz",
+                "Velocities are proportional to the frame rate",
+                "Leave frame_rate out to take the recording's; keep it if frames were left out since",
+                values={"recorded_hz": recorded, "stated_hz": rate},
+            )
+    videos = video_rates(named, experiment.image_folder)
+    alike = [name for name, one in videos.items() if is_alike(one, rate)]
+    if alike:
+        yield Remark(
+            alike[0],
+            "frame rate",
+            "note",
+            f"{rate:g} Hz is the playback rate of its video",
+            "Velocities are wrong if the camera recorded at another rate (high-speed, time lapse)",
+            "State the camera's own rate as frame_rate in that case",
+            values={"playback_hz": rate},
+        )
+
+
+def _gaps(series: FrameSeries) -> Iterator[Remark]:
+    """Images that the camera dropped, by its clock: gaps, or intervals that are not whole frames."""
+    if series.times is None:
+        return
+    there = np.flatnonzero(np.isfinite(series.times))
+    places, intervals = np.diff(there), np.diff(series.times[there])
+    if not len(places):
+        return
+    usual = float(np.median(intervals / places))
+    uneven = np.abs(intervals - places * usual) > RECORD_LIMITS.uneven_interval * usual
+    dropped = int((places - 1).sum())
+    if dropped:
+        first = int(there[np.argmax(places > 1)])
+        many = "1 image was" if dropped == 1 else f"{dropped} images were"
+        yield Remark(
+            series.camera,
+            "missing frames",
+            "remark",
+            f"{many} dropped, by its clock, the first after frame {series.first + first} "
+            f"({series.times[first] - series.times[there[0]]:.3f} s into the record)",
+            "Their places stay empty, and no step is measured across them",
+            "To lose none, record to the camera's memory, to a faster disk or at a lower rate",
+            {"dropped": dropped, "first": series.first + first},
+        )
+    if uneven.any():
+        numbers = series.first + there[:-1][uneven]
+        yield Remark(
+            series.camera,
+            "frame times",
+            "remark",
+            f"{uneven.sum()} intervals between its images are not whole frame intervals, after frame "
+            f"{spell_ranges(numbers.tolist(), 3)}",
+            "Velocities there assume the nominal interval and are wrong",
+            "Use an even part of the record (`frames`), or save each part as a recording of its own",
+            {"uneven": int(uneven.sum()), "first": int(numbers[0])},
+        )
+
+
+def _drifts(series: Mapping[str, FrameSeries], rate: float) -> Iterator[Remark]:
+    """Cameras whose clocks drift away from that of the first."""
+    timed = {name: one.times for name, one in series.items() if one.times is not None}
+    if len(timed) < 2:
+        return
+    first = next(iter(timed))
+    for name in list(timed)[1:]:
+        apart = timed[name] - timed[first]
+        apart = apart[np.isfinite(apart)]
+        if len(apart) < MIN_COMMON_FRAMES:
+            continue
+        drift = float(np.ptp([np.median(piece) for piece in np.array_split(apart, PIECES)]))
+        jitter = robust_std(np.diff(apart)) / np.sqrt(len(apart) / PIECES)
+        if drift > max(RECORD_LIMITS.clock_drift / rate, SIGNIFICANCE * jitter):
+            yield Remark(
+                name,
+                "frame times",
+                "remark",
+                f"its clock and that of {first} drift apart by {1e3 * drift:.3g} ms, {drift * rate:.2f} of a "
+                "frame interval",
+                "If one signal triggers both cameras, only their clocks differ, and nothing is wrong; else "
+                "their frames are of different moments",
+                "Trigger all cameras by one signal",
+                {"drift": drift, "intervals": drift * rate},
+            )
+
+
+def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
+    """Robust rms of z_t - w + u z_x + v z_y over its standard uncertainty, per step (n,).
+
+    Fields and mask (n, ny, nx), ``step`` in metres, ``rate`` in Hz; about 1 if the uncertainties are right,
+    NaN with few measured nodes. z_t is the difference of two frames, each with its own noise.
+    """
+    z = np.asarray(fields["z"], np.float64)
+    z_y, z_x = (np.gradient(z, step, axis=axis) for axis in (1, 2))
+    residual = fields["z_t"] - fields["w"] + fields["u"] * z_x + fields["v"] * z_y
+    variance = (
+        np.square(fields["w_std"])
+        + np.square(fields["u_std"] * z_x)
+        + np.square(fields["v_std"] * z_y)
+        + 2.0 * CHANGING_NOISE * np.square(fields["z_std"] * rate)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.abs(residual) / np.sqrt(variance)
+    usable = measured & _inner(measured) & np.isfinite(ratio)
+    return np.array(
+        [PER_MEDIAN * np.median(r[ok]) if ok.sum() >= MIN_NODES else np.nan for r, ok in zip(ratio, usable)]
+    )
+
+
+def _inner(mask: Mask) -> Mask:
+    out = np.zeros_like(mask)
+    out[:, MARGIN_NODES:-MARGIN_NODES, MARGIN_NODES:-MARGIN_NODES] = True
+    return out
+
+
+@dataclass(frozen=True)
+class RiseRatios:
+    """w over the rise between the steps before and after, per step (n,), NaN where unknown."""
+
+    ratio: Array
+    variance: Array  # of the ratio, from the parts of the field
+
+    def discontinuous(self) -> NDArray[np.intp]:
+        """Steps whose ratio departs from that of both neighbours by more than the limit, significantly."""
+        log = np.log(np.maximum(self.ratio, MIN_RATIO))
+        relative = self.variance / np.square(np.maximum(self.ratio, MIN_RATIO))
+        jump, std = np.full((2, log.size), np.nan)
+        jump[1:-1] = log[1:-1] - 0.5 * (log[:-2] + log[2:])
+        std[1:-1] = np.sqrt(relative[1:-1] + 0.25 * (relative[:-2] + relative[2:]))
+        size = np.nan_to_num(np.abs(jump))
+        found = size > np.maximum(RECORD_LIMITS.discontinuity, SIGNIFICANCE * np.nan_to_num(std))
+        around = np.pad(size, PATH_REACH)
+        largest = np.lib.stride_tricks.sliding_window_view(around, 2 * PATH_REACH + 1).max(axis=1)
+        return np.flatnonzero(found & (size == largest))
+
+    def jitter(self) -> float:
+        """Standard deviation of the frame times in frame intervals; 0 if none is significant.
+
+        Differences of consecutive ratios are taken, because how fast waves turn changes slowly.
+        """
+        known = np.isfinite(self.ratio)
+        both = known[1:] & known[:-1]
+        if both.sum() < 3:
+            return 0.0
+        median = float(np.median(self.ratio[known]))
+        change = np.diff(self.ratio)[both] / median
+        found = float(np.mean(np.square(change)))
+        noise = 2.0 * float(np.median(self.variance[known])) / median**2
+        # a third of the differences share their steps; the variance is from all parts of the field
+        freedom = change.size * 2.0 / 3.0, change.size * (CELLS**2 - 1)
+        by_chance = noise * float(special.fdtri(*freedom, 1.0 - CHANCE))
+        if found <= max(by_chance, VARYING_TURN * (median - 1.0) ** 2):
+            return 0.0
+        return float(np.sqrt((found - noise) / JITTER_VARIANCE))
+
+
+def rise_ratios(cube: xr.Dataset) -> RiseRatios:
+    """Regression of w on (z(k+1) - z(k-1)) / 2 dt + u . grad z at every step, without the field means."""
+    steps, rate = cube.sizes["time"], float(cube.attrs["frame_rate"])
+    spacing = float(cube.x[1] - cube.x[0])
+    ratio, variance = np.full((2, steps), np.nan)
+    chunk = max(cube.w.chunksizes.get("time", (64,))[0], 1)
+    for start in range(0, steps, chunk):
+        first, last = max(start - 1, 0), min(start + chunk + 1, steps)
+        part = cube[["z", "u", "v", "w", "quality"]].isel(time=slice(first, last)).load()
+        z, u, v, w = (part[name].values.astype(np.float64) for name in "zuvw")
+        z_y, z_x = (np.gradient(z, spacing, axis=axis) for axis in (1, 2))
+        measured = (part.quality.values & int(Quality.MEASURED) != 0) & np.isfinite(z + u + v + w)
+        for k in range(1, last - first - 1):
+            rise = 0.5 * rate * (z[k + 1] - z[k - 1]) + u[k] * z_x[k] + v[k] * z_y[k]
+            usable = measured[k - 1 : k + 2].all(axis=0) & np.isfinite(rise)
+            if usable.sum() >= MIN_NODES:
+                ratio[first + k], variance[first + k] = _slope(w[k], rise, usable)
+    known = ratio[np.isfinite(ratio)]
+    if known.size and not 0.0 < np.median(known) < MAX_RATIO:
+        ratio[:] = np.nan
+    return RiseRatios(ratio, variance)
+
+
+def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
+    """Slope of values on others (ny, nx), and its variance from the parts of the field.
+
+    Both are means over patches, which leave the longer waves: these turn less from step to step.
+    """
+    count = _patches(usable.astype(float))
+    full = count > 0.5 * count.max()
+    values, on = (_patches(np.where(usable, one, 0.0)) / np.maximum(count, 1.0) for one in (values, on))
+    values, on = (np.where(full, one - one[full].mean(), 0.0) for one in (values, on))
+    product, square = (
+        np.array([part.sum() for row in np.array_split(one, CELLS) for part in np.array_split(row, CELLS, 1)])
+        for one in (values * on, np.square(on))
+    )
+    cells = int((square > 0).sum())
+    if cells < CELLS + 1:
+        return np.nan, np.nan
+    slope = float(product.sum() / square.sum())
+    rest = (product - slope * square) / square.sum()
+    return slope, cells / (cells - 1) * float(np.sum(np.square(rest)))
+
+
+def _patches(values: Array) -> Array:
+    """Sums over adjacent squares of nodes."""
+    side = max(min(values.shape) // PATCHES, 1)
+    ny, nx = (n // side for n in values.shape)
+    return np.asarray(values[: ny * side, : nx * side].reshape(ny, side, nx, side).sum(axis=(1, 3)))
+
+
+def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
+    """Steps whose six frames lie on both sides of a discontinuity; none if that is most of a record."""
+    apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
+    out = np.flatnonzero(apart.min(axis=1, initial=steps) <= PATH_REACH)
+    return out if discontinuous.size == 1 or out.size <= MAX_LEFT_OUT * steps else out[:0]
+
+
+def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
+    """Report steps whose surface does not rise as its water moves."""
+    measured = sample.quality.values & int(Quality.MEASURED) != 0
+    fields, rate = {name: sample[name].values for name in COMPARED}, float(sample.attrs["frame_rate"])
+    misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
+    misfit = float(np.nanmedian(misfits)) if np.isfinite(misfits).any() else 0.0
+    if misfit > RECORD_LIMITS.kinematic_misfit:
+        yield Remark(
+            "record",
+            "kinematics",
+            "grave" if misfit > RECORD_LIMITS.kinematic_misfit_grave else "remark",
+            f"z_t - w + u . grad z is {misfit:.1f} times its standard uncertainty (at most"
+            f" {RECORD_LIMITS.kinematic_misfit} in sound records)",
+            "The surface does not rise as its water moves: z or the velocities are wrong",
+            "Check frame rate, synchronisation and seeding; waves may be too short for the images",
+            {"kinematic_misfit": misfit},
+        )
+
+
+def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
+    """Report the steps that the end of the run has cleared because time jumps there."""
+    steps = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
+    if steps.size:
+        numbers = spell_ranges([int(cube.frame[0]) + int(k) for k in steps], 3)
+        yield Remark(
+            "record",
+            "frame times",
+            "remark",
+            f"the motion jumps within the {steps.size} steps from frames {numbers}",
+            "A frame was lost, doubled or late in all cameras; these steps are NaN",
+            "Check the numbering of these frames, or state the cameras' time stamps (`times`)",
+            {"steps": int(steps.size)},
+        )
+
+
+def remark_on_jitter(ratios: RiseRatios, sample: xr.Dataset) -> Iterator[Remark]:
+    """Report jitter of the frame times that makes velocities wrong by more than their uncertainty."""
+    jitter, rate = ratios.jitter(), float(sample.attrs["frame_rate"])
+    measured = sample.quality.values & int(Quality.MEASURED) != 0
+    if not jitter or not measured.any():
+        return
+    sizes = [float(np.sqrt(np.mean(np.square(sample[name].values[measured])))) for name in "uvw"]
+    stds = [float(np.median(sample[f"{name}_std"].values[measured])) for name in "uvw"]
+    # a step's displacement contains the errors of both frame times
+    over = np.sqrt(2.0) * jitter * max(size / std for size, std in zip(sizes, stds))
+    if over > RECORD_LIMITS.jitter:
+        yield Remark(
+            "record",
+            "frame times",
+            "remark",
+            f"the frame times jitter by about {1e3 * jitter / rate:.2g} ms rms",
+            f"Velocities are off by {over:.1f} of their standard uncertainties",
+            "State the cameras' time stamps (`times`), or trigger the cameras by a steadier clock",
+            {"jitter_ms": 1e3 * jitter / rate, "over_std": float(over)},
+        )
