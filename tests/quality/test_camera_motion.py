@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_record import sea
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
@@ -17,8 +18,16 @@ from wavefield.quality.camera_delay import (
     is_determined,
     regress,
     remarks,
+    row_time_difference,
 )
-from wavefield.quality.camera_motion import camera_motion, jump, knocks, shaking
+from wavefield.quality.camera_motion import (
+    camera_motion,
+    jump,
+    knocks,
+    level_motion,
+    remark_on_level,
+    shaking,
+)
 from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
 from wavefield.store.read import open_cube
 from wavefield.tank import Scene, Tank
@@ -171,3 +180,33 @@ def test_pairs_of_cameras_do_not_make_a_row_time_more_certain_than_each_of_them(
         assert not list(remarks(rows)), "3.6 standard uncertainties"
     (remark,) = remarks(Synchrony({}, 500.0, replace(found, std=0.6 * found.std), 200))
     assert remark.kind == "rolling shutter"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mean_level_that_moves_faster_than_waves_is_vibration(seed):
+    steps, pixel = np.arange(81.0), 1.8e-3
+    cube = sea(seed, steps, 40.0, node=0.03).assign_attrs(frame_rate=40.0, pixel_size=pixel)
+    assert level_motion(cube) < 0.02 * pixel
+    assert list(remark_on_level(cube, 0.02 * pixel)) == []
+    shaken = 0.3 * pixel * np.sqrt(2.0) * np.sin(2.0 * np.pi * 8.0 * steps[:-1] / 40.0)
+    cube = cube.assign(z=cube.z + shaken.astype("float32")[:, None, None])
+    (remark,) = remark_on_level(cube, 0.02 * pixel)
+    assert (remark.kind, remark.weight) == ("vibration", "remark")
+    assert remark.values["px"] == pytest.approx(0.3, rel=0.25)
+    assert np.isnan(level_motion(cube.isel(time=slice(0, 6)))), "not determined"
+
+
+def test_a_rolling_shutter_of_one_camera_is_named_with_its_row_time():
+    rng, found = np.random.default_rng(3), []
+    for _ in range(8):
+        x, y = rng.uniform(-1, 1, (2, 300))
+        low, velocity = np.stack([np.ones(300), x, y], axis=-1), np.sin(4 * x + 3 * y + rng.uniform(0, 6))
+        rows = 400.0 * y
+        miss = 1e-4 * rows * velocity + 0.02 * rng.standard_normal(300)
+        found.append(Sample(miss, velocity, low, rows=10.0 * x, middle=rows))
+    row_time, std = row_time_difference(found)
+    assert row_time == pytest.approx(1e-4, abs=4 * std)
+    times = {"cam1": Delay(0.0, 0.0), "cam2": Delay(row_time / 20.0, std / 20.0), "cam3": Delay(1e-8, 2e-7)}
+    (remark,) = remarks(Synchrony({}, 500.0, Delay(3e-6, 1e-7), 800, times))
+    assert (remark.subject, remark.kind) == ("cam2", "rolling shutter")
+    assert "of cam2" in remark.remedy

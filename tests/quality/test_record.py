@@ -22,14 +22,14 @@ SHAPE, NODE, NOISE, RATE = (30, 40), 0.01, 0.004, 20.0
 EVEN = np.arange(13.0)
 
 
-def sea(seed, frames=EVEN, rate=RATE, std=NOISE):
+def sea(seed, frames=EVEN, rate=RATE, std=NOISE, node=NODE):
     """A cube of a random linear sea of 12 cm to 1.5 m on a current; times of frames in intervals."""
     rng = np.random.default_rng(seed)
     k, angle, phase = rng.uniform(4, 50, 30), rng.uniform(-np.pi, np.pi, 30), rng.uniform(0, 2 * np.pi, 30)
     kx, ky, sigma = k * np.cos(angle), k * np.sin(angle), np.sqrt(9.81 * k)
     amplitude, current = rng.uniform(0.02, 0.15) / np.sqrt(15.0) / k, rng.uniform(-0.3, 0.3, 2)
     omega = sigma + kx * current[0] + ky * current[1]
-    y, x = (v.ravel() * NODE for v in np.indices(SHAPE))
+    y, x = (v.ravel() * node for v in np.indices(SHAPE))
     space = np.exp(1j * (np.outer(x, kx) + np.outer(y, ky) + phase)).astype(np.complex64)
     turn = np.exp(-1j * np.outer(omega, np.asarray(frames) / rate))
     before, after = turn[:, :-1], turn[:, 1:]
@@ -49,7 +49,7 @@ def sea(seed, frames=EVEN, rate=RATE, std=NOISE):
     fields["z_std"] = np.full(fields["z"].shape, 0.5 * std / rate)
     fields["quality"] = np.full(fields["z"].shape, int(Quality.MEASURED), np.uint16)
     cube = xr.Dataset({name: (("time", "y", "x"), one) for name, one in fields.items()})
-    coordinates = {"x": np.arange(SHAPE[1]) * NODE, "y": np.arange(SHAPE[0]) * NODE}
+    coordinates = {"x": np.arange(SHAPE[1]) * node, "y": np.arange(SHAPE[0]) * node}
     return cube.assign_coords(coordinates).assign_attrs(frame_rate=rate).chunk(time=5)
 
 

@@ -32,6 +32,7 @@ from wavefield.quality.remarks import (
     remark_on_eps_piv,
     remark_on_fast_waves,
     remark_on_holes,
+    remark_on_mean_plane,
     remark_on_probes,
     remark_on_rest,
     remark_on_steps,
@@ -187,6 +188,8 @@ def _stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Remark]:
     yield from remark_on_kinematics(sample)
     yield from remark_on_cleared_steps(cube)
     yield from remark_on_jitter(rise_ratios(cube), sample)
+    yield from camera_motion.remark_on_level(cube, float(np.nanmedian(sample.z_std)))
+    yield from remark_on_mean_plane(cube)
 
 
 def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:

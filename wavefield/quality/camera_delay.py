@@ -70,6 +70,7 @@ class Sample:
     low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
     speed: float = 0.0  # Of the beads in all directions, rms, px per frame
     rows: Array | None = None  # (m,): By how many rows from the middle the second camera shows it lower
+    middle: Array | None = None  # (m,): By how many rows below the middle both show it, on average
 
 
 class Synchrony(NamedTuple):
@@ -79,6 +80,7 @@ class Synchrony(NamedTuple):
     speed: float = 0.0  # Of the beads, px/s
     row_time: Delay | None = None  # Of each row behind the one above it, beyond what is stated
     rows: int = 0  # Of the highest image
+    row_times: Mapping[str, Delay] = {}  # What each camera has more of it than most
 
 
 def sample(
@@ -114,7 +116,8 @@ def sample(
     first, second = (_rows_below_middle(geometry.rig[name], *places) for name in pair)
     stated = dict(geometry.settings.row_delays)
     late = stated.get(pair[1], 0.0) * second - stated.get(pair[0], 0.0) * first
-    return Sample(miss / geometry.pixel - late * velocity, velocity, low, speed, second - first)
+    middle = 0.5 * (first + second)
+    return Sample(miss / geometry.pixel - late * velocity, velocity, low, speed, second - first, middle)
 
 
 def _rows_below_middle(camera: "Camera", x: Array, y: Array) -> Array:
@@ -235,6 +238,16 @@ def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
     return regress(other)
 
 
+def row_time_difference(samples: Sequence[Sample]) -> tuple[float, float] | None:
+    """By how much the second camera's row time exceeds that of the first, in frames."""
+    other = [
+        replace(s, velocity=s.velocity * s.middle, low=np.column_stack([s.low, s.velocity]))
+        for s in samples
+        if s.middle is not None
+    ]
+    return regress(other)
+
+
 def _cells(one: Sample) -> NDArray[np.intp]:
     """Which part of the field each patch is in."""
     column, row = np.clip((one.low[:, 1:3].T + 1) * (0.5 * _CELLS), 0, _CELLS - 1).astype(np.intp)
@@ -273,7 +286,8 @@ def delays(
 ) -> Synchrony:
     """By how much each camera's frames are taken later than those of most, and rows than those above."""
     names = list(geometry.surface_cameras)
-    rows, values, spreads = [], [], []
+    late: dict[Pair, tuple[float, float]] = {}
+    rolling: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
     widths = dict(record.beads) if record else _widths(geometry, patch_matcher, frames)
@@ -285,33 +299,45 @@ def delays(
 
     with ThreadPoolExecutor(threads) as pool:
         found_at = list(pool.map(sample_at, frames))
-    for (a, b), of_pair in zip(geometry.pairs, zip(*found_at)):
+    for pair, of_pair in zip(geometry.pairs, zip(*found_at)):
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
         found = regress(samples)
         if found is None or not is_determined(samples, *found):
             continue
+        late[pair] = found
         if (row_time := row_time_of(samples)) is not None:
             row_times.append(row_time)
-        rows.append([float(name == b) - float(name == a) for name in names])
-        values.append(found[0] / rate)
-        spreads.append(max(found[1] / rate, 1e-7))
-    if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
+        if (difference := row_time_difference(samples)) is not None:
+            rolling[pair] = difference
+    delays_of = _of_cameras(names, late, rate)
+    if not delays_of:
         return Synchrony({})
-    design = np.array(rows) / np.array(spreads)[:, None]
+    height = max(geometry.rig[name].size[1] for name in names)
+    speed = rate * float(np.median(speeds))
+    return Synchrony(delays_of, speed, _mean(row_times, rate), height, _of_cameras(names, rolling, rate))
+
+
+def _of_cameras(
+    names: Sequence[str], found: Mapping[Pair, tuple[float, float]], rate: float
+) -> dict[str, Delay]:
+    """Of each camera behind most, s, from the differences within pairs and their uncertainties in frames."""
+    rows = [[float(name == b) - float(name == a) for name in names] for a, b in found]
+    if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
+        return {}
+    values, spreads = (np.array(part) / rate for part in zip(*found.values()))
+    spreads = np.maximum(spreads, 1e-7 * np.max(np.abs(values), initial=1e-12))
     # only differences are measured: the median of the cameras, or the first of two, is the reference
-    design = np.vstack([design, np.eye(len(names))[:1] * 1e9])
-    requested = np.append(np.array(values) / spreads, 0.0)
+    design = np.vstack([np.array(rows) / spreads[:, None], np.eye(len(names))[:1] * 1e3 / spreads.min()])
     inverse = np.linalg.inv(design.T @ design)
-    best = inverse @ design.T @ requested
+    best = inverse @ design.T @ np.append(values / spreads, 0.0)
     usual = int(np.argsort(best)[(len(best) - 1) // 2]) if len(names) > 2 else 0
     out = {}
     for k, name in enumerate(names):
         difference = np.eye(len(names))[k] - np.eye(len(names))[usual]
         variance = float(difference @ inverse @ difference)
         out[name] = Delay(float(difference @ best), float(np.sqrt(max(variance, 0.0))))
-    height = max(geometry.rig[name].size[1] for name in names)
-    return Synchrony(out, rate * float(np.median(speeds)), _mean(row_times, rate), height)
+    return out
 
 
 def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None:
@@ -327,25 +353,36 @@ def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None
 
 
 def remarks(found: Synchrony) -> Iterator[Remark]:
-    """Remarks on delays and rolling shutters."""
+    """Remarks on delays and rolling shutters: of single cameras, else of all alike."""
     yield from _on_delays(found.delays, found.speed)
-    one = found.row_time
-    if one is None or abs(one.seconds) < SIGNIFICANCE * one.std:
-        return
-    late = abs(one.seconds) * found.rows
+    single = [
+        one
+        for name, row_time in found.row_times.items()
+        if (one := _on_rows(name, row_time, found)) is not None
+    ]
+    yield from single
+    if not single and found.row_time and (one := _on_rows("cameras", found.row_time, found)):
+        yield one
+
+
+def _on_rows(subject: str, row_time: Delay, found: Synchrony) -> Remark | None:
+    late, std = abs(row_time.seconds) * found.rows, row_time.std * found.rows
     off = 0.5 * late * found.speed
-    if one.std * found.rows > MAX_READOUT_STD or off < CAMERA_LIMITS.delay_motion:
-        return
-    yield Remark(
-        "cameras",
+    if late < SIGNIFICANCE * std or std > MAX_READOUT_STD or off < CAMERA_LIMITS.delay_motion:
+        return None
+    more = "" if subject == "cameras" else ", beyond what the others need"
+    order = "after" if row_time.seconds > 0 else "before"
+    return Remark(
+        subject,
         "rolling shutter",
         "remark",
-        f"the last row of an image is read {1e3 * late:.2g} ms {'after' if one.seconds > 0 else 'before'} "
-        f"the first (+- {1e3 * one.std * found.rows:.2g} ms)",
+        f"the last row of an image is read {1e3 * late:.2g} ms {order} the first (+- {1e3 * std:.2g} ms)"
+        f"{more}",
         f"The water moves {off:.2f} px from the middle to the edge meanwhile: z and velocities are off there",
-        f"State the time from row to row for each camera (`row_time: {one.seconds:.2g}`, or what its data "
-        "sheet gives), or use a global shutter",
-        {"row_time": one.seconds, "std": one.std, "px": off},
+        f"State the time from row to row (`row_time: {row_time.seconds:.2g}` of "
+        f"{'each camera' if subject == 'cameras' else subject}, or what its data sheet gives), or use a "
+        "global shutter",
+        {"row_time": row_time.seconds, "std": row_time.std, "px": off},
     )
 
 

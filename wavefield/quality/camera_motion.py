@@ -19,6 +19,7 @@ from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.sampling import from_first_to_last
 from wavefield.store.verdict import Remark
+from wavefield.water import GRAVITY
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
@@ -30,6 +31,9 @@ MAX_NODES = 2000  # of each
 MIN_NODES = 50  # of a step
 MAX_KNOCKS = 3
 MIN_STEPS_PER_SIDE = 3  # of a jump
+PIECE = 64  # steps in which the motion of the mean level is separated from slow waves
+MIN_FREEDOM = 3  # steps of a record more than slow waves can explain
+SLOW_WAVES = 3e-3  # singular value, of the largest, down to which slow waves explain the mean level
 
 
 @dataclass(frozen=True)
@@ -189,6 +193,53 @@ def remarks(
             "Stiffen the mounts and keep carriages, pumps and people away; `settings: {vibration: correct}` "
             "turns the images back",
             {"px": rms, "std": std},
+        )
+
+
+def level_motion(cube: xr.Dataset) -> float:
+    """Rms motion of the mean level that no wave explains, m; NaN where a record does not determine it.
+
+    The mean of z with a Blackman window suppresses waves shorter than a third of the field a thousandfold.
+    Longer gravity waves on a current U have frequencies below sqrt(g k) + U k, k = 6 pi / side, and are
+    fitted; what is left of a sound record is noise, and more is the motion of cameras along their parallax,
+    which eps_y does not show.
+    """
+    count, ny, nx = cube.z.shape
+    k = 6.0 * np.pi / min(np.ptp(cube.x.values), np.ptp(cube.y.values))
+    current = cube[["u", "v"]].isel(time=from_first_to_last(count, 8)).mean()
+    omega = np.sqrt(GRAVITY * k) + k * float(np.hypot(current.u, current.v))
+    highest = omega / (2.0 * np.pi * float(cube.attrs["frame_rate"]))  # cycles per step
+    window = np.outer(np.blackman(ny + 2)[1:-1], np.blackman(nx + 2)[1:-1])
+    squares, freedom = 0.0, 0
+    for start in range(0, count, PIECE):
+        z = cube.z.isel(time=slice(start, start + PIECE)).values.astype(float)
+        weight = np.where(np.isfinite(z), window, 0.0)
+        full = weight.sum(axis=(1, 2)) > 0.98 * window.sum()  # holes would let waves in
+        times = np.flatnonzero(full)
+        mean = (weight * np.nan_to_num(z)).sum(axis=(1, 2))[full] / weight.sum(axis=(1, 2))[full]
+        phase = 2.0 * np.pi * np.outer(times, np.linspace(0.0, highest, 2 * PIECE))
+        basis, size, _ = np.linalg.svd(np.hstack([np.cos(phase), np.sin(phase)]), full_matrices=False)
+        basis = basis[:, size > SLOW_WAVES * size[:1].max(initial=0.0)]
+        if len(times) - basis.shape[1] >= MIN_FREEDOM:
+            squares += float(np.sum(np.square(mean - basis @ (basis.T @ mean))))
+            freedom += len(times) - basis.shape[1]
+    return float(np.sqrt(squares / freedom)) if freedom else np.nan
+
+
+def remark_on_level(cube: xr.Dataset, z_std: float) -> Iterator[Remark]:
+    """Report a mean level that moves faster than waves do; ``z_std`` is the typical uncertainty of z, m."""
+    motion, pixel = level_motion(cube), float(cube.attrs["pixel_size"])
+    if motion > z_std:
+        yield Remark(
+            "cameras",
+            "vibration",
+            "remark",
+            f"the mean level moves by {1e3 * motion:.2g} mm rms ({motion / pixel:.2f} px), faster than waves "
+            "as long as the field",
+            f"A camera vibrates along the parallax: all of z moves by {motion / z_std:.1f} of its standard "
+            "uncertainty, w accordingly",
+            "Stiffen the mounts and keep carriages, pumps and people away",
+            {"level_std_m": motion, "px": motion / pixel},
         )
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
 from wavefield.rig import Rig
+from wavefield.sampling import from_first_to_last
 from wavefield.series import Experiment
 from wavefield.store.ledger import Status
 from wavefield.store.verdict import Remark
@@ -40,6 +41,7 @@ class CameraLimits:
     blur_ratio: float = 1.6  # blur over that of the other cameras, in px and on the water
     epipolar_error: float = 0.1  # px: smallest for which correcting a rig is advised
     epipolar_error_grave: float = 0.5  # px
+    swing: float = 0.12  # px rms, by which heights of two pairs differ now more, now less; sound seas: 0.05
     agreement: float = 0.2  # fraction of the patches: two cameras that agree in fewer do not agree
     agreement_to_best: float = 0.5  # the same over the agreement of the best pair
     delay: float = 2e-5  # s: less is not noted
@@ -78,6 +80,10 @@ NOTED_FAST = 0.003  # of the variance of w by fast waves: more is noted
 NOTED_WITHOUT_CAMERA, MAX_WITHOUT_CAMERA = 0.01, 0.1  # of the nodes: more are noted, remarked upon
 NOTED_FAULTY = 0.01  # of the steps with bad frames: more are remarked upon
 BEAD_HEIGHTS_M = 1e-4, 2e-3  # of visible beads above the water, if they are plausible
+MAX_PLANE_STEPS = 60  # of a record, to which planes are fitted
+MIN_SECONDS = 5  # of a record: the waves of a shorter one do not average out
+MAX_TILT = 1.5e-3  # of the mean surface: wind and waves tilt it by less than 1 mm/m
+PLANE_SIGNIFICANCE = 4.0  # standard deviations
 MAX_PROBE_STEPS = 1500  # of a long record, in its middle
 MAX_PROBE_NODES = 2000  # of each step
 
@@ -151,7 +157,7 @@ def remark_on_unresolved_waves(
             "surface",
             "unresolved waves",
             "remark" if share > MAX_UNRESOLVED else "note",
-            f"{100 * share:.3g} % of the variance of w is of waves of about {100 * wavelength:.3g} cm and less",
+            f"waves of {100 * wavelength:.3g} cm and less have {100 * share:.3g} % of the variance of w",
             f"The images do not resolve them: they are missing in w, and its standard uncertainty contains"
             f" {1e3 * unresolved:.3g} mm/s for them. Longer waves are right",
             "Take images with smaller pixels to measure them",
@@ -275,6 +281,44 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
         "Record some twenty frames of still, seeded water and name them with the key `rest`",
         {"level_std_m": level_std} if level_std > 0 else {},
     )
+
+
+def remark_on_mean_plane(cube: xr.Dataset) -> Iterator[Remark]:
+    """Report a mean surface of the record that is tilted or far from z = 0.
+
+    A plane is fitted to each of some steps; steps within a second count as one: they see the same waves.
+    """
+    steps = from_first_to_last(cube.sizes["time"], MAX_PLANE_STEPS)
+    independent = min(len(steps), int(cube.sizes["time"] / float(cube.attrs["frame_rate"])))
+    if independent < MIN_SECONDS:
+        return
+    every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_PROBE_NODES))))
+    z = cube.z.isel(time=steps, y=every, x=every)
+    x, y = (part.ravel() for part in np.meshgrid(z.x - float(cube.x.mean()), z.y - float(cube.y.mean())))
+    planes = []
+    for one in z.values.reshape(len(steps), -1).astype(float):
+        known = np.isfinite(one)
+        if known.sum() > 0.5 * one.size:
+            design = np.stack([np.ones(known.sum()), x[known], y[known]], axis=-1)
+            planes.append(np.linalg.lstsq(design, one[known], rcond=None)[0])
+    if len(planes) < 0.5 * len(steps):
+        return
+    (height, *slope), std = np.mean(planes, axis=0), np.std(planes, axis=0) / np.sqrt(independent)
+    tilt, uncertain = float(np.hypot(*slope)), float(np.hypot(*std[1:]))
+    level_std = float(cube.get("z_level_std", 0.0))
+    tilted = tilt > max(MAX_TILT, PLANE_SIGNIFICANCE * uncertain)
+    elsewhere = abs(height) > PLANE_SIGNIFICANCE * np.hypot(level_std, std[0])
+    if tilted or elsewhere:
+        yield Remark(
+            "rig",
+            "water level",
+            "remark",
+            f"the mean surface of the record is {1e3 * height:+.2g} mm from z = 0 in the middle of the grid "
+            f"and tilted by {1e3 * tilt:.2g} +- {1e3 * uncertain:.1g} mm/m",
+            "The target was not on the water, or not level: z is relative to the target's plane",
+            "Run `wavefield rig level`, `wavefield refine` with still water, or subtract the plane",
+            {"height_m": float(height), "tilt": tilt, "tilt_std": uncertain},
+        )
 
 
 def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
