@@ -1,74 +1,45 @@
-"""Writing a file or a folder completely or not at all, and never in place of what others wrote."""
+"""Writing a file or a folder completely or not at all, and never over what somebody else wrote.
+
+Every product ends with a mark: its kind, the identity of what it was made from, and a digest of its content.
+A file that is there is replaced only by the same product of the same source, and only if its content is still
+as this program wrote it. Everything else is left as it is.
+"""
 
 import errno
+import hashlib
 import json
 import os
 import re
 import shutil
-import uuid
-from collections.abc import Callable, Iterable, Iterator
+import stat
+import tempfile
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from wavefield.errors import StoreError
 
-_HEAD_BYTES = 4096  # of a file in which its mark must be
-CHECKSUMS = "checksums.json"  # in a store: what its files must be
+_DRAFT = ".wavefield-"  # start of the name of a folder that holds an unfinished product
+_DRAFT_NOTE = "unfinished output of wavefield: the next command that writes in this folder removes it\n"
+_MARK = re.compile(rb"\n(?:# |<!-- )wavefield ([a-z ]+) ([0-9a-f]{16}) ([0-9a-f]{32})(?: -->)?\n\Z")
+_MARK_BYTES = 200  # a mark is shorter
+MARK_ATTRIBUTE = "wavefield_mark"  # of the root of a Zarr store
 
 
 @dataclass(frozen=True)
-class OwnFile:
-    """A kind of file or folder that this program writes."""
+class Product:
+    """Something that this program writes, and what it is made from."""
 
-    name: str  # With its article, such as "a wave store"
-    # Whether an existing file or folder is one that this program wrote, by its contents
-    recognize: Callable[[Path], bool]
-    folder: bool = False  # Whether it is a folder
+    kind: str  # Such as "report" or "wave store", in small letters
+    source: str = "0" * 16  # Identity of what it is made from: `identity_of`
 
 
-def marked(*marks: bytes, start: bytes = b"") -> Callable[[Path], bool]:
-    """Recognize a file by how it starts and by marks near its start, all of which it must have."""
-
-    def recognize(path: Path) -> bool:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-        return head.startswith(start) and all(mark in head for mark in marks)
-
-    return recognize
-
-
-def zarr_store(title: str, *names: str) -> Callable[[Path], bool]:
-    """Recognize a Zarr store by its attributes; it must hold nothing but files of a Zarr store."""
-
-    def recognize(path: Path) -> bool:
-        attributes = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
-        ours = str(attributes.get("title", "")).startswith(title) and all(n in attributes for n in names)
-        return ours and all(_ZARR_FILE.fullmatch(name) for name in file_names(path))
-
-    return recognize
-
-
-_ZARR_FILE = re.compile(rf"(.*/)?(zarr\.json|c(/\d+)*|{re.escape(CHECKSUMS)})(\.[0-9a-f]{{32}}\.partial)?")
-
-
-def files_named(pattern: str, recognize: Callable[[Path], bool]) -> Callable[[Path], bool]:
-    """Recognize a folder by all of its files: their names and their contents."""
-    return lambda folder: all(
-        re.fullmatch(pattern, name) and recognize(folder / name) for name in file_names(folder)
-    )
-
-
-# written where a caller names it, or read and saved again: replaced whatever it holds
-ANY_FILE = OwnFile("a file", lambda path: True)
-NEW_FILE = OwnFile("a file to be replaced", lambda path: False)
-_PAGE = marked(b'<meta name="generator" content="wavefield', start=b"<!doctype html>")
-_PAGE_BEFORE = marked(b":root { --ink: #1b1f24; --soft: #4d5661;", start=b"<!doctype html>")
-PAGE = OwnFile("a page", lambda path: _PAGE(path) or _PAGE_BEFORE(path))
-RIG = OwnFile(
-    "a rig file",
-    lambda path: marked(b"\ncameras:", start=b"units: {")(path) and b"\nprovenance:" in path.read_bytes(),
-)
+def identity_of(*parts: object) -> str:
+    """Sixteen hexadecimal digits that identify what a product is made from."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 def file_names(folder: Path) -> list[str]:
@@ -80,77 +51,171 @@ def file_names(folder: Path) -> list[str]:
     return sorted(out)
 
 
-def check_replaceable(path: Path, product: OwnFile) -> None:
-    """Refuse to replace what is not a product of the same kind."""
-    if path.is_symlink():
+def read_mark(path: Path) -> Product | None:
+    """What a file or a Zarr store is by its mark; None without one, or where the content was changed."""
+    try:
+        if path.is_dir():
+            mark = json.loads((path / "zarr.json").read_bytes())["attributes"][MARK_ATTRIBUTE]
+            kind, source, digest = mark["kind"], mark["source"], mark["digest"]
+        else:
+            with path.open("rb") as stream:
+                stream.seek(max(path.stat().st_size - _MARK_BYTES, 0))
+                found = _MARK.search(stream.read())
+            if found is None:
+                return None
+            kind, source, digest = (part.decode() for part in found.groups())
+        return Product(kind, source) if digest == _digest(path) else None
+    except PermissionError as error:
+        raise write_error(path, error) from None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def write_mark(path: Path, product: Product) -> None:
+    """Add the mark of a product to a finished file or Zarr store."""
+    if path.is_dir():
+        file = path / "zarr.json"
+        data = json.loads(file.read_bytes())
+        mark = {"kind": product.kind, "source": product.source, "digest": _digest(path)}
+        data["attributes"] = data.get("attributes", {}) | {MARK_ATTRIBUTE: mark}
+        file.write_text(json.dumps(data, indent=2), encoding="utf-8")
+        return
+    start, end = ("<!-- ", " -->") if path.suffix == ".html" else ("# ", "")
+    with path.open("ab") as stream:
+        stream.write(f"\n{start}wavefield {product.kind} {product.source} {_digest(path)}{end}\n".encode())
+
+
+def _digest(path: Path) -> str:
+    """Digest of a file, or of all files of a Zarr store, without the mark."""
+    digest = hashlib.blake2b(digest_size=16)
+    if path.is_dir():
+        for name in file_names(path):
+            content = (path / name).read_bytes()
+            if name == "zarr.json":
+                data = json.loads(content)
+                data.get("attributes", {}).pop(MARK_ATTRIBUTE, None)
+                content = json.dumps(data, sort_keys=True).encode()
+            digest.update(f"{name} {len(content)}\n".encode() + content)
+        return digest.hexdigest()
+    with path.open("rb") as stream:
+        size = path.stat().st_size
+        stream.seek(max(size - _MARK_BYTES, 0))
+        found = _MARK.search(stream.read())
+        left = size - (len(found.group()) if found else 0)
+        stream.seek(0)
+        while left:
+            part = stream.read(min(left, 1 << 22))
+            digest.update(part)
+            left -= len(part)
+    return digest.hexdigest()
+
+
+def check_replaceable(path: Path, product: Product | None = None, replace: bool = False) -> None:
+    """Refuse to write over what this program did not write as the same product of the same source."""
+    try:
+        mode = os.lstat(path).st_mode
+    except FileNotFoundError:
+        return
+    except NotADirectoryError as error:
+        raise write_error(path, error) from None
+    if stat.S_ISLNK(mode):
         raise StoreError(
             f"{path} is a link, which is not replaced; name what it points to, or remove the link"
         )
-    if not path.exists():
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise StoreError(f"{path} is a pipe or a device, not a file; choose another name")
+    if stat.S_ISDIR(mode) and not any(path.iterdir()):
         return
-    if path.is_dir() != product.folder:
-        there = "folder" if path.is_dir() else "file"
-        raise StoreError(f"{path} is a {there}, which {product.name} does not replace; choose another name")
-    try:
-        if product.folder and not any(path.iterdir()):
-            return
-        ours = product.recognize(path)
-    except PermissionError as error:
-        raise write_error(path, error) from None
-    except Exception:  # whatever a library makes of foreign or damaged bytes
-        ours = False
-    if not ours:
-        more = ", or holds other files too" if product.folder else ""
-        raise StoreError(
-            f"{path} exists and is not {product.name} that wavefield wrote (or it is damaged{more}); it is "
-            "left as it is: choose another name, or remove it first"
-        )
+    if replace and stat.S_ISREG(mode):
+        return
+    found = read_mark(path)
+    if product is not None and found == product:
+        return
+    if product is not None and found is not None and found.kind == product.kind:
+        why = f"is a {found.kind} of something else"
+    elif found is not None:
+        why = f"is a {found.kind}"
+    else:
+        why = "was not written by wavefield, or was changed since"
+    raise StoreError(f"{path} exists and {why}; it is left as it is: choose another name, or remove it first")
 
 
 def refuse_input(path: Path, *inputs: object) -> None:
-    """Refuse to write over a file that the same command reads."""
+    """Refuse to write over, or into, a file or folder that the same command reads."""
     for one in inputs:
-        if isinstance(one, str | Path) and Path(one).exists() and path.exists() and path.samefile(one):
-            raise StoreError(f"{path} is read by this command and not overwritten; name another file with -o")
+        if not isinstance(one, str | Path):
+            continue
+        read = Path(one).absolute()
+        if read.exists() and path.exists() and path.samefile(read):
+            raise StoreError(f"{path} is read by this command and not overwritten; choose another name")
+        if read.is_dir() and (read / "zarr.json").is_file() and read.resolve() in path.resolve().parents:
+            raise StoreError(f"{path} is inside {read}, which this command reads; choose another place")
 
 
 @contextmanager
-def atomic(path: str | Path, product: OwnFile) -> Iterator[Path]:
+def atomic(
+    path: str | Path, product: Product | None = None, *, replace: bool = False, inputs: Iterable[object] = ()
+) -> Iterator[Path]:
     """Write a file or a folder under another name, and let it take its place when it is finished.
-    A folder that it replaces is ``.NAME.xxxxxxxx.old`` until then; the next `atomic` restores one left so.
+    Without a product nothing is replaced, with `replace` any plain file is.
     """
     path = Path(path)
-    mark = uuid.uuid4().hex[:8]
-    draft, old = path.with_name(f".{path.name}.{mark}.partial"), path.with_name(f".{path.name}.{mark}.old")
-    try:
+    with writing(path):
+        refuse_input(path, *inputs)
         path.parent.mkdir(parents=True, exist_ok=True)
-        restore_old(path)
-        check_replaceable(path, product)
-        yield draft
-        if draft.is_file():
-            make_durable([draft])
-        check_replaceable(path, product)  # it may have appeared meanwhile
-        if path.is_dir():
-            path.rename(old)
-        elif path.exists() and draft.is_file():
-            shutil.copymode(path, draft)
-        draft.replace(path)
-        make_durable([path.parent])
-    except OSError as error:
-        raise write_error(path, error) from None
+        check_replaceable(path, product, replace)
+        with _draft_folder(path) as folder:
+            draft = folder / path.name
+            yield draft
+            if product is not None:
+                write_mark(draft, product)
+            if draft.is_file():
+                make_durable([draft])
+            check_replaceable(path, product, replace)  # it may have appeared meanwhile
+            if path.is_dir():
+                path.rename(folder / "old")
+            elif path.exists() and draft.is_file():
+                shutil.copymode(path, draft)
+            draft.replace(path)
+            make_durable([path.parent])
+
+
+@contextmanager
+def _draft_folder(path: Path) -> Iterator[Path]:
+    """A locked folder beside a path for its draft; those of killed writers are removed first."""
+    remove_leftovers(path)
+    folder = Path(tempfile.mkdtemp(prefix=_DRAFT, dir=path.parent))
+    try:
+        with FileLock(folder / "lock"):
+            (folder / "note").write_text(f"{_DRAFT_NOTE}{path.name}", encoding="utf-8")
+            try:
+                yield folder
+            finally:
+                _put_back(folder, path)
     finally:
-        with suppress(OSError):
-            restore_old(path)
-        _remove(draft)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
-def restore_old(path: Path) -> None:
-    """Give an old folder its name back if the new one did not come; remove it if it did."""
-    for left in _left_beside(path, "old"):
-        if not path.exists() and not path.is_symlink():
-            left.rename(path)
-        else:
-            _remove(left)
+def _put_back(folder: Path, path: Path) -> None:
+    """Give a replaced folder its name back if the new one did not come."""
+    with suppress(OSError):
+        if (folder / "old").is_dir() and not os.path.lexists(path):
+            (folder / "old").rename(path)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what killed writers left beside a path; what it was to replace gets its name back."""
+    with suppress(OSError):
+        for entry in list(os.scandir(path.parent)):
+            if not entry.name.startswith(_DRAFT):
+                continue
+            folder = Path(entry.path)
+            with suppress(OSError, Timeout, UnicodeError):
+                note, _, name = (folder / "note").read_text(encoding="utf-8").partition("\n")
+                if f"{note}\n" == _DRAFT_NOTE:
+                    with FileLock(folder / "lock", timeout=0):
+                        _put_back(folder, path.with_name(name))
+                    shutil.rmtree(folder, ignore_errors=True)
 
 
 def make_durable(paths: Iterable[Path]) -> None:
@@ -169,48 +234,23 @@ def make_durable(paths: Iterable[Path]) -> None:
             os.close(number)
 
 
-def write_text(path: str | Path, text: str, product: OwnFile) -> None:
-    """Write a text file (UTF-8), completely or not at all."""
-    with atomic(path, product) as draft:
+def write_text(path: str | Path, text: str, product: Product | None = None, *, replace: bool = False) -> None:
+    """Write a text file (UTF-8), completely or not at all; parameters of `atomic`."""
+    with atomic(path, product, replace=replace) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
-def check_writable(path: str | Path, product: OwnFile) -> None:
+def check_writable(
+    path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
+) -> None:
     """Make sure that a file or a folder can be written, before the work that ends in it."""
     path = Path(path)
     with writing(path):
+        refuse_input(path, *inputs)
         path.parent.mkdir(parents=True, exist_ok=True)
-        restore_old(path)
         check_replaceable(path, product)
-        draft = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
-        draft.touch()
-        draft.unlink()
-
-
-def remove_leftovers(path: Path) -> None:
-    """Remove what killed writers of a file or folder left next to it and in it."""
-    for folder, _, names in os.walk(path):
-        for name in names:
-            if re.search(r"\.[0-9a-f]{32}\.partial$", name):  # as Zarr names them
-                (Path(folder) / name).unlink(missing_ok=True)
-    restore_old(path)
-    for left in _left_beside(path, "partial"):
-        _remove(left)
-
-
-def _left_beside(path: Path, ending: str) -> list[Path]:
-    pattern = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\.{ending}")
-    if not path.parent.is_dir():
-        return []
-    return sorted(entry for entry in path.parent.iterdir() if pattern.fullmatch(entry.name))
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with suppress(OSError):
-            path.unlink()
+        with _draft_folder(path) as folder:
+            (folder / path.name).touch()
 
 
 @contextmanager
@@ -224,9 +264,15 @@ def writing(path: Path) -> Iterator[None]:
 
 def write_error(path: Path, error: OSError) -> StoreError:
     """Turn a failed write into a sentence."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return StoreError(
-            f"the disk that holds {path} is full; nothing that was written is lost: free some room "
-            "and run the same command again to go on"
+            f"the disk that holds {path} is full, or a quota is used up; nothing that was written is lost: "
+            "free some room and run the same command again"
+        )
+    if error.errno in (errno.ENOTDIR, errno.EEXIST):
+        return StoreError(f"{path} cannot be written: a folder in its path is a file; choose another place")
+    if error.errno == errno.ENAMETOOLONG:
+        return StoreError(
+            f"{path.name[:40]}... cannot be written: its name is too long; choose a shorter one"
         )
     return StoreError(f"{path} cannot be written: {error.strerror or error}; check its disk and permissions")

@@ -5,15 +5,12 @@ import sys
 
 import numpy as np
 import pytest
-import zarr
 from cube_cases import FOURS, write_tank
 
 import wavefield as wf
 from wavefield.pipeline import pair_statistics as module
 from wavefield.store import camera_pairs
 from wavefield.store.camera_pairs import GROUP
-from wavefield.store.layout import gather_metadata
-from wavefield.store.metadata import keep_metadata
 
 
 def stored(store):
@@ -67,14 +64,12 @@ def test_a_run_killed_while_it_writes_them_writes_them_again(measured, tmp_path,
     shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
     store = tmp_path / "cube.zarr"
     shutil.rmtree(store / GROUP)
-    gather_metadata(store)
-    keep_metadata(store)
     with monkeypatch.context() as patch:
-        patch.setattr(camera_pairs, "keep_metadata", lambda path: sys.exit("killed"))
+        patch.setattr(camera_pairs, "write_mark", lambda *_: sys.exit("killed"))
         with pytest.raises(SystemExit):
             wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
+    assert stored(store) is None
     wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
-    assert GROUP in zarr.open_group(store, mode="r").metadata.consolidated_metadata.metadata
     assert files(store) == files(measured / "cube.zarr")
 
 
@@ -87,42 +82,13 @@ def test_they_follow_frames_that_are_repaired(tmp_path):
     without = stored(store)
     (tmp_path / "kept.tif").rename(first)
     wf.run(experiment, workflow=FOURS)
-    assert without is None or without.attrs["ledger_checksum"] != stored(store).attrs["ledger_checksum"]
+    assert without is None or without.attrs["cube_state"] != stored(store).attrs["cube_state"]
     assert stored(store).attrs["steps"] == [0]
-
-
-def test_a_run_that_was_killed_while_they_were_written_writes_them_again(measured, tmp_path):
-    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
-    store = tmp_path / "cube.zarr"
-    expected = files(store)
-    shutil.rmtree(store / GROUP)
-    keep_metadata(store)
-    group = zarr.open_group(store / GROUP, mode="w")  # as it was when its second array was begun
-    group.create_array("rms", shape=(23,), chunks=(23,), dtype="float32", dimension_names=("error",))
-    assert stored(store) is None
-    wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
-    assert files(store) == expected
-    assert wf.verify(store).sound
-
-
-def test_a_run_that_was_killed_while_it_replaced_them_replaces_them(measured, tmp_path):
-    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
-    store = tmp_path / "cube.zarr"
-    expected = files(store)
-    group = zarr.open_group(store / GROUP, mode="r+")
-    group.attrs["ledger_checksum"] = 1
-    keep_metadata(store)
-    group.attrs.put({})
-    group["rms"][:] = 1.0
-    wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
-    assert files(store) == expected
-    assert wf.verify(store).sound
 
 
 def test_cubes_without_them_open(measured, tmp_path):
     shutil.copytree(measured / "cube.zarr", tmp_path / "cube.zarr")
     shutil.rmtree(tmp_path / "cube.zarr" / GROUP)
-    keep_metadata(tmp_path / "cube.zarr")
     found = wf.open_run(tmp_path / "cube.zarr")
     assert found.pair_statistics is None
     assert "earlier version" in found.reason("pair_statistics")

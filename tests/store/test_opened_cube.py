@@ -33,10 +33,23 @@ def test_the_engine_opens_a_cube(reference, chunks):
     assert "z" not in xr.open_dataset(reference, engine="wavefield", drop_variables="z")
 
 
+@pytest.mark.parametrize("read", [
+    wf.open_cube, wf.open_run, wf.status, wf.verify, lambda path: xr.open_dataset(path, engine="wavefield"),
+])  # fmt: skip
+def test_the_folder_of_an_experiment_stands_for_the_cube_in_it(reference, read):
+    assert read(reference.parent) is not None
+
+
+def test_stock_readers_see_the_same_values(reference):
+    cube, plain = wf.open_cube(reference).load(), xr.open_zarr(reference).load()
+    for name in CUBE_FIELDS:
+        np.testing.assert_array_equal(cube[name], plain[name])
+
+
 def test_the_engine_refuses_what_is_no_cube(tmp_path):
     with pytest.raises(StoreError, match="no such store"):
         xr.open_dataset(tmp_path / "absent.zarr", engine="wavefield")
-    with pytest.raises(StoreError, match="cannot be opened as a cube"):
+    with pytest.raises(StoreError, match="a folder that holds no cube"):
         xr.open_dataset(tmp_path, engine="wavefield")
     with pytest.raises(StoreError, match=r"no such wave store; write one with `wavefield analyze CUBE`"):
         wf.open_waves(tmp_path / "waves.zarr")

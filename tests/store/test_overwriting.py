@@ -7,7 +7,6 @@ import contextlib
 import io
 import os
 import shutil
-import sys
 import warnings
 from pathlib import Path
 
@@ -17,11 +16,9 @@ import zarr
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from wavefield.atomic_write import ANY_FILE, atomic
+from wavefield.atomic_write import Product, atomic, remove_leftovers, write_mark
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
-from wavefield.store.export import PRODUCTS
-from wavefield.store.wave_store import WAVES
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "15"))
 ENDINGS = (".nc", ".mat", ".uvmat")
@@ -57,7 +54,7 @@ TARGETS = (
         "cam1/img_00001.tif",
         "experiment.yaml",
     ),
-    *("rig.yaml", "other_rig.yaml", "cube.zarr", "cube_preview.zarr", "waves.zarr", "page.html", "cube.nc"),
+    *("rig.yaml", "other_rig.yaml", "cube.zarr", "waves.zarr", "page.html", "cube.nc"),
     *("foreign.zarr", "to_notes", "to_waves", "to_nowhere", "to_rig.yaml", "to_page.html", "mixed.zarr"),
     *(f"{kind}{ending}" for kind in ("mine", "folder") for ending in ENDINGS),
     *("verdict.json", "cube.log", "kept/cube.zarr", "locked/cube.zarr", "beside/cube.zarr"),
@@ -153,31 +150,45 @@ def replaced(path, product, write):
         write(draft)
 
 
-def test_an_old_store_outlives_a_writer_that_is_killed_before_the_new_one_has_its_name(tmp_path, monkeypatch):
-    path = tmp_path / "waves.zarr"
-    path.mkdir()
-    attributes = '{"title": "waves of a cube", "wavefield_version": "1", "segment": 8}'
-    (path / "zarr.json").write_text(f'{{"attributes": {attributes}}}')
+@pytest.fixture
+def old_waves(tmp_path):
+    """A wave store of an earlier analysis, and what it is."""
+    path, product = tmp_path / "waves.zarr", Product("wave store")
+    zarr.create_group(path, attributes={"title": "waves of a cube"})
+    write_mark(path, product)
+    return path, product
+
+
+def test_an_old_store_outlives_a_writer_that_is_killed_before_the_new_one_has_its_name(
+    old_waves, monkeypatch
+):
+    path, product = old_waves
     old = tree(path)
-    monkeypatch.setattr(Path, "replace", lambda *_: sys.exit())
-    with pytest.raises(SystemExit):
-        replaced(path, WAVES, Path.mkdir)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", lambda *_: os._exit(9))
+        child = os.fork()
+        if not child:
+            replaced(path, product, lambda draft: shutil.copytree(path, draft))
+        os.waitpid(child, 0)
+    assert not path.exists()
+    (path.parent / ".waves.zarr.20261101.old").mkdir()  # a dated backup of the user's
+    remove_leftovers(path)
     assert tree(path) == old
-    path.rename(tmp_path / ".waves.zarr.0123abcd.old")  # killed so that nothing could be put back
-    with pytest.raises(SystemExit):
-        replaced(path, WAVES, Path.mkdir)
-    assert tree(path) == old
+    assert sorted(one.name for one in path.parent.iterdir()) == [".waves.zarr.20261101.old", "waves.zarr"]
 
 
 def test_a_file_that_appears_while_its_product_is_being_written_stays(tmp_path):
     path = tmp_path / "out.nc"
-    with pytest.raises(StoreError, match="is not a NetCDF export"):
-        replaced(path, PRODUCTS["netcdf"], lambda draft: draft.write_bytes(path.write_text("mine") * b"x"))
+    with pytest.raises(StoreError, match="was not written by wavefield"):
+        replaced(path, Product("export"), lambda draft: draft.write_bytes(path.write_text("mine") * b"x"))
     assert path.read_text() == "mine"
 
 
 def test_a_link_is_never_replaced(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(StoreError, match="is a link"):
-        replaced(tmp_path / "link", ANY_FILE, lambda draft: draft.write_text("new"))
+    with (
+        pytest.raises(StoreError, match="is a link"),
+        atomic(tmp_path / "link", replace=True) as draft,
+    ):
+        draft.write_text("new")
     assert (tmp_path / "link").is_symlink()

@@ -9,8 +9,8 @@ from cube_cases import different
 
 from wavefield.commands.cli import main
 from wavefield.errors import RunStopped, StoreError
-from wavefield.pipeline import Workflow, export, run, status
-from wavefield.store.checked import chunk_path
+from wavefield.pipeline import Workflow, export, open_cube, run, status
+from wavefield.store.layout import chunk_path
 from wavefield.store.verify import verify
 
 FOURS = Workflow(cluster="none", steps_per_block=4)
@@ -54,52 +54,60 @@ def empty(path):
         ("w", cut, "not as it was written: w, steps 4-7"),
         ("quality", change, "not as it was written: quality"),
         ("u_std", empty, "not as it was written: u_std"),
-        ("frame_status", cut, "unreadable: frame_status"),
-        ("checksum", remove, "not as it was written: z, z_t"),
+        ("frame_status", cut, "not as it was written: frame_status"),
+        ("frame_status", remove, "missing: frame_status"),
     ],
 )
 def test_damage_is_found_named_and_measured_again(tank, reference, cube, capsys, variable, harm, word):
-    harm(cube / "checksum/c/1/0" if variable == "checksum" else chunk_path(cube, variable, 1))
-    found = verify(cube)
-    assert found.starts == [4]
-    assert word in str(found)
+    harm(chunk_path(cube, variable, 1))
     assert main(["-q", "verify", str(cube)]) == 1
     assert word in capsys.readouterr().out
+    assert status(cube).left == 4
     run(tank, out=cube, workflow=FOURS)
     assert not different(reference, cube)
     assert main(["-q", "verify", str(cube)]) == 0
 
 
-@pytest.mark.parametrize(
-    ("harm", "word"),
-    [
-        (remove, "missing: z, steps 4-7"),
-        (cut, "not as long as it was written: z, steps 4-7"),
-        (empty, "missing: z, steps 4-7"),
-        (change, ""),
-    ],
-)
-def test_sizes_alone_show_what_is_gone_and_not_what_changed_in_place(cube, capsys, harm, word):
-    harm(chunk_path(cube, "z", 1))
-    assert main(["-q", "verify", str(cube), "--quick"]) == (1 if word else 0)
-    assert (word or "no data were read") in capsys.readouterr().out
+def test_a_missing_file_is_measured_again_without_being_asked(tank, reference, cube):
+    chunk_path(cube, "z", 1).unlink()
+    with pytest.raises(StoreError, match="z/c/1/0/0 is missing"):
+        open_cube(cube).z.load()
+    run(tank, out=cube, workflow=FOURS)
+    assert not different(reference, cube)
 
 
-def test_a_quick_look_does_not_take_back_what_a_whole_one_found(tank, reference, cube):
+def test_a_damaged_file_is_an_error_that_names_it(cube):
     change(chunk_path(cube, "z", 1))
-    assert not verify(cube).sound
-    assert verify(cube, read=False).sound
-    run(tank, out=cube, workflow=FOURS)
-    assert verify(cube).sound
-    assert not different(reference, cube)
-
-
-def test_a_variable_that_is_gone_with_its_metadata_is_measured_again(tank, reference, cube):
-    shutil.rmtree(cube / "eps_y")
-    with pytest.raises(StoreError, match=r"eps_y/zarr.json is missing.* puts it back"):
+    with pytest.raises(StoreError, match=r"cube.zarr/z is damaged .*`wavefield verify"):
+        open_cube(cube).z.load()
+    assert open_cube(cube).z[:4].notnull().any()
+    change(cube / "x/c/0")
+    with pytest.raises(StoreError, match=r"cube.zarr is damaged .*copy the cube again"):
         verify(cube)
-    run(tank, out=cube, workflow=FOURS)
-    assert not different(reference, cube)
+
+
+def test_a_cube_whose_disk_is_gone_is_an_error_and_not_missing_values(cube, tmp_path):
+    opened = open_cube(cube)
+    cube.rename(tmp_path / "moved.zarr")
+    with pytest.raises(StoreError, match="no longer there"):
+        opened.to_netcdf(tmp_path / "x.nc", engine="h5netcdf")
+
+
+@pytest.mark.parametrize("change", [('"frame_rate": 20.0', '"frame_rate": 40.0'), ("{", "")])
+def test_changed_metadata_are_never_believed(cube, change):
+    file = cube / "zarr.json"
+    file.write_text(file.read_text().replace(*change, 1))
+    for read in (open_cube, verify, status):
+        with pytest.raises(StoreError, match=r"zarr.json .*copy the cube again"):
+            read(cube)
+
+
+def test_waves_and_smoothed_fields_are_verified_whole(measured, tmp_path, capsys):
+    shutil.copytree(measured / "waves.zarr", tmp_path / "waves.zarr")
+    assert main(["-q", "verify", str(tmp_path / "waves.zarr")]) == 0
+    next(file for file in (tmp_path / "waves.zarr/spectra").rglob("c/*") if file.is_file()).unlink()
+    assert main(["-q", "verify", str(tmp_path / "waves.zarr")]) == 1
+    assert "not as it was written" in capsys.readouterr().out
 
 
 def test_an_unfinished_cube_is_not_passed_on_in_silence(tank, tmp_path, capsys):

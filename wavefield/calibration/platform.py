@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student_t
 
-from wavefield.atomic_write import NEW_FILE, write_text
+from wavefield.atomic_write import write_text
 from wavefield.calibration.horizon import MAX_MISFIT, dip, find_horizon, sight_lines
 from wavefield.calibration.relative_pose import MAX_DEPTH_RATIO, MAX_EPIPOLAR_ERROR, Pixels
 from wavefield.errors import RigError
@@ -351,7 +351,7 @@ def level_frames(
     images = {name: {"images": f"{name}/img_{{frame:05d}}.tif"} for name in loaded}
     path = folder / "experiment.yaml"
     text = yaml.safe_dump({**note, "cameras": images, "rig": "rig.yaml"}, sort_keys=False)
-    write_text(path, text, NEW_FILE)
+    write_text(path, text)
     # the mean of two cameras has half of what they differ by
     of_images = 0.5 * np.sqrt(np.mean(np.square(apart)))
     of_air = REFRACTION_STD * max(dip(camera.centre[2]) for camera in loaded.cameras.values())

@@ -1,7 +1,5 @@
 """`wavefield export`, `catalog` and `rig`: to and from other programs."""
 
-import shutil
-import tempfile
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -190,7 +188,7 @@ def convert(
     FILES is one file, or camera=file for each camera: of wavefield, UVMAT, VIC-3D, DICe, DaVis, OpenCV or
     MATLAB. Any other calibration: write its numbers into a rig.yaml (see File formats).
     """
-    from wavefield.atomic_write import NEW_FILE, OwnFile, check_replaceable, refuse_input
+    from wavefield.atomic_write import atomic, refuse_input
     from wavefield.rig import formats
 
     named = dict(entry.split("=", 1) for entry in files if "=" in entry)
@@ -209,23 +207,11 @@ def convert(
     refuse_input(output, *(named.values() or files))
     if to == "wavefield":
         loaded.save(output)
-    elif to == "uvmat":
-        check_replaceable(output, OwnFile("a folder", lambda path: True, folder=True))
-        with tempfile.TemporaryDirectory() as scratch:
-            formats.save_rig(loaded, scratch, to)
-            written = {
-                path: output / path.relative_to(scratch)
-                for path in Path(scratch).rglob("*")
-                if path.is_file()
-            }
-            for new in written.values():
-                check_replaceable(new, NEW_FILE)
-            for path, new in written.items():
-                new.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(path, new)
     else:
-        check_replaceable(output, NEW_FILE)
-        formats.save_rig(loaded, output, to)
+        with atomic(output) as draft:
+            if to == "uvmat":
+                draft.mkdir()
+            formats.save_rig(loaded, draft, to)
     click.echo(f"Wrote {output} with {', '.join(loaded)}.")
     if to == "wavefield":
         print_next("check", "experiment.yaml", "--rig", output)

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from wavefield.commands.next_command import print_next
-from wavefield.commands.sources import EXPERIMENT, frames_option
+from wavefield.commands.sources import EXPERIMENT, frames_option, source_of_experiment
 
 _KEY = 'background: "background/{camera}.tif"'
 
@@ -30,7 +30,8 @@ def background(experiment: Path, frames: int) -> None:
 
     found = Experiment.load(experiment)
     bare = found.model_copy(update={"background": None}).open_frames()
-    for file in write_backgrounds(bare, found.path.parent / "background", frames):
+    folder = found.path.parent / "background"
+    for file in write_backgrounds(bare, folder, frames, source_of_experiment(found.path, folder)):
         click.echo(f"Wrote {file}.")
     if found.background is None:
         click.echo(f"To subtract them, add this line to {found.path}:\n  {_KEY}")

@@ -6,7 +6,7 @@ import click
 
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import EXPERIMENT, FILE
+from wavefield.commands.sources import EXPERIMENT, FILE, source_of_experiment
 from wavefield.text import short_path
 
 
@@ -29,24 +29,26 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     still-water record (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
     trusted the exit status is 1 and the report lists the target images to retake.
     """
-    from wavefield.atomic_write import PAGE, RIG, check_writable
+    from wavefield.atomic_write import Product, check_writable
     from wavefield.calibration.target_images import calibrate_experiment
-    from wavefield.reports.calibration import NUMBERS, rig_sentences, write_calibration
+    from wavefield.reports.calibration import rig_sentences, write_calibration
     from wavefield.reports.calibration_pictures import draw_found
     from wavefield.series import Experiment
 
     loaded = Experiment.load(experiment)
     output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
     folder = output.with_name(f"{output.stem}_report")
-    check_writable(output, RIG)
-    check_writable(folder / "index.html", PAGE)
-    check_writable(folder / "numbers.yaml", NUMBERS)
+    source = source_of_experiment(loaded.path, output)
+    report = Product("calibration report", source)
+    check_writable(output, Product("rig", source))
+    for name in ("index.html", "numbers.yaml"):
+        check_writable(folder / name, report)
     with Progress("Finding the target", "images") as progress:
         solving = progress.stage_of("Solving for the cameras", "models")
         result = calibrate_experiment(loaded, progress, solving)
     calibration = result.calibration
     with Progress("Drawing the report"):
-        page = write_calibration(calibration, folder, lambda: draw_found(result))
+        page = write_calibration(calibration, folder, lambda: draw_found(result), report)
     for note in (*result.notes, *calibration.notes):
         click.echo(f"note: {note}")
     if not calibration.usable:
@@ -66,7 +68,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         click.echo(f"{found.sentence}\n{plane_sentence(plane)}")
     for sentence in rig_sentences(rig):
         click.echo(sentence)
-    rig.save(output)
+    rig.save(output, source)
     refused = "" if calibration.usable else ", REFUSED (usable: false in the file)"
     click.echo(
         f"Wrote {short_path(output)} with {', '.join(rig)}{refused}; calibration report: {short_path(page)}"

@@ -161,31 +161,26 @@ def status(context: click.Context, store: Path, as_json: bool) -> None:
     epilog="""\b
 Examples:
   wavefield verify cube.zarr
-  wavefield verify cube.zarr --quick
+  wavefield verify waves.zarr
   wavefield verify campaign.yaml
 """
 )
 @campaign_commands.takes_source(f"{CUBE}|CATALOG")
-@click.option(
-    "--quick",
-    is_flag=True,
-    help="Read no data: check only that every file exists and has the length with which it was written. "
-    "Takes seconds for any cube; bytes that changed in place are not found.",
-)
 @click.pass_context
-def verify(context: click.Context, source: campaign_commands.CommandSource, quick: bool) -> None:
-    """Verify that the chunks of a cube are complete and unchanged.
+def verify(context: click.Context, source: campaign_commands.CommandSource) -> None:
+    """Verify that a cube, waves or smoothed fields are complete and as they were written.
 
-    The exit status is 1 where something is damaged; the command that measured the cube then measures those
-    chunks again.
+    Reads everything. The exit status is 1 where something is damaged. Damaged chunks of a cube are marked as
+    not measured: the next `wavefield run` measures them again.
     """
     from wavefield.store.verify import verify as verify_store
 
     def work(cube: Path) -> int:
-        with Progress(f"Checking {cube}" if quick else f"Reading {cube}", "chunks") as progress:
-            found = verify_store(cube, progress, read=not quick)
+        with Progress(f"Reading {cube}", "chunks") as progress:
+            found = verify_store(cube, progress)
         click.echo(str(found))
-        print_next(*(("analyze", cube) if found.sound else ("run", cube)))
+        if found.steps:
+            print_next(*(("analyze", cube) if found.sound else ("run", cube)))
         return 0 if found.sound else 1
 
     context.exit(source.for_each_cube(work))
@@ -201,7 +196,7 @@ def init(folder: Path, output: Path | None) -> None:
     and probes by their names. What cannot be found in a folder (frame rate, target, depth) is marked TO FILL
     IN. Never overwrites a file.
     """
-    from wavefield.atomic_write import NEW_FILE, write_text
+    from wavefield.atomic_write import write_text
     from wavefield.errors import ExperimentError
     from wavefield.series.proposal import propose
 
@@ -209,7 +204,7 @@ def init(folder: Path, output: Path | None) -> None:
     if output.exists() or output.is_symlink():
         raise ExperimentError(f"{output} is there already; name another file with -o")
     text = propose(folder)
-    write_text(output, text, NEW_FILE)
+    write_text(output, text)
     click.echo(text)
     click.echo(f"Wrote {output}.")
     command = "calibrate" if "\ncalibration:" in text else "check"

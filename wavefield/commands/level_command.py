@@ -7,7 +7,7 @@ import click
 
 from wavefield.commands.next_command import print_next
 from wavefield.commands.progress import Progress
-from wavefield.commands.sources import EXPERIMENT, NEW_RIG, RIG, frames_option
+from wavefield.commands.sources import EXPERIMENT, NEW_RIG, RIG, frames_option, source_of_experiment
 
 if TYPE_CHECKING:
     from wavefield.rig import Rig
@@ -54,7 +54,7 @@ def level(
     _check_output(output, experiment, rig)
     with Progress("Matching the cameras", "instants") as progress:
         found = level_experiment(experiment, rig, distance, frames, progress)
-    _save(found.rig, output, found.sentence)
+    _save(found.rig, output, experiment, found.sentence)
     if each_frame is None:
         print_next("check", experiment, "--rig", output)
         return
@@ -89,7 +89,7 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     _check_output(output, experiment, rig)
     with Progress("Correlating the cameras", "passes") as progress:
         found = find_sheet(experiment, rig, frames, progress)
-    _save(found.rig, output, found.sentence)
+    _save(found.rig, output, experiment, found.sentence)
     if found.thickness > 0:
         click.echo(f"Then: settings: {{preset: sheet, sheet_thickness: {found.thickness:.2g}}}")
     print_next("check", experiment, "--rig", output)
@@ -120,21 +120,21 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     with Progress("Matching the cameras", "frames") as progress:
         still = loaded.at_rest() if loaded.rest else loaded
         refined, found, plane = level_at_rest(still, rig, frames, progress)
-    _save(refined, output, f"{found.sentence}\n{plane_sentence(plane)}")
+    _save(refined, output, experiment, f"{found.sentence}\n{plane_sentence(plane)}")
     print_next("check", experiment, "--rig", output)
 
 
-def _save(rig: "Rig", output: Path, found: str) -> None:
+def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
     """Print what was found, and write the rig."""
     click.echo(found)
-    rig.save(output)
+    rig.save(output, source_of_experiment(experiment, output))
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
-    """Refuse, before the work, to write over anything but another rig of this program."""
-    from wavefield.atomic_write import RIG, check_writable, refuse_input
+    """Refuse, before the work, to write over anything but an earlier rig of this experiment."""
+    from wavefield.atomic_write import Product, check_writable
     from wavefield.series import Experiment
 
-    refuse_input(output, *([rig] if rig else Experiment.load(experiment).rig_paths))
-    check_writable(output, RIG)
+    inputs = [rig] if rig else Experiment.load(experiment).rig_paths
+    check_writable(output, Product("rig", source_of_experiment(experiment, output)), inputs=inputs)

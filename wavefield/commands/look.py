@@ -85,17 +85,11 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     machine only. While the cube is being written, the page shows new steps as they come. For a catalog name
     the RUN, unless only one of its runs has a cube.
     """
-    from wavefield.errors import StoreError
     from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import session_server
-    from wavefield.store.ledger_files import check_chunks
 
     session = LookSession(find_cube(source, run), waves)
     record = session.record
-    try:
-        check_chunks(record.path, record.group, record.layout)
-    except StoreError as error:  # the page shows the rest
-        click.echo(f"note: {error}", err=True)
     give_way(record.layout.steps - record.steps_done)
     server = session_server(session, port)
     session.load()

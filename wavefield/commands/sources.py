@@ -1,6 +1,6 @@
 """What a command works on: an experiment file, its folder or its cube, whichever of them is given."""
 
-import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -21,6 +21,16 @@ NEW_RIG = click.option("-o", "--output", required=True, type=FILE, help="Rig to 
 def is_store(path: Path) -> bool:
     """Whether a path is a Zarr store rather than a folder that holds one."""
     return path.is_dir() and (path.suffix == ".zarr" or (path / "zarr.json").is_file())
+
+
+def source_of_experiment(experiment: Path, output: Path) -> str:
+    """Identity of an experiment as the source of a file: its name, and its place relative to the file."""
+    from wavefield.atomic_write import identity_of
+    from wavefield.series import Experiment
+
+    loaded = Experiment.load(experiment)
+    place = Path(os.path.relpath(loaded.path.resolve(), output.absolute().parent.resolve()))
+    return identity_of(loaded.name, place.as_posix())
 
 
 def experiment_file(source: Path) -> Path:
@@ -70,16 +80,10 @@ def find_cube(source: Path, run: str | None = None) -> Path:
     if is_store(source):
         return source
     if source.is_dir():
-        usual = source / "cube.zarr"
-        cubes = (
-            [usual] if usual.is_dir() else [path for path in sorted(source.glob("*.zarr")) if _is_cube(path)]
-        )
-        if len(cubes) == 1:
-            return cubes[0]
-        if cubes:
-            raise StoreError(
-                f"{source} holds {len(cubes)} cubes: name one of {', '.join(path.name for path in cubes)}"
-            )
+        from wavefield.store.read import cubes_in, find_store
+
+        if cubes_in(source):
+            return find_store(source)
         if not _experiments(source):
             raise StoreError(f"{source} is not a cube, and holds neither a cube nor an experiment file")
     from wavefield.series import Experiment
@@ -110,11 +114,3 @@ def _names_cameras(path: Path) -> bool:
     except ExperimentError:
         return False
     return {"name", "cameras"} <= set(data) or set(data) in ({"experiment"}, {"experiment", "folder"})
-
-
-def _is_cube(path: Path) -> bool:
-    """Whether a store is a cube, by its attributes: waves, previews and truths are none."""
-    try:
-        return "recipe" in json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return False

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from wavefield.atomic_write import OwnFile, check_replaceable, writing
+from wavefield.atomic_write import check_replaceable, writing
 
 log = logging.getLogger("wavefield.run")
 
@@ -15,9 +15,6 @@ def _is_log(path: Path) -> bool:
     with path.open("rb") as stream:
         line = stream.readline(200)
     return not line or re.match(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ ", line) is not None
-
-
-LOG = OwnFile("a log", _is_log)
 
 
 def log_path(store: Path) -> Path:
@@ -35,7 +32,8 @@ def log_file(store: Path) -> Iterator[None]:
     """Write the messages of a run to a file next to its store."""
     with writing(store):
         store.parent.mkdir(parents=True, exist_ok=True)
-        check_replaceable(log_path(store), LOG)  # it is added to
+        path = log_path(store)
+        check_replaceable(path, replace=path.is_file() and _is_log(path))  # it is added to
         handler = logging.FileHandler(log_path(store), delay=False)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk must not hide the cause

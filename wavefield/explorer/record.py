@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.figures.display import BALANCE, DERIVED
 from wavefield.store import preview as previews
-from wavefield.store.checked import chunk_path
-from wavefield.store.cube_group import CubeGroup
-from wavefield.store.ledger_files import LEDGER, check_chunks
-from wavefield.store.metadata import WATCHED
+from wavefield.store.layout import CubeGroup
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
@@ -54,7 +51,6 @@ class CubeRecord:
         self.path = Path(path).absolute()
         self.group = open_group(self.path)
         self.layout = read_layout(self.group)
-        check_chunks(self.path, self.group, self.layout, LEDGER)  # fields are checked when they are read
         self.time, self.y, self.x = (np.asarray(self.group[name][:]) for name in CUBE_DIMS)
         fields = {n for n, array in self.group.arrays() if array.metadata.dimension_names == CUBE_DIMS}
         self.stored = tuple(name for name in TABLE if name in fields)
@@ -104,7 +100,6 @@ class CubeRecord:
             return self._derived(name, step)
         with self._lock:
             if (name, step) not in self._cache:
-                self._check_chunk(name, step)
                 start = step - step % _STEPS_PER_READ
                 stop = min(start + _STEPS_PER_READ, self.layout.steps)
                 for k, values in enumerate(previews.read_steps(self.group, name, start, stop)):
@@ -114,20 +109,6 @@ class CubeRecord:
             while len(self._cache) > _CACHED_FIELDS:
                 self._cache.popitem(last=False)
         return out
-
-    def _check_chunk(self, name: str, step: int) -> None:
-        """Raise if a file of the ledger is absent: Zarr would take its steps as not measured."""
-        if "stored_bytes" not in self.group or name not in WATCHED:
-            return
-        steps = self.layout.chunk_steps
-        chunk = step // steps
-        size = int(self.group["stored_bytes"][chunk, WATCHED.index(name)])
-        if size > 0 and not chunk_path(self.path, name, chunk).exists():
-            first, last = chunk * steps, min((chunk + 1) * steps, self.layout.steps)
-            raise StoreError(
-                f"{name} of steps {first} to {last - 1} is not in {self.path.name}, though it was written: "
-                "copy the complete cube again, or see `wavefield verify`"
-            )
 
     def _derived(self, name: str, step: int) -> NDArray[np.float32]:
         """A variable that `kinematic_fields` derives, at one step: time derivatives need its neighbours."""

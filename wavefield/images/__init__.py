@@ -13,7 +13,7 @@ import numpy as np
 import simplejpeg
 import tifffile
 
-from wavefield.atomic_write import ANY_FILE, atomic
+from wavefield.atomic_write import Product, atomic
 from wavefield.errors import FrameError, StoreError
 from wavefield.file_access import accessing
 from wavefield.images import tiff
@@ -125,11 +125,13 @@ def _quiet() -> Iterator[None]:
             cv2.utils.logging.setLogLevel(before)
 
 
-def write_image(path: str | Path, image: np.ndarray) -> None:
-    """Write one grey image atomically, as uncompressed TIFF or as PNG by the name's ending."""
+def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
+    """Write one grey image atomically, as uncompressed TIFF or as PNG by the name's ending.
+    Without a product any plain file is replaced.
+    """
     path = Path(path)
     try:
-        with atomic(path, ANY_FILE) as draft:
+        with atomic(path, product, replace=product is None) as draft:
             if path.suffix.lower() in tiff.ENDINGS:
                 tifffile.imwrite(draft, image)
             else:

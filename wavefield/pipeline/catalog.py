@@ -22,7 +22,7 @@ from urllib.parse import unquote, urlparse
 
 import yaml
 
-from wavefield.atomic_write import ANY_FILE, NEW_FILE, write_text
+from wavefield.atomic_write import write_text
 from wavefield.config_files import read_yaml, safe_name
 from wavefield.errors import ExperimentError, StoreError
 
@@ -86,7 +86,6 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
         write_text(
             place,
             "# refers to the experiment file it names\n" + yaml.safe_dump({"experiment": target}),
-            NEW_FILE,
         )
     if run not in options:
         options.append(run)
@@ -335,7 +334,7 @@ def _save(catalog: Path, data: Mapping[str, object]) -> None:
                 break
             head.append(line + "\n")
     text = yaml.dump(dict(data), Dumper=_Dumper, sort_keys=False, width=110)
-    write_text(catalog, "".join(head) + text, ANY_FILE)
+    write_text(catalog, "".join(head) + text, replace=True)
 
 
 class _Dumper(yaml.SafeDumper):

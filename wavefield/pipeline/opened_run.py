@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 
 import xarray as xr
 
-from wavefield.errors import WavefieldError
+from wavefield.atomic_write import read_mark
+from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.pipeline.experiment_of_cube import experiment_path, load_experiment
 from wavefield.rig import Camera, Rig
@@ -16,8 +17,8 @@ from wavefield.series import Experiment, FrameSeries
 from wavefield.series.camera_mask import CameraMask
 from wavefield.series.masks import covered_series
 from wavefield.store.camera_pairs import read_pair_statistics
-from wavefield.store.read import open_cube
-from wavefield.store.recipe import recipe_of
+from wavefield.store.read import find_store, open_cube
+from wavefield.store.recipe import recipe_of, source_of, state_of
 from wavefield.store.store_paths import beside
 from wavefield.store.wave_store import open_waves
 
@@ -154,16 +155,22 @@ class Run:
         Raises
         ------
         StoreError
-            If it is damaged.
+            If it is damaged, or of another cube.
         """
         if not self.waves_path.is_dir():
             self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
             return None
         waves = open_waves(self.waves_path)
-        rate = float(self.cube.attrs.get("frame_rate", 1.0))
-        if abs(float(waves.attrs.get("frame_rate", rate)) / rate - 1) > 1e-3:
+        mark = read_mark(self.waves_path)
+        if mark is None or mark.source != source_of(self.cube):
+            raise StoreError(
+                f"{self.waves_path} are the waves of another cube than {self.store}: move them, and run "
+                f"`wavefield analyze {self.store}`"
+            )
+        if waves.attrs.get("cube") != state_of(self.cube):
             self._reasons["waves"] = (
-                f"the cube has another frame rate since: run `wavefield analyze {self.store}` again"
+                f"the cube has changed since its waves were computed: run `wavefield analyze {self.store}` "
+                "again"
             )
             return None
         return waves
@@ -228,7 +235,7 @@ def open_run(
     Parameters
     ----------
     store : path
-        Cube written by `run`.
+        Cube written by `run`, or a folder that holds one.
     waves : path, optional
         Its waves; by default where `wavefield analyze` writes them, next to the cube.
     experiment : path, optional
@@ -267,7 +274,7 @@ def open_run(
     >>> run.grid.shape, run.recipe["experiment"]
     ((3, 4), 'basin')
     """
-    store = Path(str(store).removeprefix("file://"))
+    store = find_store(store)
     cube = open_cube(store)
     return Run(
         cube,

@@ -19,8 +19,8 @@ from wavefield.pipeline.prepare import PreparedRun
 from wavefield.rig.resolution import pixel_size
 from wavefield.sampling import from_first_to_last
 from wavefield.store.camera_pairs import read_pair_statistics, write_pair_statistics
-from wavefield.store.ledger_files import ledger_checksum
-from wavefield.store.read import open_group, read_layout
+from wavefield.store.read import open_group
+from wavefield.store.recipe import cube_state
 
 MAX_STEPS = 8
 STEPS_PER_SAMPLE = 12  # of a short record, so that this is not most of its cost
@@ -120,9 +120,10 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
     """Put the statistics into a cube whose run has ended, unless those of the same ledger are there."""
-    ledger = ledger_checksum(path, read_layout(open_group(path)))
+    group = open_group(path)
+    state = cube_state(group.attrs, group["frame_status"][:])
     stored = read_pair_statistics(path)
-    if stored is None or stored.attrs["ledger_checksum"] != ledger:
+    if stored is None or stored.attrs["cube_state"] != state:
         statistics = pair_statistics(prepared)
         if statistics is not None:
-            write_pair_statistics(path, statistics, ledger)
+            write_pair_statistics(path, statistics, state)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.atomic_write import check_replaceable, check_writable, remove_leftovers
 from wavefield.errors import RunStopped, StoreError, WavefieldError
 from wavefield.execution.cluster import open_cluster, threads_here
 from wavefield.execution.lock import Lock
@@ -31,16 +30,15 @@ from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
-from wavefield.store.ledger_files import ledger_checksum
-from wavefield.store.metadata import mark_complete, restore_metadata
+from wavefield.store.metadata import FINISHED, update_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import measured_rate, open_group, read_layout
 from wavefield.store.recipe import check_recipe
 from wavefield.store.relabel import relabel
 from wavefield.store.store_paths import beside
-from wavefield.store.verdict import VERDICT, read_verdict
-from wavefield.store.verify import suspicious
-from wavefield.store.write_cube import discard_chunks, reset_chunks
+from wavefield.store.verdict import check_verdict
+from wavefield.store.verify import missing_chunks
+from wavefield.store.write_cube import remove_partial_files, reset_chunks
 from wavefield.text import spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus, frames_of_path
 
@@ -129,9 +127,8 @@ def run(
     with ExitStack() as stack:
         lock = stack.enter_context(Lock.hold(path.absolute()))
         if path.exists():
-            _repair(path)
-            open_group(path)  # what is no cube is refused at once
-        check_writable(beside(path, "verdict", ".json"), VERDICT)
+            open_group(path)  # refuses at once what is not a cube
+        check_verdict(path)
         with deferred_signals():  # Ctrl-C inside an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), MEASURING))
             prepared = prepare(experiment, rig, workflow)
@@ -150,7 +147,7 @@ def process(
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
             prepared, layout = _open_or_create(prepared, path)
-            mark_complete(path, None)
+            update_metadata(path, {FINISHED: None})
             ranges = unfinished(path, layout, prepared.series)
             todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
             done = layout.steps - sum(chunk.steps for chunk in todo)
@@ -174,24 +171,12 @@ def process(
     verdict = assess_run(prepared, found)
     verdict.save(path)
     if found.complete:
-        mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
+        update_metadata(path, {FINISHED: True})
         if prepared.experiment.smooth and (todo or not beside(path, "smooth", ".zarr").exists()):
             from wavefield.pipeline.smoothing import write_smoothed
 
             log.info("wrote %s", write_smoothed(path))
     return status(path)
-
-
-def _repair(path: Path) -> None:
-    """Put damaged metadata and coordinates back; damaged chunks are measured again later."""
-    for name in restore_metadata(path):
-        log.warning("%s was damaged: written again", path / name)
-    try:
-        read_verdict(path)
-    except StoreError:
-        verdict = beside(path, "verdict", ".json")
-        check_replaceable(verdict, VERDICT)
-        verdict.unlink()  # another comes at the end of the run
 
 
 def _how_far(path: Path) -> str:
@@ -203,11 +188,10 @@ def _how_far(path: Path) -> str:
 
 def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, StoreLayout]:
     if path.exists():
-        _repair(path)
         group = open_group(path)
-        check_recipe(path, group, prepared.recipe)
+        check_recipe(path, group.attrs, prepared.recipe)
         check_images(str(path), json.loads(group.attrs.get("fingerprints", "{}")), prepared.series)
-        remove_leftovers(path)
+        remove_partial_files(path)
         prepared = prepared.with_prior(json.loads(str(group.attrs["recipe"]))["record"])
         for change in relabel(path, prepared.recipe, labels(prepared.experiment, path)):
             log.info("labelled anew, nothing is measured again: %s", change)
@@ -228,7 +212,6 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         "fingerprints": json.dumps(fingerprints(prepared.series)),
         **labels(prepared.experiment, path),
     }
-    remove_leftovers(path)
     once = once_per_cube(prepared.geometry, prepared.record)
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, once)
     create_preview(path, open_group(path))
@@ -236,11 +219,11 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Chunks (start, stop) to measure: not done, damaged, or with bad frames that can be read now."""
-    damaged = suspicious(path)
-    if damaged:
-        log.warning("%d chunks are damaged: measuring them again", len(damaged))
-        discard_chunks(path, damaged)
+    """Chunks (start, stop) to measure: not done, missing, or with bad frames that can be read now."""
+    missing = missing_chunks(path, layout)
+    if missing:
+        log.warning("files of %d chunks are missing: measuring them again", len(missing))
+        reset_chunks(path, missing)
     group = open_group(path)
     ledger = np.asarray(group["frame_status"][:])
     faults = np.asarray(group["frame_fault"][:])
@@ -272,7 +255,6 @@ def _work_off(
     # closed here and now: what is not done yet is called off before anything else
     with closing(map_unordered(work, todo)) as results:
         for chunk, result in results:
-            lock.check()
             if isinstance(result, WavefieldError):
                 raise result
             if isinstance(result, BaseException):

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import zarr
 
-from wavefield.atomic_write import OwnFile, atomic, zarr_store
+from wavefield.atomic_write import Product, atomic, check_writable
 from wavefield.store.read import open_cube
+from wavefield.store.recipe import source_of, state_of
 from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS
 from wavefield.waves.surface.smooth import smooth
-
-SMOOTHED = OwnFile("smoothed fields", zarr_store("smoothed fields of ", "smoothed"), folder=True)
 
 
 def write_smoothed(
@@ -21,11 +20,14 @@ def write_smoothed(
 ) -> Path:
     """Write the smoothed fields of a cube to a Zarr store, whole or not at all; returns its path."""
     output = output or beside(store, "smooth", ".zarr")
-    found = smooth(open_cube(store)).drop_encoding()
+    cube = open_cube(store)
+    product = Product("smoothed fields", source_of(cube))
+    check_writable(output, product, inputs=[store])
+    found = smooth(cube).drop_encoding()
     found = found.drop_vars([name for name in found.coords if name not in CUBE_DIMS])
-    found.attrs["title"] = f"smoothed fields of {store.name}"
+    found.attrs |= {"title": f"smoothed fields of {store.name}", "cube": state_of(cube)}
     steps, at_a_time = found.sizes["time"], found.chunks["time"][0] * (os.cpu_count() or 1)
-    with atomic(output, SMOOTHED) as draft:
+    with atomic(output, product, inputs=[store]) as draft:
         for start in range(0, steps, at_a_time):
             part = found.isel(time=slice(start, start + at_a_time))
             part.to_zarr(

@@ -8,7 +8,7 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
-from wavefield.atomic_write import PAGE, OwnFile, marked, write_text
+from wavefield.atomic_write import Product, write_text
 from wavefield.calibration.assess import FlatSurface, numbers
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.model_choice import MODELS
@@ -23,7 +23,7 @@ from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.resolution import pixel_size
 
-NUMBERS = OwnFile("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
+REPORT = Product("calibration report")
 _PREDICTED = (
     "rms: of the fitted points. Predicted: standard uncertainty of a pixel within 5 cm of z = 0, from the "
     "covariance of the fit; judge the rig by it, not by the rms."
@@ -38,10 +38,14 @@ _LENS_TERMS = {
 
 
 def write_calibration(
-    calibration: Calibration, directory: str | Path, target: Callable[[], Figure | None] | None = None
+    calibration: Calibration,
+    directory: str | Path,
+    target: Callable[[], Figure | None] | None = None,
+    product: Product = REPORT,
 ) -> Path:
     """Write the report of a calibration into a folder; `target` draws the target found in the images.
-    Returns the page, `index.html`; beside it are the numbers, `numbers.yaml`.
+    Returns the page, `index.html`; beside it are the numbers, `numbers.yaml`. Only files of the same product
+    are replaced.
     """
     directory = Path(directory)
     content: dict[str, Any] = {
@@ -61,9 +65,9 @@ def write_calibration(
         content["parameters"] = _parameters(calibration, observations, fit)
         drawn += _figures(calibration, observations, fit, surface)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
-    write_text(directory / "numbers.yaml", text, NUMBERS)
+    write_text(directory / "numbers.yaml", text, product)
     page = directory / "index.html"
-    write_text(page, calibration_page(content, drawn), PAGE)
+    write_text(page, calibration_page(content, drawn), product)
     return page
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import xarray as xr
 from markupsafe import Markup
 
-from wavefield.atomic_write import PAGE, write_text
+from wavefield.atomic_write import Product, identity_of, write_text
 from wavefield.pipeline import open_run
 from wavefield.reports.html import Head, ReportSection, Table, render
 from wavefield.reports.numbers import with_interval
@@ -32,7 +32,7 @@ def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -
     rows = [_row(run, cube, groups.get(run), output) for run, cube in cubes]
     sections = [ReportSection("The runs", [Table(_CAPTION, head, rows)])]
     lines = (f"{len(groups)} of {len(cubes)} runs measured",)
-    write_text(output, render(Head(title, lines), sections), PAGE)
+    write_text(output, render(Head(title, lines), sections), Product("campaign page", identity_of(title)))
     return output
 
 

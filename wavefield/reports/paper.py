@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from wavefield import figures
-from wavefield.atomic_write import PAGE, check_writable, write_text
+from wavefield.atomic_write import Product, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run
 from wavefield.reports.accuracy import pair_items
@@ -23,6 +23,8 @@ from wavefield.reports.waves import (
     spectrum_pictures,
 )
 from wavefield.rig.resolution import pixel_size
+from wavefield.store.read import find_store, open_cube
+from wavefield.store.recipe import source_of
 from wavefield.store.store_paths import beside
 from wavefield.waves import plane_coherence
 from wavefield.waves.nonlinear.kinematics import kinematic_fields
@@ -71,8 +73,8 @@ def paper(
     'paper.html'
     """
     output = Path(output) if output is not None else page_of(store, "paper")
-    check_writable(output, PAGE)
-    path = Path(str(store).removeprefix("file://"))
+    path = find_store(store)
+    check_writable(output, _product(open_cube(path)), inputs=[path])
     expected = beside(path, "waves", ".zarr") if waves is None else Path(waves)
     still = None if rest is None else measured_run(rest).cube
     return _write(measured_run(path, expected), still, output, progress)
@@ -90,8 +92,12 @@ def _write(
         f"{experiment_name(run)}: the paper's figures",
         (f"The figures of Aubourg et al. for {run.cube.sizes['time']} steps",),
     )
-    write_text(output, render(head, build_all(builders, progress)), PAGE)
+    write_text(output, render(head, build_all(builders, progress)), _product(run.cube))
     return output
+
+
+def _product(cube: xr.Dataset) -> Product:
+    return Product("paper page", source_of(cube))
 
 
 def _group(run: Run, name: str) -> xr.Dataset:

@@ -5,7 +5,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from wavefield.atomic_write import PAGE, check_writable, write_text
+from wavefield.atomic_write import Product, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run, open_run
 from wavefield.reports.accuracy import accuracy
@@ -15,6 +15,8 @@ from wavefield.reports.html import Head, ReportSection, render
 from wavefield.reports.numbers import RunNumbers, dates_of, in_light_sheet
 from wavefield.reports.result import attention, recipe, result, run_summary
 from wavefield.reports.waves import nonlinearity, spectra
+from wavefield.store.read import find_store
+from wavefield.store.recipe import source_of
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
 
@@ -57,14 +59,14 @@ def report(
     'report.html'
     """
     output = Path(output) if output is not None else page_of(store, "report")
-    check_writable(output, PAGE)  # before everything is drawn
-    path = Path(str(store).removeprefix("file://"))
-    return write_report(measured_run(path, waves), output, progress, read_verdict(path))
+    run = measured_run(store, waves)
+    check_writable(output, Product("report", source_of(run.cube)), inputs=[run.store])
+    return write_report(run, output, progress, read_verdict(run.store))
 
 
 def page_of(cube: str | Path, kind: str) -> Path:
     """The file of a cube's page, next to its store."""
-    return beside(Path(str(cube).removeprefix("file://")), kind, ".html")
+    return beside(find_store(cube), kind, ".html")
 
 
 def measured_run(store: str | Path, waves: str | Path | None = None) -> Run:
@@ -101,7 +103,7 @@ def write_report(
     """
     output = Path(output)
     sections = build_all(builders_of(run, verdict), progress)
-    write_text(output, render(head_of(run, verdict), sections), PAGE)
+    write_text(output, render(head_of(run, verdict), sections), Product("report", source_of(run.cube)))
     return output
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
-from wavefield.atomic_write import RIG, write_text
+from wavefield.atomic_write import Product, identity_of, write_text
 from wavefield.errors import RigError
 from wavefield.file_access import accessing
 from wavefield.rig.camera import Camera
@@ -118,13 +118,21 @@ class Rig:
         }
         return Rig(cameras, {**self.provenance, **provenance})
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, source: str = "") -> None:
         """Write the rig as readable YAML, lengths in metres, image quantities in px, angles in radians.
 
         Parameters
         ----------
         path : path
-            File to write; its folder is made.
+            File to write; its folder is made. A rig that is there is replaced only if it was saved with the
+            same source and not edited since.
+        source : str, optional
+            Identity of what the rig was made from (`wavefield.atomic_write.identity_of`).
+
+        Raises
+        ------
+        StoreError
+            If the file cannot be written or replaced.
         """
         data = {
             "units": UNITS,
@@ -132,7 +140,7 @@ class Rig:
             "provenance": dict(self.provenance),
         }
         text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-        write_text(path, text, RIG)
+        write_text(path, text, Product("rig", source or identity_of()))
 
     @classmethod
     def load(cls, path: str | Path) -> "Rig":

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import yaml
 
-from wavefield.atomic_write import ANY_FILE, atomic
+from wavefield.atomic_write import atomic
 from wavefield.config_files import make, read_yaml
 from wavefield.errors import ExperimentError
 from wavefield.series.experiment import Experiment
@@ -28,7 +28,7 @@ def add_polygons(experiment: Experiment, polygons: Mapping[str, Sequence[tuple[f
     text = path.read_text(encoding="utf-8")
     start, stop = _place_of_masks(text)
     line_break = "" if not start or text[start - 1] == "\n" else "\n"
-    with atomic(path, ANY_FILE) as draft:
+    with atomic(path, replace=True) as draft:
         draft.write_text(text[:start] + line_break + block + text[stop:], encoding="utf-8")
         try:
             Experiment.load(draft)

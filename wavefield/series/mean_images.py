@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.atomic_write import Product, check_writable, identity_of
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.images import read_image, write_image
 from wavefield.sampling import evenly_spaced
@@ -85,11 +86,16 @@ def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
     }
 
 
-def write_backgrounds(series: Mapping[str, FrameSeries], folder: Path, frames: int) -> list[Path]:
-    """Write the mean image of every camera into a folder; returns the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
+def write_backgrounds(
+    series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str = ""
+) -> list[Path]:
+    """Write the mean image of every camera into a folder; returns the files.
+    Only backgrounds of the same source (an experiment's identity) are replaced.
+    """
+    product = Product("background", source or identity_of())
+    files = {name: folder / f"{name}.tif" for name in series}
+    for file in files.values():
+        check_writable(file, product)
     for name, one in series.items():
-        files.append(folder / f"{name}.tif")
-        write_image(files[-1], mean_image(one, frames))
-    return files
+        write_image(files[name], mean_image(one, frames), product)
+    return list(files.values())

@@ -1,19 +1,17 @@
 """The group of a cube's store that holds the errors of every pair of cameras on its own."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 import zarr
 
-from wavefield.atomic_write import writing
-from wavefield.errors import StoreError
-from wavefield.store.layout import add_array, gather_metadata
-from wavefield.store.metadata import keep_metadata
-from wavefield.store.read import open_group
+from wavefield.atomic_write import MARK_ATTRIBUTE, Product, read_mark, write_mark, writing
+from wavefield.store.layout import add_array
 from wavefield.variables import Variable, annotate, register, rows_of
 
-GROUP = "pair_statistics"
+GROUP, KIND = "pair_statistics", "pair statistics"
 _TEXTS = ("quantity", "cameras", "units")  # text coordinates, kept as attributes: Zarr 3 has no fixed strings
 
 register(
@@ -32,36 +30,26 @@ register(
 )
 
 
-def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: int) -> None:
-    """Put the statistics into a cube; they belong to a ledger of this checksum, which is written last."""
+def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
+    """Put the statistics into a cube of this state (`cube_state`)."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / GROUP):
-        group = zarr.open_group(path / GROUP, mode="a", zarr_format=3)
-        group.attrs.put({})
+        shutil.rmtree(path / GROUP, ignore_errors=True)
+        group = zarr.open_group(path / GROUP, mode="w", zarr_format=3, attributes=attributes)
         for row in rows_of(GROUP):
-            values = statistics[row.name].values.astype(row.dtype)
-            add_array(group, row, values, fill_value=np.nan, overwrite=True)
-        group.attrs.put(attributes | {"ledger_checksum": ledger_checksum})
-        gather_metadata(path)
-        keep_metadata(path)
+            add_array(group, row, statistics[row.name].values.astype(row.dtype), fill_value=np.nan)
+        write_mark(path / GROUP, Product(KIND, state))
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
-    """The statistics (error, bin) in a cube, loaded; None if there are none.
-    Coordinates of error: quantity, cameras, units.
+    """The statistics (error, bin) in a cube, loaded; None if there are none as they were written.
+    Coordinates of error: quantity, cameras, units; attribute ``cube_state``: of the cube they belong to.
     """
-    path = Path(store)
-    open_group(path)  # compares all small files with their copies
-    gathered = zarr.open_group(path, mode="r").metadata.consolidated_metadata
-    if gathered is None or GROUP not in gathered.metadata or not (path / GROUP).is_dir():
-        return None  # none, or a run was killed while it wrote them
-    try:
-        out = xr.open_zarr(path / GROUP, consolidated=False, chunks=None).load()
-    except Exception as error:  # whatever a library makes of damaged bytes
-        raise StoreError(
-            f"{path / GROUP} cannot be read ({error}); `wavefield run EXPERIMENT` writes it again"
-        ) from None
-    if "ledger_checksum" not in out.attrs:  # being written
+    path = Path(store) / GROUP
+    mark = read_mark(path)
+    if mark is None or mark.kind != KIND:
         return None
+    out = xr.open_zarr(path, consolidated=False, chunks=None).load()
+    out.attrs.pop(MARK_ATTRIBUTE)
     texts = {name: ("error", np.array(out.attrs.pop(name))) for name in _TEXTS}
-    return annotate(out.assign_coords(texts), GROUP)
+    return annotate(out.assign_coords(texts).assign_attrs(cube_state=mark.source), GROUP)

@@ -1,54 +1,66 @@
 """The cube as files of other programs: NetCDF, MATLAB, UVMAT."""
 
+import io
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefield.atomic_write import OwnFile, atomic, check_writable, files_named, marked
+from wavefield.atomic_write import Product, atomic, check_writable
 from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import open_cube
-from wavefield.store.recipe import recipe_of
+from wavefield.store.recipe import recipe_of, source_of
 from wavefield.variables import TABLE
 
 if TYPE_CHECKING:
     import xarray as xr
 
 NETCDF = (".nc", ".nc4", ".cdf", ".h5")
-ENDINGS = {
-    **dict.fromkeys(NETCDF, "netcdf"),
-    ".mat": "matlab",
-    ".uvmat": "uvmat",
-}
+ENDINGS = {**dict.fromkeys(NETCDF, "netcdf"), ".mat": "matlab", ".uvmat": "uvmat"}
 KNOWN = ".nc (NetCDF), .mat (MATLAB) or .uvmat (a folder for UVMAT)"
 _AT_ONCE = 16  # steps in memory
 
 
-def _has_attribute(name: str) -> Callable[[Path], bool]:
-    """Recognize an HDF5 file by an attribute."""
+class _Hdf5File(io.FileIO):
+    """A file for the HDF5 library, which crashes where a write fails: the first error is kept for the end."""
 
-    def recognize(path: Path) -> bool:
-        import h5py
+    failure: OSError | None = None
 
-        with h5py.File(path, "r") as file:
-            return name in file.attrs
+    def write(self, data: Any) -> int:
+        """Write all of the data, or keep the error."""
+        left = memoryview(data).cast("B")
+        size = len(left)
+        while left and self.failure is None:
+            try:
+                left = left[super().write(left) or 0 :]
+            except OSError as error:
+                self.failure = error
+        return size
 
-    return recognize
+    def truncate(self, size: int | None = None) -> int:
+        """Change the size, or keep the error."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = self.failure or error
+            return size or 0
 
 
-_MARK = b"written by wavefield"
-PRODUCTS = {
-    "netcdf": OwnFile("a NetCDF export of a cube", _has_attribute("recipe_hash")),
-    "matlab": OwnFile("a MATLAB export of a cube", marked(_MARK, start=b"MATLAB 7.3")),
-    "uvmat": OwnFile(
-        "a UVMAT export of a cube",
-        files_named(r".*_\d+\.nc", marked(b"wavefield", start=b"CDF")),
-        folder=True,
-    ),
-}
+@contextmanager
+def _hdf5_file(path: Path) -> Iterator[_Hdf5File]:
+    """A file for the HDF5 library; raises the first error of writing it."""
+    with _Hdf5File(path, "w+") as file:
+        try:
+            yield file
+        except Exception:
+            if file.failure is None:
+                raise
+    if file.failure is not None:
+        raise file.failure
 
 
 def export(store: str | Path, path: str | Path, steps: slice | None = None) -> None:
@@ -106,14 +118,15 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     kind = ENDINGS.get(path.suffix.lower())
     if kind is None:
         raise StoreError(f"{path} is not a supported output format: let its name end in {KNOWN}")
-    check_writable(path, PRODUCTS[kind])
+    cube = open_cube(store)
+    check_writable(path, _product(kind, cube), inputs=[cube.encoding["source"]])
     if note := unfinished_note(store):
         warnings.warn(note, stacklevel=2)
-    cube = open_cube(store)
+    count = cube.sizes["time"]
     if steps is not None:
         cube = cube.isel(time=steps)
     if not cube.sizes["time"]:
-        raise StoreError(f"{store} has no such steps: it holds {open_cube(store).sizes['time']}")
+        raise StoreError(f"{store} has no such steps: it holds {count}")
     _WRITERS[kind](cube, path)
 
 
@@ -124,9 +137,14 @@ def _steps_of(cube: "xr.Dataset") -> Iterator["xr.Dataset"]:
         yield from (chunk.isel(time=k) for k in range(chunk.sizes["time"]))
 
 
+def _product(kind: str, cube: "xr.Dataset") -> Product | None:
+    """A file is replaced by that of the same cube, a folder for UVMAT never."""
+    return None if kind == "uvmat" else Product(f"{kind} export", source_of(cube))
+
+
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
     """Write a cube, or averages of one, as NetCDF (CF)."""
-    check_writable(path, PRODUCTS["netcdf"])
+    product = _product("netcdf", cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
     }
@@ -140,22 +158,22 @@ def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
         if variable.ndim == 3:
             chunks = (min(8, variable.shape[0]), *variable.shape[1:])
             variable.encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
-    with atomic(path, PRODUCTS["netcdf"]) as draft:
-        cube.to_netcdf(draft, engine="h5netcdf", format="NETCDF4")
+    with atomic(path, product) as draft, _hdf5_file(draft) as file:
+        cube.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
 
 
 def _matlab(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_matlab import write_matlab
 
-    with atomic(path, PRODUCTS["matlab"]) as draft:
-        write_matlab(cube, _steps_of(cube), draft)
+    with atomic(path, _product("matlab", cube)) as draft, _hdf5_file(draft) as file:
+        write_matlab(cube, _steps_of(cube), file)
 
 
 def _uvmat(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_uvmat import write_uvmat
 
     dt = 1.0 / float(recipe_of(cube.attrs)["frame_rate"])
-    with atomic(path, PRODUCTS["uvmat"]) as draft:
+    with atomic(path) as draft:
         write_uvmat(_steps_of(cube), draft, path.stem, dt)
 
 

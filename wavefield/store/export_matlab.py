@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterator
-from pathlib import Path
+from typing import BinaryIO
 
 import h5py
 import numpy as np
@@ -14,12 +14,12 @@ _HEADER = 512  # bytes before the HDF5
 _CLASS = {"float32": "single", "float64": "double"}  # numpy's types whose names differ
 
 
-def write_matlab(cube: xr.Dataset, steps: Iterator[xr.Dataset], path: Path) -> None:
+def write_matlab(cube: xr.Dataset, steps: Iterator[xr.Dataset], stream: BinaryIO) -> None:
     """Write a cube as a MAT-file of version 7.3, which `load` and `matfile` (a step at a time) read.
     Fields are (y, x, time) in MATLAB; ``units`` and ``long_name`` are structs of texts, ``recipe`` is JSON.
     """
     cube = cube.drop_vars([name for name, variable in cube.variables.items() if variable.dtype.kind in "UOT"])
-    with h5py.File(path, "w", userblock_size=_HEADER) as file:
+    with h5py.File(stream, "w", userblock_size=_HEADER) as file:
         for name, variable in cube.variables.items():
             _lay_out(file, str(name), variable)
         fields = [str(name) for name, variable in cube.variables.items() if variable.dims == CUBE_DIMS]
@@ -31,9 +31,9 @@ def write_matlab(cube: xr.Dataset, steps: Iterator[xr.Dataset], path: Path) -> N
         for name, value in cube.attrs.items():
             if isinstance(value, str) and value:
                 _write_text(file, name, value)
-    with path.open("r+b") as stream:
-        text = b"MATLAB 7.3 MAT-file, written by wavefield, HDF5 schema 1.00 ."
-        stream.write(text.ljust(116) + bytes(8) + struct.pack("<H", 0x0200) + b"IM")
+    stream.seek(0)
+    text = b"MATLAB 7.3 MAT-file, written by wavefield, HDF5 schema 1.00 ."
+    stream.write(text.ljust(116) + bytes(8) + struct.pack("<H", 0x0200) + b"IM")
 
 
 def _lay_out(file: h5py.File, name: str, variable: xr.Variable) -> None:

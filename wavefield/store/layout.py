@@ -1,31 +1,27 @@
-"""The cube's store: a Zarr v3 group, made complete but empty, then filled chunk by chunk."""
+"""The cube's store: a Zarr v3 group, made complete but empty, then filled chunk by chunk.
+
+Every stored chunk ends with a checksum of Zarr's own codec, so that any reader of Zarr finds damage.
+"""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import zarr
-from zarr.codecs import BloscCodec
+from zarr.codecs import BloscCodec, Crc32cCodec
 
-from wavefield.atomic_write import OwnFile, atomic
-from wavefield.store.metadata import DESCRIPTIONS, WATCHED, keep_metadata
+from wavefield.atomic_write import atomic
+from wavefield.store.metadata import seal_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find, register
 
-CUBE = OwnFile("a cube", lambda path: False, folder=True)  # never replaced
+# arrays of which every chunk of steps has a file of its own; the ledger is written last
+CHUNKED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
 
 register(
-    Variable(
-        "checksum",
-        ("block", "variable"),
-        "1",
-        "CRC-32 of what is stored of a chunk",
-        dtype="uint32",
-        meaning=f"0 where nothing is; variables in the order {' '.join(WATCHED)}",
-    ),
     Variable(
         "camera_shift",
         ("camera", "frame", "part"),
@@ -33,14 +29,6 @@ register(
         "by how much the picture of a camera was turned back",
         meaning="across the sight lines, px on the water: in the middle, more at the right, at the upper "
         "edge; only with `settings: {vibration: correct}`",
-    ),
-    Variable(
-        "stored_bytes",
-        ("block", "variable"),
-        "1",
-        "bytes that are stored of a chunk",
-        dtype="uint64",
-        meaning="variables as in `checksum`",
     ),
 )
 
@@ -62,6 +50,29 @@ MISSING = -32768
 # a quarter of zstd's time, writing and reading, and files 4 % larger
 COMPRESSION: dict[str, Any] = {"cname": "lz4", "clevel": 1}
 INNER_CHUNK_STEPS = 8  # steps that a reader must decode to see one
+FILES_OF_ALL_CHUNKS = {"array.write_empty_chunks": True}  # so that a file that is not there was lost
+
+
+class CubeGroup(Protocol):
+    """An open cube for type checkers: `zarr.Group` types arrays and groups alike."""
+
+    @property
+    def attrs(self) -> Any:
+        """Its attributes."""
+        ...
+
+    @property
+    def store_path(self) -> Any:
+        """Where it is."""
+        ...
+
+    def __getitem__(self, name: str) -> Any: ...
+
+    def __contains__(self, name: str) -> bool: ...
+
+    def arrays(self) -> Iterator[tuple[str, Any]]:
+        """All arrays with their names."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -90,14 +101,14 @@ def create_store(
     """Make an empty store, complete or not at all; x and y are its coordinates, metres.
     once: variables that are known before the run, such as the gain.
     """
-    with atomic(path, CUBE) as draft:
+    with atomic(path) as draft, zarr.config.set(FILES_OF_ALL_CHUNKS):
         group = _lay_out(draft, recipe, x, y, layout, attributes)
         for name, values in (once or {}).items():
             row = find(name, "gain")
             assert row is not None
             add_array(group, row, values, dtype=values.dtype, name=name, fill_value=np.nan)
         gather_metadata(draft)
-        keep_metadata(draft)
+        seal_metadata(draft)
 
 
 def _lay_out(
@@ -152,20 +163,25 @@ def _lay_out(
             shards=(steps, y.size, x.size),
             dtype=dtype,
             fill_value=fill,
-            compressors=BloscCodec(**COMPRESSION, shuffle="shuffle"),
+            compressors=(BloscCodec(**COMPRESSION, shuffle="shuffle"), Crc32cCodec()),
             attributes=row.attrs | encoding,
         )
-    cameras, count, watched = len(layout.cameras), len(layout.chunks()), len(WATCHED)
+    cameras = len(layout.cameras)
     if recipe.settings.get("vibration") == "correct":
-        row = TABLE["camera_shift"]
-        add_array(group, row, shape=(cameras, n + 1, 3), chunks=(cameras, steps, 3), fill_value=np.nan)
-    for name, shape, chunks in (
-        *((name, (count, watched), (1, watched)) for name in DESCRIPTIONS),
-        ("frame_status", (n,), (steps,)),
-        ("frame_fault", (cameras, n + 1), (cameras, steps)),
-    ):
-        # not compressed: read file by file (`read_ledger`)
-        add_array(group, TABLE[name], shape=shape, chunks=chunks, fill_value=0, compressors=None)
+        add_array(
+            group,
+            TABLE["camera_shift"],
+            shape=(cameras, n + 1, 3),
+            chunks=(cameras, steps, 3),
+            fill_value=np.nan,
+            compressors=Crc32cCodec(),
+        )
+    ledger: dict[str, Any] = {
+        "frame_status": {"shape": (n,), "chunks": (steps,)},
+        "frame_fault": {"shape": (cameras, n + 1), "chunks": (cameras, steps)},
+    }
+    for name, sizes in ledger.items():  # not compressed: it is also read byte by byte (`is_started`)
+        add_array(group, TABLE[name], **sizes, fill_value=0, compressors=Crc32cCodec())
     return group
 
 
@@ -173,9 +189,14 @@ def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
     """Make the array of a row of the table: of these values in one chunk, or empty with a stated shape."""
-    how = {"name": row.name, "dtype": row.dtype, "dimension_names": row.dims, "attributes": row.attrs}
+    how: dict[str, Any] = {
+        "name": row.name,
+        "dtype": row.dtype,
+        "dimension_names": row.dims,
+        "attributes": row.attrs,
+    }
     if values is not None:
-        how |= {"shape": values.shape, "chunks": values.shape}
+        how |= {"shape": values.shape, "chunks": values.shape, "compressors": Crc32cCodec()}
     array = group.create_array(**(how | options))
     if values is not None:
         array[...] = values
@@ -189,7 +210,15 @@ def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
 
 
 def gather_metadata(path: Path) -> None:
-    """Put the metadata of all arrays into the store's own, for quick opening without a warning."""
+    """Put the metadata of all arrays into the store's own, for quick opening."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)
+
+
+_PLACES = {"frame_fault": "c/0/{}", "frame_status": "c/{}", "camera_shift": "c/0/{}/0"}
+
+
+def chunk_path(path: Path, name: str, number: int) -> Path:
+    """The file of one chunk of an array."""
+    return path / name / _PLACES.get(name, "c/{}/0/0").format(number)

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from wavefield.errors import StoreError
-from wavefield.store.ledger_files import check_chunks, read_ledger
-from wavefield.store.metadata import is_complete
-from wavefield.store.read import open_group, read_layout
+from wavefield.store.metadata import FINISHED
+from wavefield.store.read import find_store, open_group, read_layout
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
-from wavefield.text import short_path, spell_ranges
+from wavefield.text import one_line, short_path, spell_ranges
 from wavefield.variables import FrameFault, FrameStatus
 
 _WORDS = {
@@ -135,7 +134,7 @@ def status(store: str | Path) -> Status:
     Parameters
     ----------
     store : path
-        Written by `run`, finished or not.
+        Written by `run`, finished or not; or a folder that holds one.
 
     Returns
     -------
@@ -162,23 +161,25 @@ def status(store: str | Path) -> Status:
     >>> found.steps, found.done, found.left, found.complete
     (10, 0, 10, False)
     """
-    path = Path(store)
+    path = find_store(store)
     group = open_group(path)
     layout = read_layout(group)
-    check_chunks(path, group, layout)
     try:
-        ledger = read_ledger(path, group, "frame_status", layout)
-        faults = read_ledger(path, group, "frame_fault", layout)
+        ledger = np.asarray(group["frame_status"][:])
+        faults = np.asarray(group["frame_fault"][:])
+    except StoreError:
+        raise
     except Exception as error:  # whatever a codec makes of damaged bytes
         raise StoreError(
-            f"the ledger of {path} is damaged ({error}); the command that measured it repairs it"
+            f"the ledger of {path} is damaged ({one_line(error)[:200]}); `wavefield verify {path}` marks the "
+            "damaged steps, and `wavefield run` measures them again"
         ) from None
     bad = []
     for camera, codes in zip(layout.cameras, faults):
         for code in np.unique(codes[codes > 0]):
             numbers = layout.first_frame + np.flatnonzero(codes == code)
             bad.append(BadFrames(camera, FrameFault(int(code)), tuple(numbers.tolist())))
-    ended = is_complete(path)  # before the verdict, which a run writes before its mark
+    ended = bool(group.attrs.get(FINISHED))  # read before the verdict, which a run writes first
     verdict = read_verdict(path)
     failed = np.flatnonzero(ledger == FrameStatus.FAILED)
     return Status(

@@ -1,12 +1,12 @@
-"""The thinned preview next to a cube: every fourth node in 16 bits, long in time, written as the run goes.
+"""The thinned preview of a cube: every fourth node in 16 bits, long in time, written as the run goes.
 
-``cube_preview.zarr`` next to ``cube.zarr`` holds one array ``fields`` (variable, y, x, time), one chunk per
-chunk of steps, so that no two chunks touch the same file; its ledger ``done`` (time) is written last. It can
-be removed at any time: `read_thinned` thins the cube itself, and `wavefield look` writes it again.
+The group ``preview`` in a cube's store holds one array ``fields`` (variable, y, x, time), one chunk per chunk
+of steps, so that no two chunks touch the same file; its ledger ``done`` (time) is written last. It can be
+removed at any time: `read_thinned` thins the cube itself, and `wavefield look` writes it again.
 """
 
 import math
-import zlib
+import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,18 +16,17 @@ from typing import Any, Literal
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec
+from zarr.codecs import BloscCodec, Crc32cCodec
 
-from wavefield.atomic_write import OwnFile, atomic, writing, zarr_store
+from wavefield.atomic_write import writing
 from wavefield.errors import StoreError
-from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import COMPRESSION, MISSING, PACKING, StoreLayout, in_16_bits
+from wavefield.store.layout import COMPRESSION, MISSING, PACKING, CubeGroup, StoreLayout, in_16_bits
 from wavefield.store.read import measured_rate, read_layout
+from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS, TABLE
 
 _NODES = 2000  # of a preview: every fourth of 150 x 200, either way
 _VALUES = 32_000_000  # of one variable: 64 MB; longer records are thinned more
-PREVIEW = OwnFile("a preview", zarr_store("thinned preview of ", "of", "every", "scales"), folder=True)
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,8 @@ class Thinning:
 
 
 def preview_path(cube: str | Path) -> Path:
-    """Path of the preview of a cube: cube_preview.zarr beside cube.zarr."""
-    cube = Path(cube)
-    return cube.with_name(f"{cube.name.removesuffix('.zarr')}_preview.zarr")
+    """Path of the preview of a cube."""
+    return Path(cube) / "preview"
 
 
 def thinning(group: CubeGroup) -> Thinning:
@@ -56,30 +54,25 @@ def thinning(group: CubeGroup) -> Thinning:
 
 
 def create_preview(cube: Path, group: CubeGroup) -> None:
-    """Make an empty preview next to a new cube, in place of an old one."""
+    """Make an empty preview of a cube, in place of an old one."""
     path, layout, thin = preview_path(cube), read_layout(group), thinning(group)
     shape = _shape(group, thin)
-    with atomic(path, PREVIEW) as draft:
-        preview = zarr.open_group(
-            draft,
-            mode="w",
-            zarr_format=3,
-            attributes={
-                "title": f"thinned preview of {cube.name}",
-                "of": _mark(group),
-                "every": thin.every,
-                "variables": list(thin.names),
-                "scales": list(thin.scales),
-                "missing": MISSING,
-            },
-        )
+    attributes: dict[str, Any] = {
+        "every": thin.every,
+        "variables": list(thin.names),
+        "scales": list(thin.scales),
+        "missing": MISSING,
+    }
+    with writing(path):
+        shutil.rmtree(path, ignore_errors=True)
+        preview = zarr.open_group(path, mode="w", zarr_format=3, attributes=attributes)
         preview.create_array(
             "fields",
             shape=(len(thin.names), *shape, layout.steps),
             chunks=(len(thin.names), *shape, layout.chunk_steps),
             dtype="int16",
             fill_value=MISSING,
-            compressors=BloscCodec(**COMPRESSION, shuffle="shuffle"),
+            compressors=(BloscCodec(**COMPRESSION, shuffle="shuffle"), Crc32cCodec()),
             dimension_names=("variable", "y", "x", "time"),
         )
         preview.create_array(
@@ -88,10 +81,8 @@ def create_preview(cube: Path, group: CubeGroup) -> None:
             chunks=(layout.chunk_steps,),
             dtype="uint8",
             fill_value=0,
+            compressors=Crc32cCodec(),
             dimension_names=("time",),
-        )
-        preview.create_array(
-            "checksum", shape=(len(layout.chunks()),), chunks=(1,), dtype="uint32", fill_value=0
         )
 
 
@@ -100,27 +91,14 @@ def _shape(group: CubeGroup, thin: Thinning) -> tuple[int, int]:
     return -(-ny // thin.every), -(-nx // thin.every)
 
 
-def _mark(group: CubeGroup) -> str:
-    """What a preview must share with its cube: recipe and size."""
-    layout = read_layout(group)
-    return f"{group.attrs['recipe_hash']} {layout.steps} {layout.chunk_steps}"
-
-
 def open_preview(cube: Path, group: CubeGroup, mode: Literal["r", "r+"] = "r") -> CubeGroup | None:
-    """The preview that belongs to a cube."""
-    path = preview_path(cube)
-    if not path.is_dir():
-        return None
+    """The preview of a cube; None where there is none that can be used."""
     try:
-        preview = zarr.open_group(path, mode=mode, use_consolidated=False)
+        preview = zarr.open_group(preview_path(cube), mode=mode, use_consolidated=False)
         thin = thinning(group)
-        mine = (
-            "checksum" in preview
-            and preview.attrs.get("of") == _mark(group)
-            and preview.attrs.get("variables") == list(thin.names)
-        )
-        return preview if mine and preview.attrs.get("every") == thin.every else None
-    except Exception:  # damaged: as good as none
+        fits = preview.attrs.get("variables") == list(thin.names) and preview.attrs.get("every") == thin.every
+        return preview if fits else None
+    except Exception:  # absent or damaged: the cube has it all
         return None
 
 
@@ -149,18 +127,14 @@ def store_thinned(cube: Path, preview: CubeGroup, start: int, thinned: NDArray[n
     stop = start + thinned.shape[-1]
     with writing(preview_path(cube)):
         preview["fields"][..., start:stop] = thinned
-        preview["checksum"][start // preview["done"].chunks[0]] = zlib.crc32(thinned.tobytes())
         preview["done"][start:stop] = np.uint8(1)
 
 
 def stored_thinned(preview: CubeGroup, start: int, stop: int) -> NDArray[np.int16] | None:
-    """A chunk as the preview holds it, (variable, y, x, n); None where it is not as it was written."""
-    try:
-        thinned = np.ascontiguousarray(preview["fields"][..., start:stop])
-        kept = int(preview["checksum"][start // preview["done"].chunks[0]])
-    except Exception:  # whatever a library makes of damaged bytes: the cube has it all
-        return None
-    return thinned if zlib.crc32(thinned.tobytes()) == kept else None
+    """A chunk as the preview holds it, (variable, y, x, n); None where it is damaged."""
+    with suppress(Exception):  # whatever a codec makes of damaged bytes: the cube has it all
+        return np.ascontiguousarray(preview["fields"][..., start:stop])
+    return None
 
 
 def chunks_stored(preview: CubeGroup | None, layout: StoreLayout) -> NDArray[np.bool_]:
@@ -193,7 +167,8 @@ def read_steps(
         raise
     except Exception as error:
         raise StoreError(
-            f"{name} of steps {start} to {stop - 1} of {group.store_path} cannot be read: {error}"
+            f"{name} of steps {start} to {stop - 1} cannot be read ({one_line(error)[:200]}); "
+            "`wavefield verify` finds the damaged steps, and `wavefield run` measures them again"
         ) from None
     scale = array.attrs.get("scale_factor")
     if scale is None:

@@ -7,11 +7,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from wavefield import __version__
+from wavefield.atomic_write import identity_of
 from wavefield.errors import StoreError
-from wavefield.store.cube_group import CubeGroup
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def recipe_of(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -109,14 +115,39 @@ def _hash_of(recipe: str) -> str:
         return ""
 
 
-def check_recipe(path: Path, group: CubeGroup, recipe: Recipe) -> None:
+def cube_source(attributes: Mapping[str, Any]) -> str:
+    """Identity of a cube by its recipe and its images; what is made from it carries this as its source."""
+    return identity_of(attributes.get("recipe_hash"), attributes.get("fingerprints"))
+
+
+def cube_state(attributes: Mapping[str, Any], frame_status: ArrayLike) -> str:
+    """Identity of a cube and of the steps that it holds by now."""
+    ledger = np.asarray(frame_status, np.uint8).tobytes().hex()
+    return identity_of(cube_source(attributes), attributes.get("frame_rate"), ledger)
+
+
+def source_of(cube: "xr.Dataset") -> str:
+    """As `cube_source`; a Dataset that no run wrote is identified by its axes and name."""
+    if "recipe_hash" in cube.attrs:
+        return cube_source(cube.attrs)
+    axes = {name: cube[name].values.tolist() for name in ("time", "y", "x") if name in cube.coords}
+    return identity_of(cube.attrs.get("experiment"), axes)
+
+
+def state_of(cube: "xr.Dataset") -> str:
+    """As `cube_state`; that of a Dataset that no run wrote is its source."""
+    if "recipe_hash" in cube.attrs and "frame_status" in cube:
+        return cube_state(cube.attrs, cube["frame_status"].values)
+    return source_of(cube)
+
+
+def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
     """Refuse to go on with a store that was made with another recipe."""
-    there = str(group.attrs["recipe"])
+    there = str(attributes["recipe"])
     if _hash_of(there) == recipe.hash:
         return
     found = [d for d in differences(there, recipe.to_json()) if not d.startswith(_LABELS)]
     more = f" and {len(found) - 2} more" if len(found) > 2 else ""
     raise StoreError(
-        f"{path} was made with another recipe ({'; '.join(found[:2])}{more}); "
-        "write to another store with -o, or remove this one"
+        f"{path} was made with another recipe ({'; '.join(found[:2])}{more}); write to another store with -o"
     )

@@ -12,17 +12,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import zarr
 
 from wavefield.atomic_write import writing
-from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import PACKING, gather_metadata
-from wavefield.store.metadata import ARCHIVE, keep_metadata
+from wavefield.store.layout import PACKING
+from wavefield.store.metadata import update_metadata
 from wavefield.store.read import measured_rate, open_group
 from wavefield.store.recipe import Recipe, differences
 from wavefield.variables import CUBE_FIELDS, TABLE
 
 RATES = tuple(name for name in CUBE_FIELDS if TABLE[name].units == "m s-1")
+# attributes that the description of an experiment gives a cube
+_OURS = ("experiment_file", "image_folder", "water_depth", "surface_tension_over_density", "description")
 
 
 def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> list[str]:
@@ -38,48 +38,30 @@ def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> lis
     changed += [
         f"{name}: {old[name]!r} there, {new[name]!r} here" for name in _OURS if old[name] != new[name]
     ]
-    if not changed and _gathered(path) and (path / ARCHIVE).exists():
-        return []
-    with writing(path):
-        # the recipe is written last, then the metadata are gathered for quick opening
-        _write(open_group(path, "r+"), path, recipe, new)
+    if changed:
+        _write(path, recipe, new)
     return changed
 
 
-def _gathered(path: Path) -> bool:
-    """Whether the metadata are consolidated: the last thing that is done, and undone by the first."""
-    return zarr.open_group(path, mode="r").metadata.consolidated_metadata is not None
-
-
-# attributes that the description of an experiment gives a cube
-_OURS = ("experiment_file", "image_folder", "water_depth", "surface_tension_over_density", "description")
-
-
-def _write(group: CubeGroup, path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> None:
+def _write(path: Path, recipe: Recipe, labels: Mapping[str, object]) -> None:
+    """Write labels: the values of frames and times first, all metadata last."""
+    group = open_group(path, "r+")
     measured = measured_rate(group)
-    group.attrs["measured_frame_rate"] = measured
     factor = recipe.frame_rate / measured
+    arrays: dict[str, dict[str, object]] = {}
     for name in RATES:
         scale = PACKING[name] * factor if group[name].dtype == np.int16 else factor
-        attrs = group[name].attrs.asdict() | {"scale_factor": scale}
-        if scale == 1.0:
-            del attrs["scale_factor"]
-        group[name].attrs.put(attrs)
+        arrays[name] = {"scale_factor": None if scale == 1.0 else scale}
     frames = recipe.frames[0] + np.arange(group["frame"].shape[0])
-    group["frame"][:] = frames
-    group["time"][:] = (frames[:-1] + 0.5) / recipe.frame_rate
-    kept = {name: value for name, value in group.attrs.asdict().items() if name not in _OURS}
-    labels = {name: value for name, value in attributes.items() if value is not None}
-    group.attrs.put(
-        kept
-        | labels
-        | {
-            "title": f"water surface and its velocity, {recipe.experiment}",
-            "experiment": recipe.experiment,
-            "frame_rate": recipe.frame_rate,
-            "recipe": recipe.to_json(),
-            "recipe_hash": recipe.hash,
-        }
-    )
-    gather_metadata(path)
-    keep_metadata(path)
+    with writing(path):
+        group["frame"][:] = frames
+        group["time"][:] = (frames[:-1] + 0.5) / recipe.frame_rate
+    described = {
+        "measured_frame_rate": measured,
+        "title": f"water surface and its velocity, {recipe.experiment}",
+        "experiment": recipe.experiment,
+        "frame_rate": recipe.frame_rate,
+        "recipe": recipe.to_json(),
+        "recipe_hash": recipe.hash,
+    }
+    update_metadata(path, {**labels, **described}, arrays)

@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from wavefield.atomic_write import OwnFile, marked, write_text
+from wavefield.atomic_write import check_replaceable, write_text
 from wavefield.errors import StoreError
 from wavefield.store.store_paths import beside
+from wavefield.text import one_line
 
 Weight = Literal["note", "remark", "grave"]
 Numbers = Mapping[str, Mapping[str, list[float]]]
 WORDS = {"note": "sound", "remark": "sound with remarks", "grave": "not to be trusted"}
-VERDICT = OwnFile("a verdict", marked(b'"verdict": "', start=b"{"))
 _RANK = {"note": 0, "remark": 1, "grave": 2}
 
 
@@ -96,10 +96,12 @@ class Verdict:
         }
 
     def save(self, store: Path) -> None:
-        """Write the verdict next to a cube."""
+        """Write the verdict next to a cube, in place of an earlier one."""
+        path = beside(store, "verdict", ".json")
+        check_verdict(store)
         data = self.to_dict()
         text = json.dumps(data | {"checksum": _checksum(data)}, indent=1) + "\n"
-        write_text(beside(store, "verdict", ".json"), text, VERDICT)
+        write_text(path, text, replace=True)
 
 
 def read_verdict(store: str | Path) -> Verdict | None:
@@ -107,7 +109,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
     path = beside(Path(store), "verdict", ".json")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        if data.pop("checksum", None) not in (None, _checksum(data)):
+        if data.pop("checksum") != _checksum(data):
             raise ValueError("its checksum is another")
         remarks = [Remark(**remark) for remark in data["remarks"]]
         return Verdict.of(remarks, data["cameras"], data["pairs"], data.get("frames", ()))
@@ -115,9 +117,19 @@ def read_verdict(store: str | Path) -> Verdict | None:
         return None
     except Exception as error:  # whatever damaged bytes hold
         raise StoreError(
-            f"{path} is not a verdict as wavefield wrote it ({error}); remove it, and `wavefield run "
-            "EXPERIMENT` writes it again"
+            f"{path} is not a verdict as wavefield wrote it ({one_line(error)[:200]}); move it, and "
+            "`wavefield run EXPERIMENT` writes it again"
         ) from None
+
+
+def check_verdict(store: Path) -> None:
+    """Refuse to write the verdict of a cube over a file that is not one."""
+    path = beside(store, "verdict", ".json")
+    try:
+        known = read_verdict(store) is not None
+    except StoreError:
+        known = False
+    check_replaceable(path, None, replace=known)
 
 
 def _checksum(data: Mapping[str, object]) -> int:

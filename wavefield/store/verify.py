@@ -1,21 +1,18 @@
-"""Verify that a store holds what its ledger lists: every chunk present, and as it was written."""
+"""Verify a store: every file that should be there is, and its checksum is right."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from wavefield.atomic_write import MARK_ATTRIBUTE, read_mark
 from wavefield.errors import StoreError
-from wavefield.store.checked import (
-    checksum,
-    description,
-    note_damaged,
-    noted_damaged,
-    read_chunk,
-    stored_bytes,
-)
-from wavefield.store.ledger_files import ledger_checksum
-from wavefield.store.metadata import WATCHED, completed_ledger, differs_from_completed
-from wavefield.store.read import open_group, read_layout
+from wavefield.store.layout import CHUNKED, CubeGroup, StoreLayout, chunk_path
+from wavefield.store.metadata import FINISHED
+from wavefield.store.read import find_store, is_cube, open_group, open_stored, read_layout
+from wavefield.store.write_cube import reset_chunks
 from wavefield.text import spell_ranges
 from wavefield.variables import FrameStatus
 
@@ -27,7 +24,7 @@ class Damage:
     variable: str
     start: int  # Range of steps
     stop: int
-    what: str  # "missing", "not as it was written", "not as long as it was written" or "unreadable"
+    what: str  # "missing" or "not as it was written"
 
 
 @dataclass(frozen=True)
@@ -35,14 +32,14 @@ class Verification:
     """What was found in a store."""
 
     store: Path
-    steps: int  # Steps of the whole run
-    done: int  # Steps that the ledger calls done
-    damages: tuple[Damage, ...]  # Chunks that the ledger calls done and that are not as they were written
-    read: bool = True  # Whether data were read; else only sizes of files were compared
+    steps: int = 0  # Steps of the whole run; 0 for waves and smoothed fields
+    done: int = 0  # Steps that the ledger calls done
+    damages: tuple[Damage, ...] = ()
+    marked: bool = False  # Whether the damaged chunks are now marked as not measured
 
     @property
     def sound(self) -> bool:
-        """Whether everything is there that the ledger calls done."""
+        """Whether nothing is missing or damaged."""
         return not self.damages
 
     @property
@@ -51,35 +48,34 @@ class Verification:
         return sorted({damage.start for damage in self.damages})
 
     def __str__(self) -> str:
+        if not self.steps:
+            state = "as it was written" if self.sound else "not as it was written: make it again"
+            return f"{self.store} is {state}"
         if self.sound:
-            how = (
-                "as written" if self.read else "there, as long as when they were written (no data were read)"
-            )
-            return f"{self.store}: {self.done} of {self.steps} steps are done, and all of them are {how}"
+            return f"{self.store}: {self.done} of {self.steps} steps are done, and all of them are as written"
         lines = [f"{self.store}: {len(self.starts)} chunks are damaged"]
         for what in dict.fromkeys(damage.what for damage in self.damages):
             of = [damage for damage in self.damages if damage.what == what]
             steps = sorted({step for damage in of for step in range(damage.start, damage.stop)})
             names = ", ".join(dict.fromkeys(damage.variable for damage in of))
             lines.append(f"  {what}: {names}, steps {spell_ranges(steps)}")
-        lines.append("  run the same command as before: these chunks are measured again")
+        lines.append(
+            "  run the same command as before: these chunks are measured again"
+            if self.marked
+            else "  the cube cannot be written, so these chunks are not marked for a new measurement"
+        )
         return "\n".join(lines)
 
 
-def verify(
-    store: str | Path, progress: Callable[[int, int], None] | None = None, read: bool = True
-) -> Verification:
-    """Compare every chunk that a store calls done with the checksums taken when it was written.
+def verify(store: str | Path, progress: Callable[[int, int], None] | None = None) -> Verification:
+    """Read every chunk that a cube calls done, and compare it with its checksum.
 
     Parameters
     ----------
     store : path
-        Written by `run`, finished or not.
+        A cube, finished or not, or a store of waves or smoothed fields.
     progress : callable, optional
         Called with (chunks done, all chunks).
-    read : bool
-        Whether to read the data. If not, what is compared is the size of every file: seconds, whatever the
-        cube, but bytes that changed in place are not found.
 
     Returns
     -------
@@ -88,21 +84,19 @@ def verify(
     Raises
     ------
     StoreError
-        If it is not there, is not a cube, has no checksums, or its metadata are damaged.
+        If it is not there, is not a store of this program, or its metadata are damaged.
 
     Notes
     -----
-    What is damaged is noted next to the store (``cube.zarr``: ``damaged.json``): the next run, which itself
-    compares the sizes of files only, measures it again.
+    Damaged chunks of a cube are marked as not measured: the next run measures them again. Waves and smoothed
+    fields have one digest for the whole store.
 
     Examples
     --------
     A store of two steps, of which a file is lost.
 
     >>> import tempfile
-    >>> import numpy as np
-    >>> from wavefield.store.checked import chunk_path
-    >>> from wavefield.store.layout import StoreLayout, create_store
+    >>> from wavefield.store.layout import create_store
     >>> from wavefield.store.recipe import Recipe
     >>> from wavefield.store.write_cube import write_chunk
     >>> from wavefield.variables import CUBE_FIELDS
@@ -121,53 +115,66 @@ def verify(
     >>> [(damage.variable, damage.what) for damage in after.damages]
     [('z', 'missing')]
     """
-    path = Path(store)
+    path = find_store(store)
+    if path.is_dir() and not is_cube(path) and _has_mark(path):
+        sound = read_mark(path) is not None
+        return Verification(path, damages=() if sound else (Damage("", 0, 0, "not as it was written"),))
     group = open_group(path)
-    if "stored_bytes" not in group:
-        raise StoreError(f"{path} was written by version 0.1.0, without checksums; run the experiment again")
-    layout, kept = read_layout(group), completed_ledger(path)
+    layout = read_layout(group)
+    open_stored(path, chunks=None).drop_vars(CHUNKED, errors="ignore").load()  # axes, gains: raises
     chunks, damages, done = layout.chunks(), list[Damage](), 0
     for number, (start, stop) in enumerate(chunks):
-        ledger = read_chunk(str(path), "frame_status", number)
-        if ledger is not None:
-            if len(ledger) != layout.chunk_steps:
-                damages.append(Damage("frame_status", start, stop, "unreadable"))
-            elif any(ledger):
-                done += len(ledger[: stop - start]) - ledger[: stop - start].count(FrameStatus.NOT_STARTED)
-                damages += _damages(path, number, (start, stop), read)
+        steps_done, found = _read_chunk(path, group, number, (start, stop))
+        done += steps_done
+        damages += found
         if progress:
             progress(number + 1, len(chunks))
-    if differs_from_completed(path, kept, ledger_checksum(path, layout)):
-        started = [any(read_chunk(str(path), "frame_status", k) or b"") for k in range(len(chunks))]
-        lost = [ends for ends, any_step in zip(chunks, started) if not any_step]
-        damages += [Damage("frame_status", *ends, "missing") for ends in lost or chunks]
-    out = Verification(path, layout.steps, done, tuple(damages), read)
-    if read:
-        note_damaged(path, out.starts)
+    marked = False
+    with suppress(StoreError, OSError):
+        reset_chunks(path, sorted({damage.start for damage in damages}))
+        marked = True
+    return Verification(path, layout.steps, done, tuple(damages), marked)
+
+
+def _has_mark(path: Path) -> bool:
+    """Whether a Zarr store claims to be a product of this program."""
+    with suppress(OSError):
+        return MARK_ATTRIBUTE.encode() in (path / "zarr.json").read_bytes()
+    return False
+
+
+def _read_chunk(path: Path, group: CubeGroup, number: int, ends: tuple[int, int]) -> tuple[int, list[Damage]]:
+    """Number of steps of a chunk that are done, and what is wrong with it."""
+    steps, damages = slice(*ends), []
+    try:
+        ledger = np.asarray(group["frame_status"][steps])
+    except Exception:  # whatever a codec makes of damaged bytes
+        there = chunk_path(path, "frame_status", number).exists()
+        return 0, [Damage("frame_status", *ends, "not as it was written" if there else "missing")]
+    if not ledger.any():
+        return 0, []
+    for name in (name for name in CHUNKED if name in group):
+        try:
+            array = group[name]
+            array[:, steps] if name in ("frame_fault", "camera_shift") else array[steps]
+        except Exception:
+            there = chunk_path(path, name, number).exists()
+            damages.append(Damage(name, *ends, "not as it was written" if there else "missing"))
+    return int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED)), damages
+
+
+def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
+    """First steps of chunks of which files are missing although the ledger calls their steps done."""
+    group = open_group(path)
+    names = [name for name in CHUNKED if name in group]
+    finished = bool(group.attrs.get(FINISHED))
+    out = []
+    for number, (start, stop) in enumerate(layout.chunks()):
+        there = [chunk_path(path, name, number).exists() for name in names]
+        try:
+            done = bool(np.asarray(group["frame_status"][start:stop]).any())
+        except Exception:  # a damaged or missing ledger: measured again
+            done, there = True, [False]
+        if not all(there) and (done or finished):
+            out.append(start)
     return out
-
-
-def suspicious(store: Path) -> list[int]:
-    """First steps of chunks that differ from the ledger, without reading all of the store."""
-    found = set(verify(store, read=False).starts)
-    noted = noted_damaged(store) - found
-    for number, (start, stop) in enumerate(read_layout(open_group(store)).chunks()):
-        if start in noted and _damages(store, number, (start, stop), read=True):
-            found.add(start)
-    return sorted(found)
-
-
-def _damages(path: Path, number: int, ends: tuple[int, int], read: bool) -> list[Damage]:
-    """What of a chunk is not as it was when its files were described: by checksum, or by size alone."""
-    kind, describe, changed = (
-        ("checksum", checksum, "not as it was written")
-        if read
-        else ("stored_bytes", stored_bytes, "not as long as it was written")
-    )
-    expected = description(path, kind, number) or [0] * len(WATCHED)  # damaged itself
-    found = [describe(path, name, number) for name in WATCHED]
-    return [
-        Damage(name, *ends, changed if one else "missing")
-        for name, one, other in zip(WATCHED, found, expected)
-        if one != other
-    ]

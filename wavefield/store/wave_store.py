@@ -1,8 +1,7 @@
 """The store of a cube's waves."""
 
-import json
 import warnings
-import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +9,23 @@ import xarray as xr
 import zarr
 from zarr.storage import MemoryStore
 
-from wavefield.atomic_write import CHECKSUMS, OwnFile, atomic, file_names, zarr_store
+from wavefield.atomic_write import Product, atomic, identity_of, read_mark
 from wavefield.errors import StoreError
 from wavefield.text import one_line
 
-WAVES = OwnFile("a wave store", zarr_store("waves of ", "wavefield_version", "segment"), folder=True)
+KIND = "wave store"
 
 
-def write_waves(tree: xr.DataTree, path: str | Path) -> None:
-    """Write the groups of an analysis; the store appears complete or not at all."""
+def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: Iterable[object] = ()) -> None:
+    """Write the groups of an analysis of a cube (`source_of`); the store appears complete or not at all."""
     # Zarr 3 has strings of any length only
     tree = tree.map_over_datasets(
         lambda group: group.assign_coords(
             {name: array.astype(object) for name, array in group.coords.items() if array.dtype.kind == "U"}
         )
     )
-    with atomic(path, WAVES) as draft, warnings.catch_warnings():
+    product = Product(KIND, source or identity_of())
+    with atomic(path, product, inputs=inputs) as draft, warnings.catch_warnings():
         # readers warn without consolidated metadata, zarr warns with it
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         # many small arrays: made in memory, as zarr hands every file to another thread and waits for it
@@ -37,8 +37,6 @@ def write_waves(tree: xr.DataTree, path: str | Path) -> None:
             file = draft / name
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content.to_bytes())
-        sums = {name: zlib.crc32(content.to_bytes()) for name, content in files.items()}
-        (draft / CHECKSUMS).write_text(json.dumps(sums) + "\n")
 
 
 def open_waves(path: str | Path) -> xr.DataTree:
@@ -58,7 +56,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
     Raises
     ------
     StoreError
-        If it is not there or is damaged: the message names the file.
+        If it is not there, or its content is not as it was written.
 
     Examples
     --------
@@ -75,7 +73,11 @@ def open_waves(path: str | Path) -> xr.DataTree:
     if not path.is_dir():
         raise StoreError(f"{path}: no such wave store; write one with `wavefield analyze CUBE`")
     try:
-        _check(path)
+        if read_mark(path) is None:
+            raise StoreError(
+                f"{path} is not as `wavefield analyze` wrote it: parts are missing, damaged or were added; "
+                "move it, and write it again with `wavefield analyze CUBE`"
+            )
         return xr.open_datatree(path, engine="zarr", chunks={})
     except StoreError:
         raise
@@ -84,15 +86,3 @@ def open_waves(path: str | Path) -> xr.DataTree:
             f"{path} cannot be read as a wave store ({one_line(error)[:200]}); write it again "
             "with `wavefield analyze CUBE`"
         ) from None
-
-
-def _check(path: Path) -> None:
-    """Compare all files of a wave store with their checksums; those from before there were any pass."""
-    if not (path / CHECKSUMS).is_file():
-        return
-    kept = json.loads((path / CHECKSUMS).read_text(encoding="utf-8"))
-    for name in {*kept, *(name for name in file_names(path) if "/c/" in name)}:
-        file = path / name
-        if not file.is_file() or zlib.crc32(file.read_bytes()) != kept.get(name):
-            what = "not as it was written" if file.exists() else "missing"
-            raise StoreError(f"{file} is {what}; write the wave store again with `wavefield analyze CUBE`")

@@ -6,17 +6,24 @@ never leaves half a shard. The ledger ``frame_status(time)`` is written last: a 
 all its data.
 """
 
-import zlib
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import zarr
 
 from wavefield.atomic_write import make_durable, writing
-from wavefield.store.checked import checksum, chunk_path, stored_bytes
-from wavefield.store.cube_group import CubeGroup
-from wavefield.store.layout import MISSING, PACKING, in_16_bits
-from wavefield.store.metadata import DESCRIPTIONS, WATCHED
+from wavefield.store.layout import (
+    CHUNKED,
+    FILES_OF_ALL_CHUNKS,
+    MISSING,
+    PACKING,
+    CubeGroup,
+    chunk_path,
+    in_16_bits,
+)
+from wavefield.store.metadata import FINISHED, update_metadata
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
@@ -43,7 +50,9 @@ def write_chunk(
     absent = [name for name in CUBE_FIELDS if name not in fields]
     if absent:
         raise ValueError(f"the measurement gave no {', '.join(absent)}")
-    with writing(path):
+    with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
+        for name in ("frame_status", *CHUNKED):  # Zarr would read what is there, which may be damaged
+            chunk_path(path, name, start // layout.chunk_steps).unlink(missing_ok=True)
         for name in CUBE_FIELDS:
             array = group[name]
             values = np.asarray(fields[name])
@@ -62,7 +71,7 @@ def write_chunk(
         if "camera_shift" in group:
             group["camera_shift"][:, start:last] = _shifts(shifts or {}, layout.cameras, start, last)
         write_preview(path, group, start, fields)
-        _to_disk(path, start // layout.chunk_steps, WATCHED[:-1])
+        _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
         _write_ledger(path, group, start, frame_status)
 
 
@@ -73,7 +82,7 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
-    with writing(path):
+    with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
         cleared = {}
         for start, stop in layout.chunks():
             status = np.asarray(group["frame_status"][start:stop])
@@ -82,7 +91,7 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
             if named.any():
                 cleared[start] = named, np.where(named, np.uint8(FrameStatus.DISCONTINUOUS), status)
                 _write_ledger(path, group, start, cleared[start][1])
-        for start, (named, status) in cleared.items():
+        for start, (named, _) in cleared.items():
             fields = {}
             for name in CUBE_FIELDS:
                 stored = np.asarray(group[name][start : start + named.size])
@@ -93,27 +102,13 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
                     np.where(stored == MISSING, np.nan, stored * PACKING[name]) if packed else stored
                 )
             write_preview(path, group, start, fields)
-            _to_disk(path, start // layout.chunk_steps, WATCHED[:-1])
-            _write_ledger(path, group, start, status)
+            _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
 
 
 def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.ndarray) -> None:
-    """Write what a chunk's files must be later, then its ledger."""
-    size = read_layout(group).chunk_steps
-    ledger = bytes(frame_status.astype(np.uint8)) + bytes(size - frame_status.size)
-    _keep_descriptions(path, group, start // size, ledger)
-    _to_disk(path, start // size, DESCRIPTIONS)
+    """Write the status of a chunk's steps."""
     group["frame_status"][start : start + frame_status.size] = frame_status
-    _to_disk(path, start // size, ("frame_status",))
-
-
-def _keep_descriptions(path: Path, group: CubeGroup, number: int, ledger: bytes) -> None:
-    """Keep what a chunk's files must be later, that of the ledger before it is written."""
-    for name, describe, of_ledger in (
-        ("checksum", checksum, zlib.crc32(ledger) or 1),
-        ("stored_bytes", stored_bytes, len(ledger)),
-    ):
-        group[name][number] = [*(describe(path, variable, number) for variable in WATCHED[:-1]), of_ledger]
+    _to_disk(path, start // read_layout(group).chunk_steps, ("frame_status",))
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
@@ -140,18 +135,18 @@ def _shifts(
 
 
 def reset_chunks(path: Path, starts: Sequence[int]) -> None:
-    """Mark chunks as not started, before they are measured again."""
-    group = open_group(path, "r+")
-    layout = read_layout(group)
-    for start in starts:
-        stop = min(start + layout.chunk_steps, layout.steps)
-        group["frame_status"][start:stop] = np.uint8(FrameStatus.NOT_STARTED)
-
-
-def discard_chunks(path: Path, starts: Sequence[int]) -> None:
-    """Remove what is stored of damaged chunks; the ledger then calls them not started."""
+    """Mark chunks as not started: they are measured again by the next run."""
+    if not starts:
+        return
+    update_metadata(path, {FINISHED: None})
     size = read_layout(open_group(path)).chunk_steps
     with writing(path):
-        for chunk in (start // size for start in starts):
-            for name in ("frame_status", *WATCHED):  # the ledger first: nothing done is ever without its data
-                chunk_path(path, name, chunk).unlink(missing_ok=True)
+        for start in starts:
+            chunk_path(path, "frame_status", start // size).unlink(missing_ok=True)
+
+
+def remove_partial_files(path: Path) -> None:
+    """Remove the unfinished files that killed writers left in a cube, by the names that Zarr gives them."""
+    for file in path.rglob("*.partial"):
+        if re.search(r"\.[0-9a-f]{32}\.partial$", file.name):
+            file.unlink(missing_ok=True)

@@ -15,7 +15,7 @@ import xarray as xr
 import yaml
 import zarr
 
-from wavefield.atomic_write import NEW_FILE, write_text
+from wavefield.atomic_write import write_text
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.rig import Rig
@@ -191,10 +191,10 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         }
         Rig(lenses, {"source": "lenses alone, without positions"}).save(directory / "lenses.yaml")
     note = f"# A simulated experiment (scene {scene.name}). The exact answer is in truth/.\n"
-    write_text(directory / "experiment.yaml", note + _yaml(experiment, 100), NEW_FILE)
-    write_text(directory / "scene.yaml", scene.to_yaml(), NEW_FILE)
+    write_text(directory / "experiment.yaml", note + _yaml(experiment, 100))
+    write_text(directory / "scene.yaml", scene.to_yaml())
     tank.rig.save(directory / "truth" / "rig.yaml")
-    write_text(directory / "truth" / "target.yaml", _yaml(_target_truth(tank), 110), NEW_FILE)
+    write_text(directory / "truth" / "target.yaml", _yaml(_target_truth(tank), 110))
     if scene.probes.positions:
         _write_probes(directory / "probes.csv", scene, tank.sea)
 
@@ -209,7 +209,7 @@ def _write_probes(path: Path, scene: Scene, sea: Sea) -> None:
     lines = [",".join(["time", *settings.positions])]
     for time, row in zip(times, z, strict=True):
         lines.append(",".join(f"{value:.6f}" for value in (time, *row)))
-    write_text(path, "\n".join(lines) + "\n", NEW_FILE)
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _yaml(data: dict[str, object], width: int) -> str:

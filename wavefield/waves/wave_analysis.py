@@ -21,9 +21,11 @@ import numpy as np
 import xarray as xr
 
 import wavefield
-from wavefield.atomic_write import check_writable, refuse_input
+from wavefield.atomic_write import Product, check_writable
 from wavefield.errors import CubeError, StoreError
-from wavefield.store.wave_store import WAVES, write_waves
+from wavefield.store.read import find_store, is_cube, open_stored
+from wavefield.store.recipe import source_of, state_of
+from wavefield.store.wave_store import KIND, write_waves
 from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import products
@@ -60,9 +62,8 @@ def _open(cube: str | Path | xr.Dataset) -> xr.Dataset:
         raise CubeError(
             f"analyze needs a cube or the path of one, got {described(cube)}: give the cube itself"
         )
-    if (Path(cube) / "checksum").is_dir():  # written by a run
-        from wavefield.store.read import open_stored
-
+    cube = find_store(cube)
+    if is_cube(cube):  # written by a run
         return open_stored(cube, chunks=None)
     try:
         out: xr.Dataset = xr.open_zarr(cube, chunks=None, consolidated=False)
@@ -155,10 +156,11 @@ def analyze(
     if unknown:
         raise TypeError(f"analyze() has no option {', '.join(sorted(unknown))}")
     gain = options.get("gain")
+    opened = _open(cube)
+    inputs = [opened.encoding.get("source"), cube, gain]
     if out is not None:
-        refuse_input(Path(out), cube, gain)
-        check_writable(out, WAVES)
-    complete, unstated = with_velocity(_open(cube), options.get("velocity"))
+        check_writable(out, Product(KIND, source_of(opened)), inputs=inputs)
+    complete, unstated = with_velocity(opened, options.get("velocity"))
     for name in FIELDS:
         if name not in complete:
             raise CubeError(
@@ -190,7 +192,7 @@ def analyze(
     if unstated:
         tree.attrs["notes"] = "\n".join(filter(None, [tree.attrs["notes"], unstated]))
     if out is not None:
-        write_waves(tree, Path(out))
+        write_waves(tree, Path(out), source_of(opened), inputs)
     return tree
 
 
@@ -232,6 +234,7 @@ def _attributes(given: Mapping[str, xr.Dataset], welch: Welch) -> dict[str, Any]
     return {
         "title": "waves of a cube",
         "source": str(complete.attrs.get("experiment", complete.encoding.get("source", ""))),
+        "cube": state_of(complete),
         "frame_rate": 1 / record.dt,
         "water_depth": depth if np.isfinite(depth) else "deep",
         "surface_tension_over_density": given["gamma"],
