@@ -196,9 +196,9 @@ TABLE = [
     ("a rig with NaN", rig_entry(fx=float("nan")), ["run", EXP], 1, "rig.yaml"),
     ("a rig of another format", write("rig.yaml", "<xml>"), ["run", EXP], 1, "rig.yaml"),
     # -- the target
-    ("no target images", nothing, ["calibrate", EXP], 1, "calib"),
-    ("a target of no kind", note("strings", "ropes"), ["calibrate", EXP], 1, "tilt_|line 8: calibration.target.kind"),
-    ("no calibration block", note(NOTE[NOTE.index("calib") : NOTE.index("rig:")], ""), ["calibrate", EXP], 1, "nothing to calibrate"),
+    ("no target images", nothing, ["calibrate", EXP, "-o", "new.yaml"], 1, "calib"),
+    ("a target of no kind", note("strings", "ropes"), ["calibrate", EXP, "-o", "n.yaml"], 1, "tilt_|line 8: calibration.target.kind"),
+    ("no calibration block", note(NOTE[NOTE.index("calib") : NOTE.index("rig:")], ""), ["calibrate", EXP, "-o", "n.yaml"], 1, "nothing to calibrate"),
     # -- the workflow
     ("no workflow", nothing, ["run", EXP, "--workflow", "none.yaml"], 2, "none.yaml"),
     ("an unknown cluster", write("w.yaml", "cluster: cloud"), ["run", EXP, "--workflow", "w.yaml"], 1, "line 1: cluster"),

@@ -43,7 +43,7 @@ INPUTS = (
     *("experiment.yaml", "sea/experiment.yaml", "rest/experiment.yaml", "piv/experiment.yaml"),
     *("run07/experiment.yaml", "campaign.yaml", "tank.yaml", "rig.yaml", "stereo.yaml", "target.yaml"),
     *("workflows/slurm.yaml", "my_scene.yaml", "cal.xml", "a.xml", "b.xml", "cube.zarr/zarr.json"),
-    *("rest.zarr/zarr.json", "wass_config/ext.xml"),
+    *("rest.zarr/zarr.json", "waves.zarr/zarr.json", "wass_config/ext.xml"),
 )
 
 

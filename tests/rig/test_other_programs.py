@@ -137,7 +137,7 @@ def test_the_command_writes_and_never_over_a_file(tmp_path, program):
     assert CliRunner().invoke(command, words).exit_code == 0
     again = CliRunner().invoke(command, words)
     assert again.exit_code != 0
-    assert "exists and is not" in str(again.exception)
+    assert "exists and was not written by" in str(again.exception)
 
 
 @pytest.mark.parametrize("cut", [0.2, 0.5, 0.8])
