@@ -76,11 +76,13 @@ def open_cluster(
         yield _map_here
         return
     import dask
-    import distributed  # noqa: F401  its defaults join the configuration before ours do
+    import distributed  # before our configuration, which its defaults would replace otherwise
 
     environment = dict(os.environ)  # Dask's nannies change it
     try:
-        with dask.config.set(SETTINGS), ExitStack() as stack:
+        # what Dask would print of workers that end is told in a sentence, or is nobody's concern
+        silent = distributed.utils.silence_logging_cmgr(logging.CRITICAL)
+        with dask.config.set(SETTINGS), silent, ExitStack() as stack:
             with deferred_signals():
                 client, watch = _connect(workflow, logs or Path("wavefield.jobs").absolute(), imports, stack)
             yield functools.partial(_map_on, client, watch, count_workers(workflow))

@@ -123,6 +123,7 @@ def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
         "shared_temp_directory": str(logs),  # of the credentials
         "security": True,
         "death_timeout": 120,
+        "silence_logs": "critical",
         "scheduler_options": {"dashboard": False, "dashboard_address": "127.0.0.1:0"},
         **given,
         "job_script_prologue": lines + list(given.pop("job_script_prologue", [])),
