@@ -28,8 +28,8 @@ def test_check_reports_what_a_run_will_take(tank, reference):
         ("cam2", 17, (123, 123)),
         ("cam3", 17, (292, 207)),
     ]
-    assert found.shares["coverage"] == 1.0
-    assert found.shares["measured"] > 0.9
+    assert found.coverage == 1.0
+    assert found.measured > 0.9
     stored = sum(
         file.stat().st_size
         for name in CUBE_FIELDS

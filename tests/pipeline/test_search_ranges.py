@@ -103,4 +103,4 @@ def test_check_counts_only_what_was_measured(own_tank):
         image[:, image.shape[1] // 2 :] = np.median(image)
         write_image(path, image)
     found = check(with_settings(own_tank, "{}"), workflow=HERE)
-    assert 0.15 < found.shares["measured"] < 0.7
+    assert 0.15 < found.measured < 0.7

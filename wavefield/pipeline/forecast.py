@@ -109,19 +109,19 @@ class Check:
         Cameras of the rig; empty if there is none.
     grid : Grid or None
         The nodes.
-    shares : mapping of str to float
-        ``coverage``, of the nodes that every measuring camera sees at rest, and ``measured``, of the nodes in
-        view that the step tried measured without the filled ones; without what could not be found.
+    coverage, measured : float or None
+        Fraction of the nodes that every measuring camera sees at rest, and of the nodes in view that were
+        measured in the step tried; None if unknown.
     cost : Cost or None
         What a run will take; None if it cannot run yet.
     problems : tuple of str
         What prevents a run.
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
-    sentences : mapping of str to str
-        ``motion`` of the water from frame to frame, ``heights`` that it rises to,
-        ``clocks``: whether the cameras take their frames at the same moment, ``probes``: their
-        times, and their correlation with z of the cube next to the experiment, if there is one.
+    motion, heights, clocks, probes : str
+        Sentences on the motion of the water from frame to frame, the elevations that it reaches, the delays
+        between cameras, and the times of the probes with their correlation with z of the cube next to the
+        experiment; empty if unknown.
     """
 
     experiment: str
@@ -131,11 +131,15 @@ class Check:
     cameras: tuple[CameraCheck, ...]
     rig: tuple[str, ...]
     grid: Grid | None
-    shares: Mapping[str, float]
+    coverage: float | None
+    measured: float | None
     cost: Cost | None
     problems: tuple[str, ...]
     verdict: Verdict | None
-    sentences: Mapping[str, str]
+    motion: str = ""
+    heights: str = ""
+    clocks: str = ""
+    probes: str = ""
 
     @property
     def exit_status(self) -> int:
@@ -146,17 +150,12 @@ class Check:
 
     def to_dict(self) -> dict[str, object]:
         """Plain data, as for ``--json``."""
-        out: dict[str, object] = asdict(self)
-        del out["shares"], out["sentences"]
-        shares = {"coverage": None, "measured": None, **self.shares}
-        names = ("motion", "heights", "clocks", "probes")
-        more = {
+        return asdict(self) | {
             "path": str(self.path),
             "first_frame": self.first_frame,
             "exit_status": self.exit_status,
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }
-        return out | shares | dict.fromkeys(names, "") | dict(self.sentences) | more
 
     @property
     def first_frame(self) -> int:
@@ -188,15 +187,14 @@ class Check:
                 f"  grid: x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m, every {self.grid.step:g} m: "
                 f"{nx} x {ny} nodes"
             )
-        if "coverage" in self.shares:
-            text = f"  coverage: all cameras see {100 * self.shares['coverage']:.0f} % of the nodes"
-            if "measured" in self.shares:
-                text += f"; the step tried measured {100 * self.shares['measured']:.0f} %"
+        if self.coverage is not None:
+            text = f"  coverage: all cameras see {100 * self.coverage:.0f} % of the nodes"
+            if self.measured is not None:
+                text += f"; the step tried measured {100 * self.measured:.0f} %"
             lines.append(text)
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
-        names = ("motion", "heights")
-        lines += [f"  {words}" for name in names if (words := self.sentences.get(name))]
+        lines += [f"  {words}" for words in (self.motion, self.heights) if words]
         if self.verdict and self.verdict.pairs:
             pairs = [
                 f"{pair} {100 * float(np.median(one['agreement'])):.0f} %, "
@@ -204,9 +202,10 @@ class Check:
                 for pair, one in self.verdict.pairs.items()
             ]
             lines.append(f"  patches matched: {'; '.join(pairs)}")
-        elif self.verdict and len(self.rig) > 1 and "coverage" in self.shares:
+        elif self.verdict and len(self.rig) > 1 and self.coverage is not None:
             lines.append("  patches matched: none, the cameras have too small a part of the water in common")
-        lines += [f"  {k}: {words}" for k in ("clocks", "probes") if (words := self.sentences.get(k))]
+        lines += [f"  clocks: {self.clocks}"] if self.clocks else []
+        lines += [f"  probes: {self.probes}"] if self.probes else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
@@ -256,44 +255,34 @@ def check(
     cameras = tuple(
         _summary(one, inspections[name], experiment.cameras[name].offset) for name, one in series.items()
     )
-    problems: list[str] = []
-    shares: dict[str, float] = {}
-    sentences: dict[str, str] = {}
-    prepared, cost, fields, faults = None, None, None, None
-    wrong: list[Remark] = []
+    prepared, cost, faults, problem = None, None, None, ""
+    fields: Mapping[str, NDArray[Any]] = {}
     try:
         prepared = prepare(experiment, rig, workflow)
         refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         if experiment.rest:
             experiment.at_rest().open_frames()  # are they there?
-    except (RigError, ExperimentError) as error:
-        problems.append(str(error))
-    if prepared:
-        shares["coverage"] = expected_coverage(prepared.rig, prepared.grid)
-        first = {"motion": prepared.motion, "heights": prepared.heights}
-        sentences = {name: one.sentence for name, one in first.items() if one}
-    if prepared and not problems:
         with one_thread():
-            try:
-                cost, fields = measure_cost(prepared)
-                shares["measured"] = fraction_measured(fields["quality"])
-            except ExperimentError as error:
-                problems.append(str(error))
-        faults = None if problems else compare_cameras(prepared)
-        wrong = _grave_cameras(prepared, faults.remarks if faults else ())
+            cost, fields = measure_cost(prepared)
+        faults = compare_cameras(prepared)
+    except (RigError, ExperimentError) as error:
+        problem = str(error)
+    coverage = expected_coverage(prepared.rig, prepared.grid) if prepared else None
     remarks = [*remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample)]
     if cost and cost.free < MIN_FREE_SHARE * cost.disk:
         remarks.append(_remark_on_disk(cost))
+    delays = ""
     if prepared and faults:
         remarks += faults.remarks
         if not any(one.weight == "grave" for one in faults.remarks):
-            sentences["clocks"], late = clocks(prepared)
+            delays, late = clocks(prepared)
             remarks += late
     remarks += remark_on_recordings(experiment, series)
-    of_probes, sentences["probes"] = check_probes(experiment, record_span(experiment, series))
+    of_probes, probes = check_probes(experiment, record_span(experiment, series))
     remarks += of_probes
     if prepared:
-        remarks += _remarks_on_trial(prepared, shares["coverage"], fields or {}, wrong)
+        wrong = _grave_cameras(prepared, faults.remarks if faults else ())
+        remarks += _remarks_on_trial(prepared, coverage or 0.0, fields, wrong)
     verdict = Verdict.of(remarks) if remarks else None
     if faults:
         verdict = Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
@@ -305,11 +294,15 @@ def check(
         cameras=cameras,
         rig=tuple(prepared.rig) if prepared else (),
         grid=prepared.grid if prepared else None,
-        shares=shares,
+        coverage=coverage,
+        measured=fraction_measured(fields["quality"]) if fields else None,
         cost=cost,
-        problems=tuple(problems),
+        problems=(problem,) if problem else (),
         verdict=verdict,
-        sentences=sentences,
+        motion=prepared.motion.sentence if prepared and prepared.motion else "",
+        heights=prepared.heights.sentence if prepared and prepared.heights else "",
+        clocks=delays,
+        probes=probes,
     )
 
 
