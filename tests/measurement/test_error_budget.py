@@ -10,7 +10,7 @@ from wavefield.measurement import GridGeometry, measure
 from wavefield.measurement.error_budget import (
     WaveRings,
     best_path_frames,
-    expected_waves,
+    detected_waves,
     lost_by_elevation,
     lost_by_paths,
     orbits,
@@ -123,7 +123,7 @@ def test_short_waves_that_orbits_carry_are_as_uncertain_as_their_harmonics(seed)
 def test_rings_have_the_variance_of_the_spectrum_as_far_as_waves_are_expected():
     k = (np.arange(40) + 0.5) * np.pi / 40
     prior = Prior.isotropic(k, np.exp(-3 * k), 1.0)
-    waves = expected_waves(prior, 1.8e-3, 20.0)
+    waves = detected_waves(prior, 1.8e-3, 20.0)
     ky, kx = (np.pi * np.arange(n) / n for n in (150, 160))
     every = prior.spectrum(kx, ky[:, None]).mean()  # of all cosines
     assert waves.variance.sum() == pytest.approx(every, rel=0.05)

@@ -116,13 +116,9 @@ class Prior:
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Fraction of `spectrum` that is expected to be waves, (1 or c,) + S."""
-        return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in self.expected_in_rings])
-
-    @property
-    def expected_in_rings(self) -> NDArray[np.float64]:
-        """Fraction of the spectrum that is expected to be waves in every ring, (1 or c, rings)."""
         detected = np.array(self.detected or [[True] * len(self.k)])
-        return self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
+        fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
+        return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""

@@ -48,7 +48,7 @@ SHORTEST_DAMPED = 0.01  # metres: shorter ripples are damped fast
 
 
 class WaveRings(NamedTuple):
-    """Waves that are expected in a record, in rings of wavenumber, each (rings,)."""
+    """Waves that stand out from noise in a record, in rings of wavenumber, each (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -64,7 +64,7 @@ def error_budget(
 ) -> dict[str, Float]:
     """Variances of z and dx, dy, dz of one step by term, each (4, ny, nx), m^2."""
     sheet = geometry.settings.sheet_thickness is not None
-    waves = waves_of_flat_sheet() if sheet else expected_waves(record.elevation, geometry.pixel, frame_rate)
+    waves = waves_of_flat_sheet() if sheet else detected_waves(record.elevation, geometry.pixel, frame_rate)
     return {
         "noise": noise(estimate),
         "prior": removed_by_prior(estimate),
@@ -151,10 +151,11 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
     return float(CORRELATION_OF_DIRECTIONS * waves.variance @ lost @ moved)
 
 
-def expected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
-    """Waves of the learned spectrum of z: S k dk / (2 pi) of every ring, as far as they are expected."""
+def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
+    """Waves of the learned spectrum of z that stand out from noise: S k dk / (2 pi) of every ring."""
     k = np.array(elevation.k)
-    power = np.mean(elevation.power, axis=(0, 1)) * elevation.expected_in_rings.min(axis=0)
+    detected = np.array(elevation.detected or [[True] * len(k)]).all(axis=0)
+    power = elevation.wave_fraction * np.mean(elevation.power, axis=(0, 1)) * detected
     variance = power * k * np.gradient(k) / (2.0 * np.pi)
     k = k / (BLOCK * pixel)
     return WaveRings(k, variance, dispersion(k) / frame_rate)
@@ -169,9 +170,8 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
     """Share of the variance of the rise by detected waves that turn by more than half a turn from frame to
     frame, which frames do not follow, and the longest of them, metres.
     """
-    waves = expected_waves(elevation, pixel, frame_rate)
-    detected = np.array(elevation.detected or [[True]]).all(axis=0)
-    rise = waves.variance * np.square(waves.phase) * detected
+    waves = detected_waves(elevation, pixel, frame_rate)
+    rise = waves.variance * np.square(waves.phase)
     fast = (waves.phase > np.pi) & (rise > 0)
     if not fast.any():
         return 0.0, 0.0

@@ -25,7 +25,7 @@ from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement import elevation
 from wavefield.measurement.background import bead_width
 from wavefield.measurement.camera_displacements import displacements_at_nodes
-from wavefield.measurement.error_budget import best_path_frames, expected_waves, waves_of_flat_sheet
+from wavefield.measurement.error_budget import best_path_frames, detected_waves, waves_of_flat_sheet
 from wavefield.measurement.field_model import (
     FieldModel,
     LearnedRecord,
@@ -154,7 +154,7 @@ def _learned(
     # paths with the smallest error, and ripples
     path_frames = EXACT_SIX
     if frame_rate is not None:
-        waves = waves_of_flat_sheet() if sheet else expected_waves(z_prior, geometry.pixel, frame_rate)
+        waves = waves_of_flat_sheet() if sheet else detected_waves(z_prior, geometry.pixel, frame_rate)
         path_frames = best_path_frames(waves, found.noise_variance)
     motion = {
         name: max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements)
