@@ -23,7 +23,7 @@ from benchmarks.options import run_parts
 from benchmarks.scenes import SEEDS, Case, calibrated, draw, inside, reconstruct, scene
 from benchmarks.scores import Score
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings, learn, measure, sample_steps
-from wavefield.measurement.response import gains as theory
+from wavefield.measurement.resolution import gains as theory
 
 SLOPE = 0.03
 WAVES = {0.20: 30.0, 0.12: 100.0, 0.08: 250.0}  # length, m: where it goes, degrees

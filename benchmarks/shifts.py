@@ -20,7 +20,7 @@ from benchmarks.options import parser_of
 from wavefield import matching
 from wavefield.images import read_image
 from wavefield.measurement import Settings
-from wavefield.measurement.first_guess import first_guess, wide_enough
+from wavefield.measurement.search_range import first_guess, wide_enough
 
 IMAGES = {
     "Milestone": "piv_samples/Milestone/Images/im00505a.png",

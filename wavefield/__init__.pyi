@@ -8,7 +8,7 @@ from wavefield.execution.workflow import Workflow
 from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
 from wavefield.matching.gauss_newton import match
-from wavefield.measurement.measurement_settings import Settings
+from wavefield.measurement.settings import Settings
 from wavefield.pipeline.analysis import analyze_on_workers
 from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.forecast import check

@@ -7,7 +7,7 @@ from sea_pictures import photograph, sea_rig, texture, waves
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
-from wavefield.measurement.measurement_settings import Settings
+from wavefield.measurement.settings import Settings
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.prepare import prepare
@@ -57,7 +57,7 @@ def test_presets_are_named_where_another_is_asked_for():
 
 
 def test_small_images_are_reported_as_too_small_for_a_search_of_elevations():
-    from wavefield.measurement.first_heights import FirstHeights
+    from wavefield.measurement.search_range import FirstHeights
 
     assert "too small to find its range" in FirstHeights((0.0, 0.0), 0, 0, (-0.05, 0.05)).sentence
 

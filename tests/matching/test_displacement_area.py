@@ -6,7 +6,7 @@ from matching_cases import interior, particle_pair, truth
 
 from wavefield.matching import MatchSettings, displacement_area, match, prepare, reevaluate
 from wavefield.matching.matching_gain import RESTORED_VARIANCE
-from wavefield.measurement.background import bead_width
+from wavefield.measurement.images import bead_width
 
 PIV = MatchSettings.piv()
 WAVELENGTH = 44.0  # px

@@ -16,7 +16,7 @@ from wavefield.measurement.error_budget import (
     orbits,
     ripples,
 )
-from wavefield.measurement.time_weights import path_gain
+from wavefield.measurement.paths import path_gain
 from wavefield.tank import Scene, Tank
 from wavefield.variables import EXACT_SIX, Quality
 from wavefield.water import dispersion

@@ -10,8 +10,7 @@ from wavefield import matching
 from wavefield.grid import Grid
 from wavefield.matching.patch_shifts import shifts
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
-from wavefield.measurement.searched import search_widened
+from wavefield.measurement.search_range import FirstGuess, first_guess, search_widened, wide_enough
 from wavefield.tank import paper_rig
 
 USUAL = (-16.0, 16.0)

@@ -5,7 +5,7 @@ import pytest
 
 from wavefield.matching import match
 from wavefield.measurement import Settings
-from wavefield.measurement.frame import BETWEEN_CAMERAS, even_out, ready, sharpened
+from wavefield.measurement.images import BETWEEN_CAMERAS, even_out, ready, sharpened
 from wavefield.measurement.rectify import bin_pixels
 
 

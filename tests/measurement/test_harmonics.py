@@ -10,7 +10,7 @@ from wavefield import matching
 from wavefield.matching import MatchSettings, Modes, Prior
 from wavefield.matching.matching_gain import displacement_area
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.measurement.flow import harmonics, map_displacement
+from wavefield.measurement.displacement import harmonics, map_displacement
 
 SIZE = 260  # px
 

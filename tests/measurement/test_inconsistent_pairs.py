@@ -4,7 +4,7 @@ import numpy as np
 from measurement_cases import RATE
 
 from wavefield.measurement import measure
-from wavefield.measurement.outlier_detection import inconsistent_scores, widened
+from wavefield.measurement.outliers import inconsistent_scores, widened
 from wavefield.variables import Quality
 
 SHAPE = 60, 80

@@ -67,7 +67,7 @@ def test_sight_lines_that_miss_each_other_make_z_less_certain(series, geometry, 
 def test_where_displacements_contradict_each_other_z_is_less_certain_as_well(
     series, geometry, model, cube, monkeypatch
 ):
-    module = sys.modules["wavefield.measurement.step_estimate"]
+    module = sys.modules["wavefield.measurement.step"]
     found = module.velocity
 
     def contradicting(*arguments, **keywords):
@@ -216,7 +216,7 @@ def test_with_one_camera_left_the_step_fails_and_the_others_do_not(series, geome
 
 
 def test_no_node_of_a_failed_step_counts_as_measured(series, geometry, model, monkeypatch):
-    monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "MIN_MEASURED", 1.1)
+    monkeypatch.setattr(sys.modules["wavefield.measurement.step"], "MIN_MEASURED", 1.1)
     failed = measure(series.block(), geometry, RATE, model)
     assert (failed["frame_status"] == FrameStatus.FAILED).all()
     assert np.isnan(failed["z"]).all()

@@ -5,7 +5,7 @@ import pytest
 
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import frames_used, rise_of_water, slope, z_by_orders
-from wavefield.measurement.time_weights import elevation_gain, path_gain
+from wavefield.measurement.paths import elevation_gain, path_gain
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
 from wavefield.tank.basin import Basin

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavefield.measurement.node_motion import solve_nodes
+from wavefield.measurement.velocity import solve_nodes
 
 PARTS = np.array([0.5, 0.5, 1.0])
 

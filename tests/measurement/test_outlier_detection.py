@@ -8,7 +8,7 @@ import pytest
 from measurement_cases import RATE, around
 
 from wavefield.measurement import measure
-from wavefield.measurement.instant import measure_instant
+from wavefield.measurement.step import measure_instant
 from wavefield.variables import Quality
 
 
@@ -87,7 +87,7 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(
         z, read = found.surface.z + more, found.surface.read
         return replace(found, surface=replace(found.surface, z=z, read=lambda x, y: read(x, y) + more))
 
-    monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "measure_instant", look_up)
+    monkeypatch.setattr(sys.modules["wavefield.measurement.step"], "measure_instant", look_up)
     out = measure(series.block(1), geometry, RATE, model)
     measured = (out["quality"][0] & Quality.MEASURED) > 0
     assert series.inside[10, 12]

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from wavefield.measurement.paths import read_path
+from wavefield.measurement.paths import noise_weights, place_weights, read_path
 from wavefield.measurement.regrid import BlockLattice, coefficients
-from wavefield.measurement.time_weights import noise_weights, place_weights
 from wavefield.variables import EXACT_SIX, PATH_WEIGHTS
 
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (60, 60))

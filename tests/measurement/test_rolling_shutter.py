@@ -9,9 +9,13 @@ from test_paths import LATTICE, MIDDLE, turned
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.measurement.rolling_shutter import common_lateness, elevation_errors, lateness
-from wavefield.measurement.time_weights import uneven_weights
-from wavefield.measurement.uneven_paths import read_uneven_path
+from wavefield.measurement.paths import (
+    common_lateness,
+    elevation_errors,
+    lateness,
+    read_uneven_path,
+    uneven_weights,
+)
 from wavefield.series import Experiment
 from wavefield.tank import Scene
 

@@ -9,15 +9,15 @@ from test_paths import LATTICE, MIDDLE, turned
 
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import z_by_orders
-from wavefield.measurement.paths import read_path
-from wavefield.measurement.time_weights import (
+from wavefield.measurement.paths import (
     ELEVATION_WEIGHTS,
     noise_of_displacements,
     noise_weights,
     place_weights,
+    read_path,
+    read_uneven_path,
     uneven_weights,
 )
-from wavefield.measurement.uneven_paths import read_uneven_path
 
 EVEN = np.arange(6) - 2.5
 JITTER = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6).map(lambda e: EVEN + e)

@@ -6,7 +6,7 @@ import wavefield.waves as wv
 from wavefield.grid import Grid
 from wavefield.matching import Prior
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
-from wavefield.measurement.response import in_focus, shortest_carried, tabulated
+from wavefield.measurement.resolution import in_focus, shortest_carried, tabulated
 from wavefield.tank import Scene
 from wavefield.waves.estimation.window_gain import PREDICTED, label
 

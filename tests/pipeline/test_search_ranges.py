@@ -8,8 +8,8 @@ from cube_cases import HERE
 
 from wavefield.images import read_image, write_image
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.measurement.first_heights import FirstHeights, first_heights, high_enough
-from wavefield.measurement.frame import ready
+from wavefield.measurement.images import ready
+from wavefield.measurement.search_range import FirstHeights, first_heights, high_enough
 from wavefield.pipeline import check
 from wavefield.pipeline.chunk import Chunk, _find_ranges
 from wavefield.rig import Rig

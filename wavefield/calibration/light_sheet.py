@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield.calibration.points import Image, Mask
 from wavefield.calibration.still_water import RigCheck, refine_and_level
 from wavefield.errors import CalibrationError
-from wavefield.measurement.frame import usable
+from wavefield.measurement.images import usable
 from wavefield.measurement.rectify import rectify, sight_map
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field

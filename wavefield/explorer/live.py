@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from wavefield.errors import FrameError, RigError, WavefieldError
 from wavefield.explorer import lights
 from wavefield.explorer.lights import FrameFeatures, PairSummary, StatusLight, StepSummary
-from wavefield.measurement import GridGeometry, Model, learn, measure, pair_surface
-from wavefield.measurement.frame import ready, usable
+from wavefield.measurement import GridGeometry, Model, learn, measure
+from wavefield.measurement.images import prepare, ready, usable
+from wavefield.measurement.pair import match_pair
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.camera_mask import CameraMask
@@ -162,16 +163,14 @@ class LiveMeasurement:
             return {}
         geometry = self.learner.geometry
         flat = {
-            name: pair_surface.prepare(
-                ready(self._bare(name, both[1]), geometry.sights[name].binning), name, geometry
-            )
+            name: prepare(ready(self._bare(name, both[1]), geometry.sights[name].binning), name, geometry)
             for name, both in frames.images.items()
             if name in geometry.surface_cameras and usable(both[1], geometry.rig[name].size)
         }
         out = {}
         for a, b in geometry.pairs:
             if a in flat and b in flat:
-                match = pair_surface.match_pair(flat[a], flat[b], (a, b), geometry)
+                match = match_pair(flat[a], flat[b], (a, b), geometry)
                 visible = (geometry.views[a].visible_blocks > 0.5) & (geometry.views[b].visible_blocks > 0.5)
                 eps_y = match.eps_y[match.matched] / geometry.pixel
                 rms = float(np.sqrt(np.mean(np.square(eps_y)))) if eps_y.size else float("nan")

@@ -1,12 +1,12 @@
 """From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
 
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
-from wavefield.measurement.field_model import LearnedRecord, Model
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.measure import measure
-from wavefield.measurement.measurement_settings import Settings
+from wavefield.measurement.model import LearnedRecord, Model
 from wavefield.measurement.record import learn, sample_steps
-from wavefield.measurement.response import gains
+from wavefield.measurement.resolution import gains
+from wavefield.measurement.settings import Settings
+from wavefield.measurement.step import measure
 
 __all__ = [
     "Diagnosis",

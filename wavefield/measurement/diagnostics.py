@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
+from wavefield.measurement.displacement import flows
 from wavefield.measurement.elevation import surface, windowed
-from wavefield.measurement.field_model import Model
-from wavefield.measurement.flow import flows
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.instant import Images, images_of
-from wavefield.measurement.pair_surface import PairMatch, match_pair
+from wavefield.measurement.images import Images, images_of
+from wavefield.measurement.model import Model
+from wavefield.measurement.pair import PairMatch, match_pair
 from wavefield.measurement.record import learn
-from wavefield.measurement.response import in_focus, shortest_carried
+from wavefield.measurement.resolution import in_focus, shortest_carried
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
 

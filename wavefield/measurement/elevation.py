@@ -1,28 +1,211 @@
-"""Elevation of one instant at the nodes of the grid, from all pairs of cameras."""
+"""The elevation of one instant: all pairs of cameras together, with a prior spectrum, read at the nodes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.field_model import FieldModel
+from wavefield import matching
+from wavefield.matching import Modes
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.map_elevation import (
-    NOISE_MARGIN,
-    Blocks,
-    PreparedImages,
-    combine,
-    map_elevation,
-)
-from wavefield.measurement.outlier_detection import inconsistent_pairs
-from wavefield.measurement.pair_surface import PairMatch, match_pair
-from wavefield.measurement.regrid import blocks_below, coefficients, on_lattice, read_surface
+from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel
+from wavefield.measurement.outliers import inconsistent_pairs, inconsistent_scores
+from wavefield.measurement.pair import PairMatch, match_pair, quarter_turn
+from wavefield.measurement.regrid import blocks_below, coefficients, on_lattice, push_pull, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
+PreparedImages = Mapping[str, matching.PreparedImage]
+
+_SMOOTH_MODES = 6  # half waves along the lattice: epipolar errors as smooth as that are the calibration's
+NOISE_MARGIN = 1.5  # on the noise across the sight lines, in the weights: spectra contain some noise
+MAX_NOISE_GROWTH = 2.0  # from evaluation to evaluation, of the least, while a spectrum is learned
+_NOISE_AT_HOLES = 3.0  # times more noise is assumed around a hole
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Elevation on the lattice by plain least squares over all pairs."""
+
+    z: Float  # (ny, nx): elevation and mismatch, metres; NaN where no pair counts
+    eps_y: Float
+    valid: NDArray[np.bool_]  # (ny, nx): where at least one pair counts
+    rejected: NDArray[np.uint16]  # (ny, nx): why none does: bits of `Quality`
+
+    @property
+    def filled(self) -> Float:
+        """Elevation without holes, (1, ny, nx): filled by coarser and coarser means."""
+        return np.moveaxis(push_pull(self.z[..., None], self.valid), -1, 0)
+
+
+def combine(matches: Sequence[PairMatch]) -> Blocks:
+    """Least squares over the pairs that count: z = -sum dD . d / sum |dD|^2.
+    Across the sight line likewise eps_Y = sum (dD_y d_x - dD_x d_y) / sum |dD|.
+    """
+    shape = matches[0].eps_y.shape
+    along, across, square, length = np.zeros((4, *shape), np.float32)
+    rejected = np.zeros(shape, np.uint16)
+    for m in matches:
+        Dx, Dy = m.parallax * m.valid
+        along += Dx * m.difference[0] + Dy * m.difference[1]
+        own = Dx * Dx + Dy * Dy
+        square += own
+        own = np.sqrt(own)
+        length += own
+        across += own * m.eps_y
+        rejected |= m.rejected
+    valid = square > 0
+    rejected[valid] = 0
+    nan, one = np.float32(np.nan), np.float32(1.0)
+    z = np.where(valid, -along / np.where(valid, square, one), nan)
+    return Blocks(z, np.where(valid, across / np.where(valid, length, one), nan), valid, rejected)
+
+
+@dataclass
+class ElevationEstimate:
+    """The MAP elevation of one instant, and what it is based on."""
+
+    waves: Float  # (1, my, mx): cosine coefficients of the elevation and of its prior mean, metres
+    mean: Float
+    slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
+    information: Float = field(repr=False)  # (ny, nx): A of every block, per square metre
+    # Rms of the smooth epipolar error as metres of elevation: an error of the calibration, assumed to be as
+    # large along the sight lines
+    epipolar: float
+    inconsistent: NDArray[np.bool_] = field(repr=False)  # (ny, nx): where pairs contradict each other
+
+
+def map_elevation(
+    blocks: Blocks,
+    matches: Sequence[PairMatch],
+    prepared: PreparedImages,
+    modes: Modes,
+    pixel: float,
+    noise_across: bool = True,
+) -> ElevationEstimate:
+    """MAP elevation by the blocks of all pairs together; pixel in metres.
+    A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD.
+    """
+    z = blocks.filled
+    waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
+    pairs = [_PairScores(m, pixel) for m in matches]
+    smooth, epipolar = _smooth_across(matches, modes)
+    seen, scores = None, [z[0]]
+    information, least = z[:1], np.inf
+    convergence = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in pairs]))))
+    for number in range(MAX_EVALUATIONS):
+        if number:
+            z = seen + beyond
+            for one in pairs:
+                one.reevaluate(z[0], prepared)
+        scores = [one.score(z[0]) for one in pairs]
+        score = np.sum(scores, axis=0)
+        hessian = np.sum([one.hessian for one in pairs], axis=0)
+        # scores are summed over the pairs first: they share the reference's noise, which cancels between
+        # opposite sides; across the sight lines there is only noise, once the smooth part, an error of the
+        # calibration, is subtracted
+        nu = _noise_across(pairs, smooth) if noise_across else _noise(score, hessian, modes.freedom)
+        if not noise_across:  # waves that a field loses add to its scores, and more noise takes more of them
+            level = float(nu.mean())
+            least = min(least, level)
+            nu = nu * np.float32(min(1.0, MAX_NOISE_GROWTH * least / max(level, 1e-30)))
+        information = (hessian / nu)[None]
+        right = information * (z - beyond) + (score / nu)[None]
+        if not number:
+            factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
+        solved = modes.solve(information, right, waves, tolerances[min(number, 1)], mean, factor, seen)
+        waves, seen = convergence.next(modes, waves, solved, seen)
+        if convergence.converged:
+            break
+    lengths = [np.hypot(*one.D) for one in pairs]
+    inconsistent = inconsistent_scores(scores, [one.hessian for one in pairs], lengths)
+    return ElevationEstimate(waves, mean, slopes, information[0], epipolar, inconsistent)
+
+
+def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
+    """Mean information of a block about the elevation, before any posterior."""
+    pairs = [_PairScores(m, pixel) for m in matches]
+    z = blocks.filled[0]
+    hessian = np.sum([one.hessian for one in pairs], axis=0)
+    score = np.sum([one.score(z) for one in pairs], axis=0)
+    return float((hessian / _noise(score, hessian, freedom)).mean())
+
+
+def _noise(score: Float, hessian: Float, freedom: float) -> Float:
+    return matching.noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
+
+
+def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
+    """Noise of the scores, (ny, nx), from those across the sight lines."""
+    parts = [one.across(smooth) for one in pairs]
+    score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
+    out = np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
+    information = np.sum([one.hessian for one in pairs], axis=0) / out
+    return np.asarray(out * matching.noise_factor_near_holes(information, _NOISE_AT_HOLES))
+
+
+def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
+    """Smooth part of the "elevation" across the sight lines, (ny, nx), and its rms without noise, metres.
+    Waves that are shorter by a third show the noise.
+    """
+    waves = modes.waves(combine([m.turned for m in matches]).filled)
+    smooth = np.zeros_like(waves)
+    smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
+    # along the sight lines the field keeps of them what it keeps of waves
+    precision = np.square(modes.foot) * np.float32(modes.prior.information)
+    kept = waves * precision / (precision + modes.inverse)
+    near, all_of_them = (
+        float(np.sum(np.square(kept[0, :n, :n]))) for n in (_SMOOTH_MODES, 3 * _SMOOTH_MODES // 2)
+    )
+    square = near - (all_of_them - near) / 1.25  # as many modes more
+    return np.asarray(modes.field(smooth)[0]), float(np.sqrt(max(square, 0.0) / np.prod(modes.lattice)))
+
+
+class _PairScores:
+    """Score and Hessian of the elevation by the blocks of one pair."""
+
+    def __init__(self, match: PairMatch, pixel: float) -> None:
+        self.match, self.found = match, match.found
+        self.D = match.parallax / np.float32(pixel)
+        self.here = self._height = match.height
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Information dD H dD of every block, (ny, nx)."""
+        self._hessian = self.found.hessian * self.match.valid
+        self.hessian = _through(self.D, self._hessian)
+
+    def reevaluate(self, z: Float, prepared: PreparedImages) -> None:
+        """Evaluate the images at an elevation (ny, nx)."""
+        rise = z - self._height
+        a, b = (prepared[name] for name in self.match.pair)
+        u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
+        self.here, self.found = z, matching.scores_at(self.match.found, a, b, u, v)
+        self._weigh()
+
+    def score(self, z: Float) -> Float:
+        """Score at an elevation (ny, nx) near to that of the last evaluation."""
+        return self._score(self.D, self.hessian, self.here - z)
+
+    def across(self, smooth: Float) -> tuple[Float, Float]:
+        """Score and Hessian as if the parallax were turned by a quarter, at a field (ny, nx) of heights."""
+        D = quarter_turn(self.D)
+        hessian = _through(D, self._hessian)
+        return self._score(D, hessian, self.match.turned.height - smooth), hessian
+
+    def _score(self, D: Float, hessian: Float, rise: Float) -> Float:
+        s = self.found.score
+        return np.asarray(hessian * rise - (D[0] * s[0] + D[1] * s[1]) * self.match.valid)
+
+
+def _through(D: Float, h: Float) -> Float:
+    """D h D of blocks."""
+    return np.asarray(D[0] ** 2 * h[0] + 2 * D[0] * D[1] * h[1] + D[1] ** 2 * h[2])
+
+
 MatchedPairs = tuple[Blocks, list[PairMatch]]
 
 _NOISE_ALONG = 1.05  # of z over that across the sight lines: cameras see a bead's light at different places

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from wavefield.matching import Prior
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.measurement.field_model import LearnedRecord
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.step_estimate import StepEstimate
-from wavefield.measurement.time_weights import (
+from wavefield.measurement.midtime import StepEstimate
+from wavefield.measurement.model import LearnedRecord
+from wavefield.measurement.paths import (
     ELEVATION_WEIGHTS,
     elevation_gain,
     noise_weights,
@@ -83,7 +83,7 @@ def noise(estimate: StepEstimate) -> Float:
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
     chi2 = np.nan_to_num(motion.noise_factor, nan=1.0)
-    return np.concatenate([z[None], motion.noise]) * chi2
+    return np.asarray(np.concatenate([z[None], motion.noise]) * chi2)
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:

@@ -1,29 +1,224 @@
-"""What follows from rig, grid and settings alone: which cameras measure what, lattices, maps, sight lines."""
+"""Rig, grid and settings as the measurement uses them: cameras, lattices, maps, sight lines, outlines."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.matching import MatchSettings
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.measurement.covered import Covered, Pixels
-from wavefield.measurement.measurement_settings import Settings
-from wavefield.measurement.rectified_view import RectifiedPlane, RectifiedView, fit_plane, rectified_views
+from wavefield.matching.prepared import Mask
+from wavefield.measurement.rectify import binned, sight_map
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.sight import Sight
+from wavefield.measurement.settings import Settings
 from wavefield.rig import Camera, Rig
+from wavefield.rig.field import view_on_water
 from wavefield.rig.pairs import pairs_of
 from wavefield.rig.resolution import pixel_at, pixel_sides
 
 Float = NDArray[np.floating]
+
+# Projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact to better
+# than a thousandth of a pixel.
+_ORDER = 4
+
+
+class Sight:
+    """Where one camera sees the nodes at any height, as polynomials in z, and the blocks of its image, px.
+    `binning`: side of the squares of raw pixels averaged first, px; `camera` is that of the binned image.
+    """
+
+    def __init__(
+        self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
+    ) -> None:
+        self.binning, self.camera = binning, binned(camera, binning)
+        w, h = self.camera.size
+        first = 0.5 * (BLOCK - 1)
+        self.lattice = BlockLattice(first, first, float(BLOCK), (h // BLOCK, w // BLOCK))
+        self._z_middle, self._z_half = 0.5 * (z_range[0] + z_range[1]), 0.5 * (z_range[1] - z_range[0])
+        knots = np.cos(np.pi * (np.arange(_ORDER + 1) + 0.5) / (_ORDER + 1))
+        values = []
+        for t in knots:
+            z = self._z_middle + self._z_half * t
+            X, Y = self.camera.project(x, y, z)
+            J = self.camera.jacobian(x, y, z)
+            values.append(np.concatenate([[X, Y], np.moveaxis(J.reshape(*X.shape, 6), -1, 0)]))
+        # (8, 5, ny, nx): X, Y, then the Jacobian row by row
+        inverse = np.linalg.inv(np.vander(knots, increasing=True))
+        self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
+
+    def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
+        """Image position and Jacobian of every n-th node along x and y at heights z, metres: (8, ny, nx).
+        X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz (px per metre).
+        """
+        return self._evaluate(z, self._polynomial[..., ::every, ::every])
+
+    def at_middle(self) -> NDArray[np.float64]:
+        """Jacobian (2, 3) of the node in the middle at z = 0, px per metre."""
+        ny, nx = self._polynomial.shape[-2:]
+        here = self._polynomial[2:, :, ny // 2, nx // 2]
+        return self._evaluate(np.zeros(()), here).reshape(2, 3).astype(np.float64)
+
+    def position(self, z: Float) -> NDArray[np.float32]:
+        """Image position X, Y of the nodes at heights z (ny, nx), metres: (2, ny, nx), px."""
+        return self._evaluate(z, self._polynomial[:2])
+
+    def _evaluate(self, z: Float, polynomial: Float) -> NDArray[np.float32]:
+        t = (np.asarray(z, np.float32) - np.float32(self._z_middle)) / np.float32(self._z_half)
+        out: NDArray[np.float32] = polynomial[:, _ORDER].copy()
+        for order in range(_ORDER - 1, -1, -1):
+            out *= t
+            out += polynomial[:, order]
+        return out
+
+    def sees(self, X: Float, Y: Float) -> NDArray[np.bool_]:
+        """Whether positions are inside the binned image."""
+        w, h = self.camera.size
+        with np.errstate(invalid="ignore"):
+            return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
+
+
+_MIN_BLOCKS = 8  # along each side of the common view
+_MARGIN_BLOCKS = 4  # around the nodes: the windows of the outermost blocks need their surroundings
+_LENS_BLUR_PX = 0.6  # of a usual lens
+
+
+@dataclass(frozen=True)
+class RectifiedPlane:
+    """Pixels of the rectified images on z = 0, in apparent coordinates of the reference."""
+
+    origin: tuple[float, float]  # x, y of the first pixel, metres
+    pixel: float  # metres
+    shape: tuple[int, int]  # blocks (ny, nx)
+
+    @property
+    def lattice(self) -> BlockLattice:
+        """Centres of the blocks, metres."""
+        x, y = (first + 0.5 * (BLOCK - 1) * self.pixel for first in self.origin)
+        return BlockLattice(x, y, BLOCK * self.pixel, self.shape)
+
+    @property
+    def x(self) -> Float:
+        """Pixels along x, metres."""
+        return np.asarray(self.origin[0] + self.pixel * np.arange(self.shape[1] * BLOCK))
+
+    @property
+    def y(self) -> Float:
+        """Pixels along y, metres."""
+        return np.asarray(self.origin[1] + self.pixel * np.arange(self.shape[0] * BLOCK))
+
+
+@dataclass(frozen=True)
+class RectifiedView:
+    """What one camera shows of the rectified plane z = 0."""
+
+    maps: tuple[Float, Float]  # (row, column): places in the camera's image (`sight_map`)
+    visible: NDArray[np.bool_]  # (row, column): where the camera sees the plane
+    visible_blocks: NDArray[np.float32]  # (ny, nx): visible fraction of every block
+    mask: Mask  # the same, ready for matching
+    blur: tuple[float, float]  # of the rectified image along x and y that makes beads alike, px
+
+
+def fit_plane(
+    cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
+) -> RectifiedPlane:
+    """The part of the plane where nodes x, y (ny, nx) appear at any height to the reference and a partner.
+    The reference comes first. One partner is enough: a node moves to opposite sides in opposite cameras.
+    """
+    lo, hi = np.full(2, np.inf), np.full(2, -np.inf)
+    edge_x = np.concatenate([x[0], x[-1], x[:, 0], x[:, -1]])
+    edge_y = np.concatenate([y[0], y[-1], y[:, 0], y[:, -1]])
+    for z in z_range:
+        reference, *others = (np.stack(one.unproject(*one.project(edge_x, edge_y, z))) for one in cameras)
+        # NaN where a camera does not see the node
+        least, most = np.fmax.reduce(others), np.fmin.reduce(others)
+        lo = np.fmin(lo, np.fmin.reduce(np.fmin(reference, least), axis=1))
+        hi = np.fmax(hi, np.fmax.reduce(np.fmax(reference, most), axis=1))
+    views = [_reach(one, np.stack([edge_x, edge_y], axis=-1)) for one in cameras]
+    # beyond what the second widest of the views reaches, no two cameras see anything
+    lo = np.maximum(lo, np.sort([view.min(axis=0) for view in views], axis=0)[1])
+    hi = np.minimum(hi, np.sort([view.max(axis=0) for view in views], axis=0)[-2])
+    blocks = np.ceil((hi - lo) / (BLOCK * pixel)) + 2 * _MARGIN_BLOCKS
+    if not (blocks >= _MIN_BLOCKS + 2 * _MARGIN_BLOCKS).all():
+        raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
+    nx, ny = (int(scipy.fft.next_fast_len(int(n))) for n in blocks)
+    x0, y0 = 0.5 * (lo + hi) - 0.5 * pixel * (np.array([nx, ny]) * BLOCK - 1)
+    return RectifiedPlane((float(x0), float(y0)), pixel, (ny, nx))
+
+
+def _reach(camera: Camera, edge: Float) -> Float:
+    """Places that bound what a camera sees of the plane, (n, 2), metres.
+    Where the horizon is in view, visible nodes of the edge (m, 2) are added: `view_on_water` bounds less.
+    """
+    view = view_on_water(camera)
+    if np.isfinite(camera.corners()).all():
+        return view
+    return np.concatenate([view, edge[camera.sees(edge[:, 0], edge[:, 1], 0.0)]])
+
+
+def rectified_views(
+    sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
+) -> dict[str, RectifiedView]:
+    """Maps, masks and blur of every camera; with the middle of the grid, metres."""
+    blur = _blur(sights, plane.pixel, middle)
+    out = {}
+    for name, sight in sights.items():
+        X, Y, visible = sight_map(sight.camera, plane.x, plane.y)
+        blocks = cv2.resize(visible.astype(np.float32), plane.shape[::-1], interpolation=cv2.INTER_AREA)
+        out[name] = RectifiedView(
+            (X, Y), visible, np.asarray(blocks, np.float32), Mask.of(visible, stereo), blur[name]
+        )
+    return out
+
+
+def _blur(
+    sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
+) -> dict[str, tuple[float, float]]:
+    """Standard deviations along x and y, px, that make a bead as wide in every rectified image.
+    Beads of an oblique camera are wider across its view, which would pull at the surface.
+    """
+    variances = {}
+    for name, sight in sights.items():
+        side = np.linalg.inv(sight.camera.jacobian(*middle, 0.0)[:, :2]) / pixel
+        # variances in px: the lens, the pixel, the spline by which the image is read
+        sensor = (_LENS_BLUR_PX / sight.binning) ** 2 + 1.0 / 12.0 + 6.0 / 12.0
+        sensor += 0.25 * (sight.binning > 1)  # half a side: what goes before `bin_pixels`
+        variances[name] = sensor * np.sum(side**2, axis=1)
+    widest = np.max(list(variances.values()), axis=0)
+    blur = {name: np.sqrt(widest - own) for name, own in variances.items()}
+    return {name: (float(s[0]), float(s[1])) for name, s in blur.items()}
+
+
+Pixels = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Covered:
+    """Mask of one image of one camera, ready for matching."""
+
+    raw: Mask  # Of the binned image, for matching in time
+    flat: Mask | None  # Of the rectified image; None for a camera that does not measure the surface
+
+    def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
+        """Whether the blocks around positions hold masked pixels."""
+        whole = self.raw.levels[0]
+        h, w = whole.shape
+        with np.errstate(invalid="ignore"):
+            inside = (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
+        column = np.rint(np.where(inside, X, 0)).astype(np.intp)
+        row = np.rint(np.where(inside, Y, 0)).astype(np.intp)
+        return np.asarray(inside & (whole[row, column] == 0))
+
+
 Pair = tuple[str, str]
 Outlines = tuple[tuple[tuple[float, float], ...], ...]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.time_weights import ELEVATION_WEIGHTS, uneven_weights
+from wavefield.measurement.paths import ELEVATION_WEIGHTS, uneven_weights
 from wavefield.measurement.velocity import Motion
 from wavefield.variables import AROUND
 
@@ -27,6 +27,24 @@ class MidTime:
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
     frames: NDArray[np.uint8]  # (ny, nx): number of frames that z comes from
     measured: Mask  # (ny, nx): whether the nearest two measured the water that is at the node
+
+
+@dataclass(frozen=True)
+class StepEstimate:
+    """Elevation and motion of one step, from the cameras that are consistent."""
+
+    surfaces: Surfaces  # of six frames
+    motion: Motion
+    mid_time: MidTime
+    left_out: frozenset[str] = frozenset()  # cameras that contradict the others
+
+    @property
+    def nearest(self) -> tuple[Surface, Surface]:
+        """Surfaces of the step's own two frames."""
+        first, second = self.surfaces[AROUND : AROUND + 2]
+        assert first is not None
+        assert second is not None
+        return first, second
 
 
 def z_by_orders(

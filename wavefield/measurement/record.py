@@ -23,21 +23,21 @@ from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE
 from wavefield.matching.one_thread import one_thread
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement import elevation
-from wavefield.measurement.background import bead_width
-from wavefield.measurement.camera_displacements import displacements_at_nodes
+from wavefield.measurement.displacement import camera_flow, filled, map_displacement, motion_variance
+from wavefield.measurement.elevation import combine, first_information, map_elevation
 from wavefield.measurement.error_budget import best_path_frames, detected_waves, waves_of_flat_sheet
-from wavefield.measurement.field_model import (
-    FieldModel,
-    LearnedRecord,
-    displacement_model,
-    elevation_model,
-)
-from wavefield.measurement.flow import camera_flow, filled, map_displacement, motion_variance
-from wavefield.measurement.frame import usable
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.instant import Images, images_of
-from wavefield.measurement.map_elevation import combine, first_information, map_elevation
-from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
+from wavefield.measurement.images import (
+    Images,
+    Masks,
+    bare_of_camera,
+    bare_of_pairs,
+    bead_width,
+    images_of,
+    usable,
+)
+from wavefield.measurement.model import FieldModel, LearnedRecord, displacement_model, elevation_model
+from wavefield.measurement.paths import displacements_at_nodes
 from wavefield.measurement.ripples import SharedMotion, ripple_rise, shared_motion
 from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
 from wavefield.variables import EXACT_SIX, Quality

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wavefield.matching import Displacement, Evaluation
 from wavefield.matching.matching_kernels import BLOCK
+from wavefield.measurement.displacement import FlowEstimate
 from wavefield.measurement.error_budget import RIPPLE_BLOCKS
-from wavefield.measurement.flow import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.regrid import BlockLattice
 from wavefield.measurement.velocity import WAVE_VARIANCES

@@ -158,7 +158,7 @@ def measure_chunk(
     terms: bool = False,
 ) -> Measured:
     """Measure all steps of a chunk; with the terms of the standard uncertainties if asked for."""
-    from wavefield.measurement.measure import measure
+    from wavefield.measurement.step import measure
 
     frames = {name: ChunkFrames(source, chunk) for name, source in chunk.sources.items()}
     masks = {name: ChunkMasks(source, chunk) for name, source in chunk.sources.items()}
@@ -183,7 +183,7 @@ def _find_dim_frames(
     frames: Mapping[str, ChunkFrames], status: np.ndarray, chunk: Chunk, geometry: "GridGeometry"
 ) -> None:
     """Mark nearly blank frames of steps that were not fully measured."""
-    from wavefield.measurement.frame import usable
+    from wavefield.measurement.images import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
     for position in sorted({int(step) + k for step in suspicious for k in (AROUND, AROUND + 1)}):
@@ -204,7 +204,7 @@ def _find_ranges(
     geometry: "GridGeometry",
 ) -> None:
     """Mark frames after which the water left the range that is searched; their steps have faults."""
-    from wavefield.measurement.search_limits import at_border, few_measured, moved_beyond, rose_beyond
+    from wavefield.measurement.search_range import at_border, few_measured, moved_beyond, rose_beyond
 
     def mark(name: str, step: int, words: str) -> None:
         index = chunk.start + step

@@ -230,7 +230,7 @@ def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The response of the measurement to waves, which follows from the learned record, and its axes."""
-    from wavefield.measurement.response import tabulated
+    from wavefield.measurement.resolution import tabulated
 
     table = tabulated(geometry, None)
     dims = TABLE["gain/gain_z"].dims
@@ -274,7 +274,7 @@ class _Learner:
 
     def _learn(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
         from wavefield.measurement import LearnedRecord, Model
-        from wavefield.measurement.searched import search_widened
+        from wavefield.measurement.search_range import search_widened
 
         geometry, learned = self.geometry, self.record
         if learned is None:  # else the ranges are those of the settings, as in the earlier cube

@@ -107,6 +107,6 @@ def learn_from(
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
     """Values that a cube holds once for all steps: its response to waves, and the uncertainty of z = 0."""
     from wavefield.measurement.error_budget import level_std
-    from wavefield.measurement.response import tabulated
+    from wavefield.measurement.resolution import tabulated
 
     return tabulated(geometry, record) | {"z_level_std": np.asarray(level_std(geometry, record), np.float64)}

@@ -13,8 +13,14 @@ from wavefield.execution.cluster import count_workers
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
 from wavefield.measurement.algorithm import ALGORITHM
-from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
-from wavefield.measurement.first_heights import FirstHeights, first_heights, high_enough
+from wavefield.measurement.search_range import (
+    FirstGuess,
+    FirstHeights,
+    first_guess,
+    first_heights,
+    high_enough,
+    wide_enough,
+)
 from wavefield.pipeline.experiment_of_cube import image_names
 from wavefield.pipeline.magnitudes import (
     name_of_rig,
@@ -173,8 +179,7 @@ class _SampleImages:
         return self._shared[name, frame]
 
     def _read(self, name: str, frame: int) -> np.ndarray | None:
-        from wavefield.measurement.background import bead_width
-        from wavefield.measurement.frame import ready, usable
+        from wavefield.measurement.images import bead_width, ready, usable
 
         image = self.series[name].read_uncovered(frame)
         if not usable(image, self.geometry.rig[name].size):
@@ -217,7 +222,7 @@ def make_recipe(
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
     """Measurement settings: defaults, then those of the experiment, then those of the workflow."""
-    from wavefield.measurement.measurement_settings import Settings
+    from wavefield.measurement.settings import Settings
 
     for source in (experiment, workflow):  # each by itself: only then is the place of an error known
         Settings.from_dict(source.settings, source.path)

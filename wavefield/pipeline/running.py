@@ -46,7 +46,7 @@ log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
 MapFunction = Callable[[Work, Sequence[Chunk]], Generator[tuple[Chunk, Any]]]
 
-MEASURING = ("wavefield.measurement.measure", "wavefield.pipeline.chunk")  # what workers import ahead
+MEASURING = ("wavefield.measurement.step", "wavefield.pipeline.chunk")  # what workers import ahead
 ASSESSING = "assessing the cube"  # the last stage of a run
 _MAX_MESSAGES = 30  # bad frames that the log names
 _ENOUGH_FAILURES = 3  # chunks that fail before any succeeds: something is wrong with all of them

@@ -26,7 +26,7 @@ def level_at_rest(
 ) -> tuple[Rig, RigCheck, WaterPlane]:
     """Correct and level a rig with a record of still, seeded water."""
     from wavefield.calibration.still_water import refine_and_level
-    from wavefield.measurement.tie_points import matched_pixels
+    from wavefield.measurement.pair import matched_pixels
 
     prepared = prepare(experiment, rig)
     series = prepared.series

@@ -89,14 +89,14 @@ def sample(
     """Miss and velocity all over what two cameras share at an instant.
     None where too little of it is known.
     """
-    from wavefield.measurement import pair_surface
+    from wavefield.measurement.pair import match_pair
 
     if not all(name in flat for name in pair):
         return None
     moved = _moved(patch_matcher, pair[1], frame, _furthest(geometry, pair[1]))
     if moved is None:
         return None
-    match = pair_surface.match_pair(flat[pair[0]], flat[pair[1]], pair, geometry)
+    match = match_pair(flat[pair[0]], flat[pair[1]], pair, geometry)
     length = np.maximum(np.hypot(*match.parallax), 1e-12)
     p, q = (part / length for part in match.parallax)
     x, y = np.meshgrid(geometry.lattice.x, geometry.lattice.y)
@@ -265,8 +265,7 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
 
 def _widths(geometry: "GridGeometry", patch_matcher: PatchMatcher, frames: Sequence[int]) -> dict[str, float]:
     """Widths of the beads of the first image that can be used."""
-    from wavefield.measurement.background import bead_width
-    from wavefield.measurement.frame import usable
+    from wavefield.measurement.images import bead_width, usable
 
     out = dict.fromkeys(geometry.surface_cameras, 0.0)
     for name in out:

@@ -98,15 +98,14 @@ def prepared(
     """Images of an instant, ready for matching between cameras; those that cannot be used are left out.
     The widths of their beads, px, are found where they are not given.
     """
-    from wavefield.measurement import pair_surface
-    from wavefield.measurement.frame import ready, usable
+    from wavefield.measurement.images import prepare, ready, usable
 
     out = {}
     for name in geometry.surface_cameras:
         image = images.get(name)
         if image is not None and usable(image, geometry.rig[name].size):
             flat = ready(image, geometry.sights[name].binning, widths[name] if widths else None)
-            out[name] = pair_surface.prepare(flat, name, geometry)
+            out[name] = prepare(flat, name, geometry)
     return out
 
 
@@ -114,7 +113,7 @@ def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict
     """By how much each camera's picture has moved across the sight lines, in one frame.
     (3,), px on the water: in the middle of the lattice, and what is added at its right and upper edge.
     """
-    from wavefield.measurement import pair_surface
+    from wavefield.measurement.pair import match_pair
 
     flat = prepared(images, geometry)
     if len(flat) < len(geometry.surface_cameras):
@@ -124,7 +123,7 @@ def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict
     cells = np.s_[::BLOCKS_APART, ::BLOCKS_APART]
     design = np.stack([part[cells] for part in _scaled(geometry)], axis=-1)
     for a, b in geometry.pairs:
-        match = pair_surface.match_pair(flat[a], flat[b], (a, b), geometry)
+        match = match_pair(flat[a], flat[b], (a, b), geometry)
         low = _fit(design[match.matched[cells]], match.eps_y[cells][match.matched[cells]] / geometry.pixel)
         if low is None:
             return {}

@@ -13,9 +13,8 @@ from wavefield import matching
 from wavefield.matching import Modes
 from wavefield.matching.block_lattice import slopes as slopes_of
 from wavefield.matching.matching_gain import averaged
-from wavefield.measurement.convergence import MAX_EVALUATIONS, Convergence
-from wavefield.measurement.field_model import FieldModel, Model
-from wavefield.measurement.pair_surface import why_rejected
+from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel, Model
+from wavefield.measurement.pair import why_rejected
 from wavefield.measurement.regrid import local_coefficients, push_pull
 from wavefield.variables import Quality
 

@@ -1,41 +1,62 @@
-"""From a chunk of frames to a chunk of steps."""
+"""From frames to z, z_t, u, v, w and their uncertainties: one step from top to bottom."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
+from wavefield.measurement.displacement import Flows, flows
+from wavefield.measurement.elevation import Surface, surface
 from wavefield.measurement.error_budget import TERMS, bead_tilt, error_budget
-from wavefield.measurement.field_model import Model
-from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.instant import Instant, measure_instant
-from wavefield.measurement.masked import masked_nodes
-from wavefield.measurement.midtime import slope
+from wavefield.measurement.images import (
+    Frames,
+    Images,
+    Masks,
+    covered_in,
+    masked_nodes,
+    rectified_images,
+    usable_frames,
+    with_raw_images,
+)
+from wavefield.measurement.midtime import (
+    MidTime,
+    StepEstimate,
+    Surfaces,
+    rise_of_water,
+    slope,
+    where_measured,
+    z_by_orders,
+)
+from wavefield.measurement.model import Model
+from wavefield.measurement.paths import common_lateness, elevation_errors
 from wavefield.measurement.record import learn, sample_steps
-from wavefield.measurement.searched import search_widened
-from wavefield.measurement.step_estimate import StepEstimate, Surfaces, estimate_step
+from wavefield.measurement.search_range import search_widened
+from wavefield.measurement.velocity import Motion, Regions, mean_flow, velocity
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality, frames_of_path
 
-Frames = Mapping[str, Sequence[NDArray[Any] | None]]
-Float = NDArray[np.floating]
+Series = Mapping[str, Sequence[NDArray[Any] | None]]
 Mask = NDArray[np.bool_]
 
 SEARCHED_STEPS = 2  # of those learned from: the ranges to search are found in them
 MIN_MEASURED = 0.05  # of the nodes in view: a step with fewer counts as not measured
 
 
+Float = NDArray[np.floating]
+
+
 @one_thread()
 def measure(
-    frames: Frames,
+    frames: Series,
     geometry: GridGeometry,
     frame_rate: float,
     model: Model | None = None,
-    masks: Frames | None = None,
+    masks: Series | None = None,
     departures: Float | None = None,
     terms: bool = False,
 ) -> dict[str, NDArray[Any]]:
@@ -126,7 +147,7 @@ def measure(
     return out
 
 
-def _pair(frames: Frames, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[str, NDArray[Any] | None]]:
+def _pair(frames: Series, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[str, NDArray[Any] | None]]:
     return {n: f[k] for n, f in frames.items()}, {n: f[k + 1] for n, f in frames.items()}
 
 
@@ -181,9 +202,9 @@ def _fill_step(
     fields = _fields(estimate, geometry, model, frame_rate, times)
     for name in ("z", "u", "v", "w"):  # no water is there: the value is as uncertain as it is large
         fields[f"{name}_std"] = np.where(out_of_range, np.abs(fields[name]), fields[f"{name}_std"])
-    for name, field in fields.items():
+    for name, values in fields.items():
         if name in out:
-            out[name][..., inside] = field[..., inside]
+            out[name][..., inside] = values[..., inside]
     out["frame_status"][:] = FrameStatus.DONE_WITH_FAULTS if missing else FrameStatus.DONE
 
 
@@ -245,3 +266,144 @@ def _fields(
         "w_std": d_std[2] * frame_rate,
         "uncertainty_terms": np.sqrt(terms),
     }
+
+
+@dataclass(frozen=True)
+class Instant:
+    """The surface of one instant, and its images for matching in time."""
+
+    surface: Surface | None  # Elevation at the nodes; None if it could not be measured
+    images: Images
+    frames: Frames  # The frames themselves, should a camera have to be left out
+    masks: Masks
+    _without: dict[str, Surface | None] = field(default_factory=dict)
+
+    def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
+        """Elevation at the nodes by the other cameras."""
+        if camera not in self._without:
+            rest = {name: image for name, image in self.frames.items() if name != camera}
+            ready_frames = usable_frames(rest, geometry, dict(model.record.beads), self.masks)
+            flat = rectified_images(ready_frames, geometry, self.images.covered)
+            self._without[camera] = surface(flat, geometry, model.elevation)
+        return self._without[camera]
+
+    def without_images(self) -> Instant:
+        """The same without images for matching in time, which take most of the memory."""
+        return replace(self, images=replace(self.images, raw={}))
+
+
+def measure_instant(
+    frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
+) -> Instant:
+    """Elevation and prepared images of one instant; masks are True where pixels do not count."""
+    masks = masks or {}
+    covered = covered_in(masks, geometry)
+    ready_frames = usable_frames(frames, geometry, dict(model.record.beads), masks)
+    # the rectified images are dropped before those for matching in time are made: either takes 20 MB
+    found = surface(rectified_images(ready_frames, geometry, covered), geometry, model.elevation)
+    return Instant(found, with_raw_images({}, ready_frames, geometry, covered), frames, masks)
+
+
+def estimate_step(
+    window: Sequence[Instant],
+    moves: Sequence[Flows],
+    geometry: GridGeometry,
+    model: Model,
+    times: Float | None = None,
+) -> StepEstimate | None:
+    """Surfaces and motion of a step; None if nothing can be measured.
+    Uneven times of the six frames are in intervals from mid-time.
+    """
+    surfaces: Surfaces = [instant.surface for instant in window]
+    estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
+    if estimate is None:
+        return None
+    motion = estimate.motion
+    # a knock between two frames spoils every path that contains it: those of four frames are used instead
+    if motion.inconsistent and len(moves) > 3:
+        return estimate_step(window, moves[1:-1], geometry, model, times)
+    if not (motion.left_out or motion.regions):
+        return estimate
+    left_out: frozenset[str] = frozenset()
+    if motion.left_out:
+        left_out = frozenset({motion.left_out})
+        surfaces = [instant.without(motion.left_out, geometry, model) for instant in window]
+        if surfaces[AROUND] is None or surfaces[AROUND + 1] is None:
+            return None
+        moves = [{name: flow for name, flow in one.items() if name not in left_out} for one in moves]
+    else:
+        surfaces = [_repaired(instant, motion.regions, geometry, model) for instant in window]
+    estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times, motion.regions)
+    return None if estimate is None else replace(estimate, left_out=left_out)
+
+
+def _estimate(
+    surfaces: Surfaces,
+    moves: Sequence[Flows],
+    geometry: GridGeometry,
+    path_frames: int,
+    times: Float | None,
+    regions: Regions | None = None,
+) -> StepEstimate | None:
+    """Motion and surface at mid-time: where water is in an image depends on its height, that on its path."""
+    first, second = surfaces[AROUND : AROUND + 2]
+    assert first is not None
+    assert second is not None
+    near = np.float32(0.5) * (first.z + second.z)
+    flow, late = mean_flow(moves, near, geometry, path_frames, times), common_lateness(near, geometry)
+    if flow is None:
+        return None
+    orders = z_by_orders(surfaces, flow, geometry.x, geometry.y, times, late)
+    orders, frames, measured = where_measured(orders, surfaces, flow, geometry.x, geometry.y, times, late)
+    z = shown = orders[0]
+    motion = velocity(moves, z, geometry, path_frames, regions, times)
+    if late is not None and motion is not None:
+        z = _without_shutters(shown, motion, geometry)
+        motion = velocity(moves, z, geometry, path_frames, regions, times)
+    if motion is None:
+        return None
+    if late is not None:
+        z = _without_shutters(shown, motion, geometry)
+    if geometry.settings.sheet_thickness is not None:  # it does not rise
+        rise = np.zeros_like(z)
+    else:
+        rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
+    return StepEstimate(surfaces, motion, MidTime(z, rise, frames, measured))
+
+
+def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
+    """Surface (ny, nx), metres, without what rolling shutters make of its motion."""
+    measured = np.isfinite(motion.d).all(axis=0)
+    error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
+    z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
+    return np.asarray((z + x * z_x + y * z_y - error).astype(np.float32))
+
+
+def _repaired(
+    instant: Instant, regions: Mapping[str, NDArray[np.bool_]], geometry: GridGeometry, model: Model
+) -> Surface | None:
+    """An instant's surface with that of the other cameras where one contradicts them."""
+    surface = instant.surface
+    if geometry.settings.sheet_thickness is not None:
+        return surface
+    for name, where in regions.items():
+        if surface is None or name in instant.images.missing or name not in geometry.surface_cameras:
+            continue
+        other = instant.without(name, geometry, model)
+        if other is None:  # no other pair of cameras: the surface is not trusted
+            surface = replace(surface, inconsistent=surface.inconsistent | where)
+        else:
+            surface = _joined(surface, other, where)
+    return surface
+
+
+def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surface:
+    """One surface with another in a part of the field."""
+    names = ("z", "eps_y", "noise", "missing", "quality", "inconsistent")
+    parts = {n: np.where(where, getattr(other, n), getattr(surface, n)) for n in names}
+    return Surface(
+        **parts,
+        epipolar=max(surface.epipolar, other.epipolar),
+        read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)),
+        is_measured=lambda x, y: np.where(where, other.is_measured(x, y), surface.is_measured(x, y)),
+    )

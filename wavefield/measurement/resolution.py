@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prior import Prior
-from wavefield.measurement.field_model import LearnedRecord
 from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.model import LearnedRecord
 from wavefield.measurement.regrid import interpolation_gain
 
 Float = NDArray[np.floating[Any]]

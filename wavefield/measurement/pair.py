@@ -1,7 +1,8 @@
-"""Matching pairs of cameras: the surface that each measures at one instant."""
+"""One pair of cameras: matching its rectified images, and points of still water for a rig."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield import matching
+from wavefield.errors import CalibrationError
 from wavefield.matching import Reason
-from wavefield.matching.prepared import Mask
-from wavefield.measurement.frame import BETWEEN_CAMERAS, sharpened
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.rectify import rectify, widen
+from wavefield.measurement.images import prepare, ready, usable
 from wavefield.robust import robust_std
 from wavefield.variables import Quality
 
@@ -53,15 +53,6 @@ class PairMatch:
 def quarter_turn(vector: Float) -> Float:
     """Turned to the left by a quarter, (2, ny, nx)."""
     return np.stack([-vector[1], vector[0]])
-
-
-def prepare(
-    image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
-) -> matching.PreparedImage:
-    """Rectify a raw image and make it ready for matching."""
-    view = geometry.views[camera]
-    flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
-    return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
 
 
 def match_pair(
@@ -105,3 +96,44 @@ def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
     ):
         out[(reason & np.uint8(bits)) != 0] |= np.uint16(flag)
     return out
+
+
+_STRIDE_BLOCKS = 5  # nearer ones share their window
+
+
+def matched_pixels(
+    read: Callable[[str, int], NDArray[Any] | None],
+    frames: Sequence[int],
+    geometry: GridGeometry,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, NDArray[np.float64]]:
+    """Pixels (column, row) of the same points of the surface in each camera's images, (n, 2)."""
+    rig = geometry.rig
+    cells = np.s_[::_STRIDE_BLOCKS, ::_STRIDE_BLOCKS]
+    x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
+    parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in geometry.surface_cameras}
+    for done, index in enumerate(frames, 1):
+        images = {name: read(name, index) for name in geometry.surface_cameras}
+        if all(usable(image, rig[name].size) for name, image in images.items()):
+            flat = {
+                name: prepare(ready(np.asarray(image), geometry.sights[name].binning), name, geometry)
+                for name, image in images.items()
+            }
+            valid = np.zeros(x.shape, bool)
+            found = {}
+            for a, b in geometry.pairs:
+                match = match_pair(flat[a], flat[b], (a, b), geometry)
+                dx, dy = (np.where(match.matched, d, np.nan)[cells] for d in match.difference)
+                found[b] = np.stack(rig[b].project(x + dx, y + dy, 0.0), axis=-1)
+                valid |= match.matched[cells]
+            found[geometry.reference] = np.stack(rig[geometry.reference].project(x, y, 0.0), axis=-1)
+            for name, pixels in found.items():
+                parts[name].append(pixels[valid])
+        if progress:
+            progress(done, len(frames))
+    if not any(parts.values()):
+        raise CalibrationError(
+            f"none of the {len(frames)} frames tried is there, and of the rig's size, in all of "
+            f"{', '.join(parts)}: nothing to match"
+        )
+    return {name: np.concatenate(pixels) for name, pixels in parts.items()}

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.pair_surface import PairMatch
+from wavefield.measurement.pair import PairMatch
 
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]

@@ -1,0 +1,330 @@
+"""Frames made ready for matching: floor removed, brightness compressed, binned, rectified, masked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.compiled import compiled
+from wavefield.images import made_even
+from wavefield.matching.prepared import Mask
+from wavefield.measurement.geometry import Covered, GridGeometry, Pixels
+from wavefield.measurement.rectify import bin_pixels, rectify, widen
+
+SURROUNDINGS_SIGMA_PX = 4.0
+BEAD_WIDTHS_PX = 1.5, 8.0  # at half their height
+NOISE_SIGMA_PX = 1.0  # of the blur that removes the noise of single pixels
+MIN_SKEWNESS = 0.3  # of the brightness: less is a texture
+MAX_SIZE_TO_WIDTH = 3.0  # of a bead
+
+
+def bead_width(image: NDArray[Any]) -> float:
+    """Width of the beads' images at half their height, from the image's own correlation.
+
+    Of the image less its surroundings (sigma 4 px). White noise adds to the correlation without shift alone,
+    so the width follows from those for shifts of 1 and 2 px: a Gaussian bead of standard deviation s has
+    exp(-r^2 / 4 s^2). Subtracting the surroundings removes part of a bead: widths of 2 to 7 px come out a
+    tenth to a third too small. Beads skew the distribution of brightness, a texture does not: its width is 0.
+
+    Examples
+    --------
+    >>> beads = np.random.default_rng(0).random((200, 200)) > 0.995
+    >>> image = cv2.GaussianBlur(beads.astype(np.float32), (0, 0), 1.5)
+    >>> round(bead_width(image), 1)  # of 3.5
+    2.8
+    """
+    part = np.ascontiguousarray(image, np.float32)
+    # subtracting the surroundings removes part of a bead: hence the bias of the width
+    around = cv2.GaussianBlur(part, (0, 0), SURROUNDINGS_SIGMA_PX)
+    # beads skew the distribution of brightness, a texture does not
+    if _skewness(cv2.GaussianBlur(part, (0, 0), NOISE_SIGMA_PX) - around) < MIN_SKEWNESS:
+        return 0.0
+    part = part - around
+    part = np.clip(part, *np.percentile(part[::4, ::4], (1, 99.5)))
+    part -= part.mean()
+    # white noise adds to the correlation without shift alone: only shifts of 1 and 2 px are used
+    one, two = (
+        0.5 * float((part[:, k:] * part[:, :-k]).mean() + (part[k:] * part[:-k]).mean()) for k in (1, 2)
+    )
+    if one <= 0:
+        return BEAD_WIDTHS_PX[0]
+    fall = max(np.log(one / max(two, 1e-6 * one)) / 3.0, 0.02)  # 1 / 4 s^2
+    return float(np.clip(np.sqrt(8 * np.log(2.0)) * np.sqrt(0.25 / fall), *BEAD_WIDTHS_PX))
+
+
+def _skewness(part: NDArray[Any]) -> float:
+    some = part[::2, ::2]
+    some = some[np.isfinite(some)].astype(np.float64)
+    if not some.size:
+        return 0.0
+    some -= some.mean()
+    return float(np.mean(some**3) / max(np.mean(some**2) ** 1.5, 1e-30))
+
+
+def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
+    """Brightness in excess of anything as large as three beads: a white top-hat."""
+    if not width:
+        return image
+    side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        image = image.astype(np.float32)
+    return np.asarray(cv2.morphologyEx(np.ascontiguousarray(image), cv2.MORPH_TOPHAT, kernel))
+
+
+KNEE_TO_CONTRAST = 0.5  # above the background; below, the logarithm is nearly linear
+LEVEL_QUANTILES = 0.01, 0.5, 0.99
+BETWEEN_CAMERAS, IN_TIME = 1.5, 0.6  # `sharpened` for the surface and for displacements
+GREY_LEVELS_PER_E = 5000.0  # log(65535) still fits 16 bits
+
+
+def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
+    """Whether a frame has the size of its camera (width, height), numbers and contrast."""
+    if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
+        return False
+    if image.dtype.kind not in "uif":
+        return False
+    low, _, high = _levels(image)
+    return high > low
+
+
+def ready(
+    image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
+) -> NDArray[Any]:
+    """A usable frame as it is matched: the floor subtracted, brightness evened out, pixels binned.
+    The width of its beads, px, is found if None; covered pixels do not count.
+    """
+    if covered is not None:
+        image = made_even(image, covered)
+    width = bead_width(image) if width is None else width
+    if width:
+        image = above_floor(image, width)
+        low, half, _ = _levels(image, covered)
+        # beads are brighter than the median: a black level above it suppresses grains of a floor and noise
+        return bin_pixels(even_out(image, half + (half - low), covered), count)
+    return bin_pixels(even_out(image, covered=covered), count)
+
+
+def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
+    """An image with its short waves raised, so that beads do not reach into each other.
+    Where one does, brightness that differs between cameras pulls at the match, with the spectrum of beads.
+    """
+    kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
+    part = np.ascontiguousarray(image, np.float32)
+    return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
+
+
+def even_out(
+    image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
+) -> NDArray[Any]:
+    """Logarithm of the brightness above the black level B: log(1 + (I - B) / (0.5 (I_99 - B))).
+    Beads bright in one camera would pull the match; factors become additions, and gain and offset drop out.
+    """
+    low, _, high = _levels(image, covered)
+    low = low if black is None else black
+    knee = max(KNEE_TO_CONTRAST * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
+    if image.dtype in (np.uint8, np.uint16):
+        grey = np.arange(256 if image.dtype == np.uint8 else 65536, dtype=np.float64)
+        table = np.rint(GREY_LEVELS_PER_E * np.log1p(np.maximum(grey - low, 0.0) / knee))
+        table = np.minimum(table, 65535.0).astype(np.uint16)
+        image = np.ascontiguousarray(image)
+        if image.dtype == np.uint8:
+            return cv2.LUT(image, table)
+        out = np.empty(image.shape, np.uint16)
+        _table_value(image, table, out)
+        return out
+    above = np.maximum(image.astype(np.float32) - np.float32(low), np.float32(0.0))
+    result: NDArray[Any] = np.float32(GREY_LEVELS_PER_E) * np.log(np.float32(1.0) + above / np.float32(knee))
+    return result
+
+
+@compiled()
+def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            out[y, x] = table[image[y, x]]
+
+
+def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
+    """Brightness at 1, 50 and 99 % of a sample of the image; all equal if the image is too small."""
+    sample = image[3::8, 3::8].ravel()
+    if covered is not None:
+        sample = sample[~covered[3::8, 3::8].ravel()]
+    if image.dtype in (np.uint8, np.uint16):
+        counts = np.bincount(sample)  # many times faster than sorting
+        grey = np.flatnonzero(counts)
+        counts = counts[grey]
+    else:
+        sample = sample.astype(np.float32)
+        sample = sample[np.isfinite(sample)]
+        if 2 * sample.size < image.size // 64:
+            return 0.0, 0.0, 0.0
+        grey, counts = np.unique(sample, return_counts=True)
+    if not sample.size:
+        return 0.0, 0.0, 0.0
+    # between grey levels: whole ones, far apart where 8 bit are dark, would jump from frame to frame
+    rank = np.cumsum(counts) - 0.5 * counts
+    low, half, high = np.interp(sample.size * np.array(LEVEL_QUANTILES), rank, grey)
+    return float(low), float(half), float(high)
+
+
+Masks = Mapping[str, Pixels | None]
+
+
+def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
+    """Masks of one instant, ready for matching; one that stays the same is prepared once."""
+    out = {}
+    for name in geometry.cameras:
+        pixels = masks.get(name)
+        if pixels is None:
+            continue
+        last = geometry.prepared_masks.get(name)
+        if last is None or last[0] is not pixels:
+            last = pixels, _ready(pixels, name, geometry)
+            geometry.prepared_masks[name] = last
+        out[name] = last[1]
+    return out
+
+
+def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
+    w, h = geometry.sights[name].camera.size
+    count = geometry.sights[name].binning
+    good = np.where(pixels[: h * count, : w * count], np.uint8(0), np.uint8(255))
+    good = cv2.resize(good, (w, h), interpolation=cv2.INTER_AREA) if count > 1 else good
+    flat = None
+    if name in geometry.views:
+        X, Y = (np.float32(0.5) * place for place in geometry.views[name].maps)
+        seen = cv2.remap(good, X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        flat = Mask.of(geometry.views[name].visible & (seen > 250), geometry.settings.stereo)
+    return Covered(Mask.of(good > 250, geometry.settings.piv), flat)
+
+
+MIN_BARE_FRACTION = 0.1
+
+
+def bare_of_camera(covered: Sequence[Covered | None]) -> float:
+    """Fraction of a camera's blocks that are masked in none of some images."""
+    levels = [one.raw.levels[0] > 0 for one in covered if one is not None]
+    return max(float(np.logical_and.reduce(levels).mean()), MIN_BARE_FRACTION) if levels else 1.0
+
+
+def bare_of_pairs(covered: Mapping[str, Covered], geometry: GridGeometry) -> float:
+    """Fraction of the common views of pairs that is masked in neither camera, mean over the pairs."""
+
+    def level(name: str, mask: Mask | None) -> Pixels:
+        return (geometry.views[name].mask if mask is None else mask).levels[0] > 0
+
+    flat = {name: one.flat for name, one in covered.items() if one.flat is not None}
+    if not flat:
+        return 1.0
+    bare, seen = 0.0, 0.0
+    for a, b in geometry.pairs:
+        bare += float((level(a, flat.get(a)) & level(b, flat.get(b))).sum())
+        seen += float((level(a, None) & level(b, None)).sum())
+    return max(bare / max(seen, 1.0), MIN_BARE_FRACTION)
+
+
+def masked_nodes(
+    covered: tuple[Mapping[str, Covered], Mapping[str, Covered]],
+    missing: frozenset[str],
+    z: NDArray[Any],
+    geometry: GridGeometry,
+) -> Pixels:
+    """Nodes (ny, nx) masked by an outline on the water, or for too many cameras, on the surface z, metres.
+    True where no pair of the surface's cameras, or fewer than two of the velocity's, are left.
+    """
+    hidden = {}
+    for name in {*covered[0], *covered[1]}:
+        X, Y = geometry.sights[name].position(z)
+        hidden[name] = np.any([one[name].at(X, Y) for one in covered if name in one], axis=0)
+    nowhere = np.zeros(z.shape, bool)
+    present = [name for name in geometry.cameras if name not in missing]
+    pairs = geometry.pairs_for([n for n in geometry.surface_cameras if n in present])
+    no_pair = np.all([hidden.get(a, nowhere) | hidden.get(b, nowhere) for a, b in pairs], axis=0)
+    velocity = [name for name in geometry.velocity_cameras if name in present]
+    seeing = np.sum([~hidden.get(name, nowhere) for name in velocity], axis=0)
+    return np.asarray(geometry.covered_nodes | no_pair | (seeing < 2))
+
+
+def prepare(
+    image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
+) -> matching.PreparedImage:
+    """Rectify a raw image and make it ready for matching."""
+    view = geometry.views[camera]
+    flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
+    return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
+
+
+Frames = Mapping[str, NDArray[Any] | None]
+
+
+@dataclass(frozen=True)
+class Images:
+    """The usable frames of one instant, ready for matching."""
+
+    flat: Mapping[str, matching.PreparedImage]  # Rectified, for the surface; none of a light sheet
+    raw: Mapping[str, matching.PreparedImage]  # For matching in time
+    missing: frozenset[str]  # Cameras without a usable frame
+    covered: Mapping[str, Covered]  # Masks
+
+
+def usable_frames(
+    frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks
+) -> dict[str, NDArray[Any]]:
+    """Usable frames with the floor removed, of even brightness, binned."""
+    out: dict[str, NDArray[Any]] = {}
+    for name in geometry.cameras:
+        image = frames.get(name)
+        if image is not None and usable(image, geometry.rig[name].size):
+            out[name] = ready(image, geometry.sights[name].binning, beads[name], masks.get(name))
+    return out
+
+
+def rectified_images(
+    ready_frames: Mapping[str, NDArray[Any]], geometry: GridGeometry, covered: Mapping[str, Covered]
+) -> dict[str, matching.PreparedImage]:
+    """Images ready for matching between cameras; none of a light sheet."""
+    if geometry.settings.sheet_thickness is not None:
+        return {}
+    return {
+        name: prepare(ready_frames[name], name, geometry, covered[name].flat if name in covered else None)
+        for name in geometry.surface_cameras
+        if name in ready_frames
+    }
+
+
+def images_of(
+    frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
+) -> Images:
+    """Make the frames of one instant ready for matching; with the widths of beads, raw px, and masks."""
+    masks = masks or {}
+    covered = covered_in(masks, geometry)
+    ready_frames = usable_frames(frames, geometry, beads, masks)
+    flat = rectified_images(ready_frames, geometry, covered)
+    return with_raw_images(flat, ready_frames, geometry, covered)
+
+
+def with_raw_images(
+    flat: Mapping[str, matching.PreparedImage],
+    ready_frames: Mapping[str, NDArray[Any]],
+    geometry: GridGeometry,
+    covered: Mapping[str, Covered],
+) -> Images:
+    """Rectified images with those for matching in time."""
+    raw = {
+        name: matching.prepare(
+            sharpened(ready_frames[name], IN_TIME),
+            geometry.settings.piv,
+            covered[name].raw if name in covered else None,
+        )
+        for name in geometry.velocity_cameras
+        if name in ready_frames
+    }
+    missing = frozenset(name for name in geometry.cameras if name not in ready_frames)
+    return Images(flat, raw, missing, covered)

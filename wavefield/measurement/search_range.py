@@ -1,0 +1,302 @@
+"""Ranges of displacements and elevations to search, found in the record before it is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.matching.patch_shifts import confirmed, shifts, widened
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.images import ready, usable
+from wavefield.measurement.rectify import rectify
+from wavefield.measurement.settings import Settings
+from wavefield.variables import Quality
+
+
+@dataclass(frozen=True)
+class FirstGuess:
+    """Range of the displacements from one frame to the next."""
+
+    x: tuple[float, float]  # smallest and largest displacement, px of the image as it is matched
+    y: tuple[float, float]
+    found: int  # patches of images that were found again, and all that were searched for
+    tried: int
+
+    def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """Ranges to search along x and y, px; None where the usual one suffices or nothing was found."""
+        if not self.found:
+            return None
+        if all(low >= usual[0] and high <= usual[1] for low, high in (self.x, self.y)):
+            return None
+        return widened(self.x), widened(self.y)
+
+    @property
+    def sentence(self) -> str:
+        """The range in words."""
+        if self.found < 0.1 * self.tried:
+            return (
+                f"motion: only {self.found} of {self.tried} patches of images are found in the next frame; "
+                "are frames of one camera in order, bright and seeded, and the step short enough?"
+            )
+        along = (f"{low:+.0f} to {high:+.0f} px" for low, high in (self.x, self.y))
+        return (
+            f"motion: {next(along)} along x, {next(along)} along y from frame to frame "
+            f"({self.found} of {self.tried} test patches matched)"
+        )
+
+
+def first_guess(
+    read: Callable[[str, int], NDArray[np.float32] | None], cameras: Sequence[str], steps: Sequence[int]
+) -> FirstGuess:
+    """Range of the displacements in some steps of a record."""
+    kept: list[NDArray[np.float64]] = []
+    tried = 0
+    for step in steps:
+        for name in cameras:
+            a, b = read(name, step), read(name, step + 1)
+            if a is None or b is None:
+                continue
+            moved = shifts(np.asarray(a, np.float32), np.asarray(b, np.float32))
+            tried += len(moved)
+            kept.append(confirmed(moved[:, :2]))
+    found = np.concatenate(kept) if kept else np.zeros((0, 2))
+    if not len(found):
+        return FirstGuess((0.0, 0.0), (0.0, 0.0), 0, tried)
+    (x0, y0), (x1, y1) = found.min(axis=0).tolist(), found.max(axis=0).tolist()
+    return FirstGuess((x0, x1), (y0, y1), len(found), tried)
+
+
+def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
+    """Settings whose search includes the motion of the water."""
+    piv = settings.piv
+    wide = guess.search(searched(settings)[0])
+    if wide is None:
+        return settings
+    return replace(settings, piv=replace(piv, search_x=wide[0], search_y=wide[1]))
+
+
+def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Range of displacements that matching in time reaches, along x and along y, px."""
+    nothing = (-4.0, 4.0)  # without a search the pyramid reaches a few px
+    return settings.piv.search_x or nothing, settings.piv.search_y or nothing
+
+
+def beyond(settings: Settings, moved: NDArray[np.float64]) -> bool:
+    """Whether most of the displacements (n, 2), px, are outside the range that is searched."""
+    if len(moved) < 3:
+        return False
+    out = np.zeros(len(moved), bool)
+    for along, (low, high) in zip(moved.T, searched(settings)):
+        out |= (along < low) | (along > high)
+    return bool(out.mean() > 0.5)
+
+
+COARSE_PX = 2  # averaged along each side: how differently cameras see a bead matters less
+PATCH_COARSE_PX = 48  # side of the patches that are searched for
+MAX_EPIPOLAR_COARSE_PX = 5.0
+SEARCH_FACTOR = 5.0  # on the usual range of elevations
+MAX_FILLED_RANGE = 0.6  # of the usual range in samples: water that fills more exceeds it in a long record
+MARGIN = 0.3  # of the span that was found, added on either side, or half of the usual range
+
+Read = Callable[[str, int], NDArray[Any] | None]
+
+
+@dataclass(frozen=True)
+class FirstHeights:
+    """Range of the elevations over the record."""
+
+    z: tuple[float, float]  # lowest and highest elevation that was found, metres
+    found: int  # patches of images that were found in the other camera's, and all that were searched for
+    tried: int
+    searched: tuple[float, float]  # range that the run searches, metres
+    resolution: float = (
+        0.0  # of these elevations, a pixel of parallax: coarse where cameras are close together
+    )
+
+    @property
+    def sentence(self) -> str:
+        """The range in words."""
+        low, high = (100 * z for z in self.searched)
+        digits = max(1, 2 - math.floor(math.log10(high - low))) if high > low else 1
+        searched = f"searched {low:+.{digits}f} to {high:+.{digits}f} cm"
+        if not self.tried:
+            return (
+                f"elevation: the images are too small to find its range; {searched}; where water goes "
+                "further state z_range"
+            )
+        if not self.found:
+            return (
+                f"elevation: none of {self.tried} patches of images is found in another camera's; {searched}"
+            )
+        coarse = self.resolution > 0.1 * (self.searched[1] - self.searched[0])
+        within = f" to within {100 * self.resolution:.2g} cm" if coarse else ""
+        lowest, highest = (f"{100 * z:+.{digits}f}" for z in self.z)
+        return (
+            f"elevation: {lowest} to {highest} cm{within} ({self.found} of {self.tried} patches found in "
+            f"another camera's image), {searched}"
+        )
+
+
+def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
+    """Range of the elevations in some frames of a record, from patches of images rectified to z = 0.
+    A patch is searched for in another camera's image; the parallax is that of `match_pair`.
+    """
+    kept: list[NDArray[np.float64]] = []
+    tried = 0
+    for frame in frames:
+        flat: dict[str, NDArray[np.float32]] = {}
+        for name in geometry.surface_cameras:
+            image = read(name, frame)
+            if image is not None:
+                flat[name] = _coarse(rectify(np.asarray(image), *geometry.views[name].maps))
+        for a, b in geometry.pairs:
+            if a in flat and b in flat:
+                moved = shifts(flat[a], flat[b], PATCH_COARSE_PX, _reach((a, b), geometry))
+                tried += len(moved)
+                z = _heights(moved[np.isfinite(moved[:, 0])], (a, b), geometry)
+                confirmed = np.abs(z[:, None] - z) < _agreement(geometry)
+                kept.append(z[confirmed.sum(axis=0) > 1])
+    found = np.concatenate(kept) if kept else np.zeros(0)
+    ends = (float(found.min()) + 0.0, float(found.max()) + 0.0) if len(found) else (0.0, 0.0)  # no -0
+    return FirstHeights(ends, len(found), tried, geometry.z_range, _resolution(geometry))
+
+
+def _resolution(geometry: GridGeometry) -> float:
+    """Elevation by which the parallax changes by a coarse pixel in the middle of the field, metres."""
+    x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
+    step = COARSE_PX * geometry.pixel
+    lines = {name: np.array(geometry.rig[name].sight_line(x, y)) for name in geometry.surface_cameras}
+    return max((step / float(np.hypot(*(lines[b] - lines[a]))) for a, b in geometry.pairs), default=0.0)
+
+
+def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
+    """Largest parallax along x and along y of the elevations searched here, coarse px."""
+    x, y = np.meshgrid(geometry.lattice.x[[0, -1]], geometry.lattice.y[[0, -1]])
+    (Ax, Ay), (Bx, By) = (geometry.rig[name].sight_line(x, y) for name in pair)
+    height = SEARCH_FACTOR * max(abs(z) for z in geometry.z_range) / (COARSE_PX * geometry.pixel)
+    along = (int(height * np.abs(b - a).max() + 2 * MAX_EPIPOLAR_COARSE_PX) for a, b in ((Ax, Bx), (Ay, By)))
+    return next(along), next(along)
+
+
+def _agreement(geometry: GridGeometry) -> float:
+    """Elevations closer than this confirm each other, metres."""
+    return max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
+
+
+def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
+    small = cv2.resize(
+        image.astype(np.float32), None, fx=1 / COARSE_PX, fy=1 / COARSE_PX, interpolation=cv2.INTER_AREA
+    )
+    return np.asarray(small, np.float32)
+
+
+def _heights(
+    moved: NDArray[np.float64], pair: tuple[str, str], geometry: GridGeometry
+) -> NDArray[np.float64]:
+    """Elevations of patches (n, 5) from `shifts`, metres, without those of large epipolar error."""
+    step = COARSE_PX * geometry.pixel
+    half = 0.5 * (COARSE_PX - 1) * geometry.pixel
+    x, y = (origin + half + step * at for origin, at in zip(geometry.plane.origin, moved[:, 3:].T))
+    dx, dy = step * moved[:, 0], step * moved[:, 1]
+    Ax, Ay = geometry.rig[pair[0]].sight_line(x, y)
+    Bx, By = geometry.rig[pair[1]].sight_line(x + dx, y + dy)
+    px, py = Bx - Ax, By - Ay
+    square = px * px + py * py
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = -(px * dx + py * dy) / square
+        across = (py * dx - px * dy) / np.sqrt(square)
+    out: NDArray[np.float64] = z[np.isfinite(z) & (np.abs(across) < MAX_EPIPOLAR_COARSE_PX * step)]
+    return out
+
+
+def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
+    """Settings whose search includes the elevations of the water."""
+    low, high = found.searched
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
+        return settings, found
+    margin = max(MARGIN * (found.z[1] - found.z[0]), 0.5 * half, found.resolution)
+    wide = (round(found.z[0] - margin, 4), round(found.z[1] + margin, 4))
+    return replace(settings, z_range=wide), replace(found, searched=wide)
+
+
+Images = Mapping[str, NDArray[Any] | None]
+
+
+def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
+    """The geometry with the ranges to search found in some steps; itself if its own suffice."""
+
+    def read(name: str, frame: int) -> NDArray[Any] | None:
+        image = pairs[frame // 2][frame % 2].get(name)
+        if image is None or not usable(image, geometry.rig[name].size):
+            return None
+        return np.asarray(ready(image, geometry.sights[name].binning))
+
+    first_frames = [2 * k for k in range(len(pairs))]
+    settings = geometry.settings
+    if searched(settings) == searched(Settings()):
+        settings = wide_enough(settings, first_guess(read, geometry.velocity_cameras, first_frames))
+    if settings.z_range is None:
+        settings, _ = high_enough(settings, first_heights(read, geometry, first_frames))
+    if settings == geometry.settings:
+        return geometry
+    return GridGeometry(geometry.rig, geometry.grid, settings, geometry.covered)
+
+
+BORDER_FRACTION = 0.03  # of the range of elevations at either end
+MIN_FRACTION_AT_BORDER = 0.01  # of the nodes
+MIN_MEASURED_FRACTION = 0.5  # of the nodes in view
+
+
+def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
+    """Whether a surface z (ny, nx), metres, reaches an end of the range of elevations searched.
+
+    Examples
+    --------
+    >>> at_border(np.array([[0.01, 0.099], [np.nan, 0.02]]), (-0.1, 0.1))
+    True
+    """
+    known = z[np.isfinite(z)]
+    if not known.size:
+        return False
+    spare = BORDER_FRACTION * (searched[1] - searched[0])
+    outside = (known < searched[0] + spare) | (known > searched[1] - spare)
+    return bool(outside.mean() > MIN_FRACTION_AT_BORDER)
+
+
+def few_measured(quality: NDArray[np.uint8]) -> bool:
+    """Whether fewer than half of the nodes in view were measured."""
+    seen = (quality & np.uint8(Quality.OUTSIDE)) == 0
+    measured = (quality[seen] & np.uint8(Quality.MEASURED)) != 0
+    return bool(measured.size) and bool(measured.mean() < MIN_MEASURED_FRACTION)
+
+
+def rose_beyond(images: Mapping[str, NDArray[Any] | None], geometry: GridGeometry) -> bool:
+    """Whether the water of an instant is outside the elevations searched, by a wider search."""
+
+    def read(name: str, _: int) -> NDArray[Any] | None:
+        image = images.get(name)
+        if image is None or not usable(image, geometry.rig[name].size):
+            return None
+        return ready(image, geometry.sights[name].binning)
+
+    found = first_heights(read, geometry, [0])
+    return bool(found.found) and (found.z[0] < geometry.z_range[0] or found.z[1] > geometry.z_range[1])
+
+
+def moved_beyond(
+    one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, geometry: GridGeometry
+) -> bool:
+    """Whether a camera's image moved further than is searched, by a wider search."""
+    size, count = geometry.rig[name].size, geometry.sights[name].binning
+    if one is None or other is None or not usable(one, size) or not usable(other, size):
+        return False
+    a, b = (np.asarray(ready(image, count), np.float32) for image in (one, other))
+    moved = shifts(a, b)
+    return beyond(geometry.settings, confirmed(moved[:, :2]))
