@@ -70,11 +70,10 @@ def checks(monkeypatch, tmp_path):
     monkeypatch.setattr(slurm, "_POLL_SECONDS", -1.0)
     job = SimpleNamespace(refused="", job_id="17", log_directory=str(tmp_path))
     watch = QueueWatch(SimpleNamespace(workers={"0": job}))
-    client = SimpleNamespace(nthreads=dict)
 
-    def check(listed):
+    def check(listed, workers=None):
         monkeypatch.setattr(slurm, "queue_of", lambda user: listed)
-        watch(client)
+        watch(SimpleNamespace(nthreads=lambda: workers or {}))
 
     return job, check
 
@@ -94,6 +93,9 @@ def test_jobs_that_sbatch_refuses_end_the_run(checks):
 def test_jobs_that_ended_without_a_worker_end_the_run_with_their_log(checks, tmp_path):
     (tmp_path / "wavefield-17.err").write_text("Loading\nNo module named 'wavefield'\n")
     checks[1]({"17": ("RUNNING", "None")})
+    checks[1]({})
+    checks[1]({})
+    checks[1]({}, {"tls://worker": 1})  # one is there for a while: what ends later is counted anew
     checks[1]({})
     checks[1]({})
     with pytest.raises(

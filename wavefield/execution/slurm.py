@@ -159,9 +159,12 @@ class QueueWatch:
     def __call__(self, client: Any) -> None:
         """Check the jobs while there is no worker, unless that was a moment ago."""
         now = time.monotonic()
-        if now - self._checked_at < _POLL_SECONDS or client.nthreads():
+        if now - self._checked_at < _POLL_SECONDS:
             return
         self._checked_at = now
+        if client.nthreads():
+            self._gone = 0
+            return
         jobs = list(self._cluster.workers.values())
         for job in jobs:
             if job.refused:
