@@ -15,6 +15,7 @@ import numpy as np
 from wavefield.errors import ExperimentError, StoreError, WavefieldError
 from wavefield.sampling import from_first_to_last
 from wavefield.series import Experiment, FrameSeries
+from wavefield.series.readers import without_password
 
 SAMPLE_FRAMES = 3  # frames of each camera: first, middle and last
 
@@ -26,6 +27,8 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
         digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
         images = f"list of {len(images)} files, {digest}"
+    if isinstance(images, str):
+        images = without_password(images)
     return [images, section.offset, section.times]
 
 
