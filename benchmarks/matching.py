@@ -549,8 +549,8 @@ def specimen(folder: Path) -> None:
     du, dv = (u - ref["CROSS_CORR_Q"])[good & valid], (v - ref["CROSS_CORR_R"])[good & valid]
     pooled = float(np.median(np.abs(np.concatenate([du, dv]))))
     row("left to right, median difference of a component", 0.02, pooled, note=_medians(du, dv, good))
-    from wavefield.rig.epipolar import epipolar_distance
     from wavefield.rig.formats import load_rig
+    from wavefield.rig.stereo import epipolar_distance
 
     rig = load_rig(folder / "cal.xml")
     one, two = (rig[name] for name in list(rig)[:2])

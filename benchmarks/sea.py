@@ -29,7 +29,7 @@ from wavefield.calibration.level_on_water import level_experiment
 from wavefield.grid import Grid
 from wavefield.pipeline.running import run
 from wavefield.rig import Rig
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
 from wavefield.rig.water_level import fit_plane
 from wavefield.series import Experiment
 from wavefield.store.read import open_cube

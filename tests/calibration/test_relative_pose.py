@@ -32,7 +32,7 @@ def sea(tmp_path_factory):
 
 
 def test_features_of_moving_water_are_matched_to_fractions_of_a_pixel(sea):
-    from wavefield.rig.epipolar import epipolar_distance
+    from wavefield.rig.stereo import epipolar_distance
 
     cameras, matches, _ = sea
     miss = np.concatenate([np.abs(epipolar_distance(*cameras.values(), *a.T, *b.T)) for a, b in matches])

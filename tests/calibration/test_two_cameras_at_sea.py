@@ -12,7 +12,7 @@ from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
 from wavefield.tank import Scene, Tank, simulate
 from wavefield.variables import Quality
 

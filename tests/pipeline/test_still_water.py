@@ -15,7 +15,7 @@ from wavefield.measurement.error_budget import level_std
 from wavefield.pipeline.still_water import level_at_rest
 from wavefield.quality.remarks import remark_on_rest
 from wavefield.rig import Rig
-from wavefield.rig.resolution import pixel_at
+from wavefield.rig.field import pixel_at
 from wavefield.series import Experiment
 from wavefield.tank import Scene, Tank
 

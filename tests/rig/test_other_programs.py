@@ -13,7 +13,7 @@ from wavefield.commands.archive import rig as command
 from wavefield.errors import RigError
 from wavefield.rig import Rig
 from wavefield.rig.formats import load_rig, save_rig
-from wavefield.rig.rotation import rotation_about
+from wavefield.rig.lens import rotation_about
 
 
 def test_the_rig_file_of_the_documentation_is_read(tmp_path):

@@ -168,7 +168,7 @@ def test_vic_calibration_fits_the_references_matches(shared):
 
 
 def epipolar(a, b, Xa, Ya, Xb, Yb):
-    from wavefield.rig.epipolar import epipolar_distance
+    from wavefield.rig.stereo import epipolar_distance
 
     return epipolar_distance(a, b, Xa, Ya, Xb, Yb)
 

@@ -4,8 +4,8 @@ import pytest
 from wavefield.errors import RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
-from wavefield.rig.pairs import middle_camera, pairs_of
-from wavefield.rig.resolution import pixel_at, pixel_sides, pixel_size
+from wavefield.rig.field import pixel_at, pixel_sides, pixel_size
+from wavefield.rig.rig import middle_camera, pairs_of
 from wavefield.tank import paper_rig
 
 

@@ -17,9 +17,8 @@ from wavefield.calibration.pose_consistency import PoseConsistency, compare_pose
 from wavefield.calibration.result import Calibration
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
-from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.lens import Array
-from wavefield.rig.stereo import triangulate
+from wavefield.rig.stereo import epipolar_distance, triangulate
 from wavefield.rig.water_level import WaterPlane, fit_plane
 from wavefield.robust import robust_std
 

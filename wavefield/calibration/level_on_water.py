@@ -21,8 +21,8 @@ from wavefield.calibration.relative_pose import (
 )
 from wavefield.errors import RigError
 from wavefield.rig import Rig
-from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.lens import Array
+from wavefield.rig.stereo import epipolar_distance
 from wavefield.rig.water_level import level
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, masks

@@ -15,10 +15,9 @@ from wavefield.errors import CalibrationError
 from wavefield.measurement.images import usable
 from wavefield.measurement.rectify import rectify, sight_map
 from wavefield.rig import Rig
-from wavefield.rig.field import common_field
+from wavefield.rig.field import common_field, pixel_at
 from wavefield.rig.lens import Array
-from wavefield.rig.pairs import pairs_of
-from wavefield.rig.resolution import pixel_at
+from wavefield.rig.rig import pairs_of
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment
 

@@ -19,9 +19,8 @@ from wavefield.calibration.relative_pose import MAX_DEPTH_RATIO, MAX_EPIPOLAR_ER
 from wavefield.errors import RigError
 from wavefield.images import write_image
 from wavefield.rig import Camera, Rig
-from wavefield.rig.epipolar import epipolar_distance
-from wavefield.rig.lens import Array
-from wavefield.rig.rotation import rotation_about
+from wavefield.rig.lens import Array, rotation_about
+from wavefield.rig.stereo import epipolar_distance
 from wavefield.robust import robust_std
 from wavefield.series import Experiment, masks
 from wavefield.series.frames import FrameSeries

@@ -15,8 +15,8 @@ from scipy.optimize import least_squares
 from wavefield.calibration.camera_start import Pose
 from wavefield.errors import RigError
 from wavefield.rig import Camera, Rig
-from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.lens import Array
+from wavefield.rig.stereo import epipolar_distance
 
 Pixels = tuple[Array, Array]  # (n, 2) in one image and in the other
 

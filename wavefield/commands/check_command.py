@@ -136,7 +136,7 @@ def _report(
 def _pairs_table(prepared: PreparedRun) -> str:
     """What `diagnose` finds around the middle of the record, a line per error."""
     from wavefield.measurement.diagnostics import diagnose_around
-    from wavefield.rig.resolution import pixel_size
+    from wavefield.rig.field import pixel_size
 
     pixel = pixel_size(prepared.rig, prepared.grid)
     middle = len(next(iter(prepared.series.values()))) // 2

@@ -46,7 +46,7 @@ def comparison(store: Path, directory: Path) -> str:
     from wavefield.pipeline import open_run
     from wavefield.reports import errors_against
     from wavefield.rig import Rig
-    from wavefield.rig.resolution import pixel_size
+    from wavefield.rig.field import pixel_size
 
     run = open_run(store, experiment=directory / "experiment.yaml")
     cube = run.cube

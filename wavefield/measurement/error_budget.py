@@ -32,7 +32,7 @@ from wavefield.measurement.paths import (
     uneven_weights,
 )
 from wavefield.measurement.velocity import WAVE_VARIANCES
-from wavefield.rig.resolution import pixel_at
+from wavefield.rig.field import pixel_at
 from wavefield.variables import EXACT_SIX
 from wavefield.water import dispersion
 

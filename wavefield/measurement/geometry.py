@@ -21,9 +21,8 @@ from wavefield.measurement.rectify import binned, sight_map
 from wavefield.measurement.regrid import BlockLattice
 from wavefield.measurement.settings import Settings
 from wavefield.rig import Camera, Rig
-from wavefield.rig.field import view_on_water
-from wavefield.rig.pairs import pairs_of
-from wavefield.rig.resolution import pixel_at, pixel_sides
+from wavefield.rig.field import pixel_at, pixel_sides, view_on_water
+from wavefield.rig.rig import pairs_of
 
 Float = NDArray[np.floating]
 

@@ -18,9 +18,8 @@ from wavefield.grid import Grid
 from wavefield.pipeline.chunk import Chunk, make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_from, once_per_cube, samples
 from wavefield.rig import Rig
-from wavefield.rig.field import common_field
+from wavefield.rig.field import common_field, pixel_size
 from wavefield.rig.formats import load_rig
-from wavefield.rig.resolution import pixel_size
 from wavefield.series import Frame
 from wavefield.series.frames import check_content
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameFault, annotate

@@ -13,8 +13,7 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.quality.remarks import MIN_COVERAGE, MIN_USEFUL_COVERAGE
 from wavefield.rig import Camera, Rig
-from wavefield.rig.field import common_field
-from wavefield.rig.resolution import pixel_sides, pixel_size
+from wavefield.rig.field import common_field, pixel_sides, pixel_size
 from wavefield.series import Experiment
 from wavefield.store.verdict import Remark
 

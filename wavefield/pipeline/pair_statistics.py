@@ -16,7 +16,7 @@ from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, 
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
 from wavefield.pipeline.learning import both_frames, learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
 from wavefield.sampling import from_first_to_last
 from wavefield.store.camera_pairs import read_pair_statistics, write_pair_statistics
 from wavefield.store.read import open_group

@@ -26,7 +26,7 @@ from wavefield.pipeline.learning import learn_record, once_per_cube
 from wavefield.pipeline.magnitudes import refuse_small_fields
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status

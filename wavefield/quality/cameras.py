@@ -29,7 +29,7 @@ from wavefield.quality.patch_matching import (
     rms_over_field,
 )
 from wavefield.quality.remarks import CAMERA_LIMITS
-from wavefield.rig.resolution import pixel_at
+from wavefield.rig.field import pixel_at
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 

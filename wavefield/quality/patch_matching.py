@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from wavefield.grid import Grid
 from wavefield.parabola import parabola_vertex
 from wavefield.rig import Rig
-from wavefield.rig.epipolar import parallax
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
+from wavefield.rig.stereo import parallax
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

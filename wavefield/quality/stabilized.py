@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
-from wavefield.rig.epipolar import parallax
+from wavefield.rig.stereo import parallax
 from wavefield.robust import PER_MEDIAN, reweighted_lstsq
 from wavefield.variables import AROUND
 

@@ -11,7 +11,7 @@ from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Picture, ReportSection, Table, Text
 from wavefield.reports.numbers import number, rms_of, thinned
 from wavefield.reports.waves import noise_pictures
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
 
 _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "mm/s"))
 

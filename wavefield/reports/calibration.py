@@ -20,8 +20,7 @@ from wavefield.reports import calibration_pictures as pictures
 from wavefield.reports.html import Head, Item, Listing, Picture, ReportSection, Table, Text, render
 from wavefield.reports.numbers import number, small
 from wavefield.rig import Rig
-from wavefield.rig.field import common_field
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import common_field, pixel_size
 
 REPORT = Product("calibration report")
 _PREDICTED = (

@@ -14,7 +14,7 @@ from wavefield.figures.style import LINES, RIGHT, panels
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Listing, Picture, ReportSection, Table
 from wavefield.reports.numbers import extremes_of, median_of, number, thinned
-from wavefield.rig.pairs import pairs_of
+from wavefield.rig.rig import pairs_of
 from wavefield.store.ledger import status
 from wavefield.store.verdict import Numbers, Verdict
 from wavefield.variables import FrameStatus

@@ -22,7 +22,7 @@ from wavefield.reports.waves import (
     nonlinear_ratio_picture,
     spectrum_pictures,
 )
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
 from wavefield.store.read import find_store, open_cube
 from wavefield.store.recipe import source_of
 from wavefield.store.store_paths import beside

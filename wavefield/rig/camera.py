@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefield.errors import RigError
 from wavefield.rig import fisheye as fisheye_lens
-from wavefield.rig.lens import Array, apply_homography, distort, distort_jacobian, tilt_matrix
-from wavefield.rig.rotation import rotation_about
+from wavefield.rig.lens import Array, apply_homography, distort, distort_jacobian, rotation_about, tilt_matrix
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The field that all cameras of a rig see."""
+"""The field that all cameras of a rig see, and the size of their pixels on the water."""
 
 from collections.abc import Iterable
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wavefield.errors import RigError
 from wavefield.grid import Grid, largest_rectangle
 from wavefield.rig.camera import Camera
-from wavefield.rig.resolution import pixel_sides
+from wavefield.rig.rig import Rig
 
 HORIZON_SAMPLES = 65  # pixels along each side of an image that shows the horizon
 MAX_DISTANCE_RATIO = 3.0  # times the nearest water: further towards the horizon pixels are too coarse
@@ -102,3 +102,23 @@ def view_on_water(camera: Camera) -> NDArray[np.float64]:
 def _round_up(length: float) -> float:
     power = 10.0 ** np.floor(np.log10(length))
     return float(round(power * next(m for m in (1, 2, 5, 10) if m * power >= length * (1 - 1e-9)), 12))
+
+
+def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
+    """Shorter and longer side, metres, of a camera's pixel on the still water; RigError if not in view."""
+    jacobian = camera.jacobian(x, y, 0.0)[:, :2]
+    if not np.isfinite(jacobian).all():
+        raise RigError("a camera does not see the middle of the grid: is the grid in its view?")
+    most, least = np.linalg.svd(jacobian, compute_uv=False)
+    return float(1.0 / most), float(1.0 / least)
+
+
+def pixel_at(camera: Camera, x: float, y: float) -> float:
+    """Size of a camera's pixel on the still water, metres: the side of a square of the same area."""
+    return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
+
+
+def pixel_size(rig: Rig, grid: Grid) -> float:
+    """Size of a pixel on the water, metres: of the coarsest camera, in the middle of the grid."""
+    x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
+    return max(pixel_at(camera, x, y) for camera in rig.cameras.values())

@@ -1,11 +1,11 @@
 """The lens and the sensor behind it, with their derivatives, for cameras and for their calibration.
 
 Tangents of the viewing angles (a, b) = (xc / zc, yc / zc) become distorted ones by the lens, and pixels by
-the sensor, which may be tilted (Scheimpflug). All terms are OpenCV's.
+the sensor, which may be tilted (Scheimpflug). All terms are OpenCV's. Rotations are vectors or matrices.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wavefield.rig import fisheye
 
@@ -121,3 +121,15 @@ def _project_fisheye(lens: Array, points: Array) -> tuple[Array, Array, Array]:
     columns = [LENS.index(term) for term in ("k1", "k2", "k3", "k4")]
     by_lens[..., columns] = K @ fisheye.term_derivatives(xc, yc, zc)
     return pixel, K @ fisheye.distort_jacobian(xc, yc, zc, k), by_lens
+
+
+def rotation_about(vector: ArrayLike) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues)."""
+    x, y, z = np.asarray(vector, float)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.sqrt(x * x + y * y + z * z))
+    half = 0.5 * angle
+    # sinc keeps both quotients exact at zero
+    turn: Array = np.eye(3) + np.sinc(angle / np.pi) * cross
+    turn += 0.5 * np.sinc(half / np.pi) ** 2 * cross @ cross
+    return turn

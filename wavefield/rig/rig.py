@@ -1,6 +1,6 @@
-"""A rig: several named cameras in view of the same water."""
+"""A rig: several named cameras in view of the same water, and which are compared with which."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -205,3 +205,16 @@ class Rig:
                 raise RigError(f"camera {name!r}: focal lengths and image size must be positive")
             cameras[str(name)] = camera
         return cls(cameras, data.get("provenance") or {})
+
+
+def middle_camera(rig: Rig, names: Sequence[str]) -> str:
+    """The camera with the least sum of distances to all others; of two, the first."""
+    centres = np.array([rig[n].centre for n in names])
+    reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
+    return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]
+
+
+def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """The middle camera with each of the others."""
+    reference = middle_camera(rig, names)
+    return tuple((reference, n) for n in names if n != reference)

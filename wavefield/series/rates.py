@@ -22,7 +22,7 @@ def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]
 
 def video_rotations(cameras: Mapping[str, object], folder: Path) -> dict[str, int]:
     """Degrees by which videos state that they are to be turned, by camera; frames are read as stored."""
-    out = {}
+    out: dict[str, int] = {}
     for name, images in _images(cameras):
         paths = recordings_of(images, name, folder)
         if paths and is_video(paths[0]):

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from wavefield.rig import Rig
-from wavefield.rig.resolution import pixel_size
+from wavefield.rig.field import pixel_size
 from wavefield.variables import AROUND, Quality
 
 if TYPE_CHECKING:

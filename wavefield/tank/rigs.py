@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import view_on_water
-from wavefield.rig.rotation import rotation_about
+from wavefield.rig.lens import rotation_about
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,19 @@ import yaml
 
 from wavefield.errors import RigError
 from wavefield.rig.formats.common import LENGTHS, ImportOptions, Size
-from wavefield.rig.formats.davis_rig import load_davis
-from wavefield.rig.formats.dice import is_dice_text, is_dice_xml, load_dice_text, load_dice_xml, save_dice
-from wavefield.rig.formats.matlab_rig import load_matlab, save_matlab
+from wavefield.rig.formats.correlation import (
+    is_dice_text,
+    is_dice_xml,
+    load_dice_text,
+    load_dice_xml,
+    load_vic,
+    save_dice,
+    save_vic,
+)
+from wavefield.rig.formats.davis import load_davis
+from wavefield.rig.formats.matlab import load_matlab, save_matlab
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
-from wavefield.rig.formats.uvmat_rig import load_uvmat, save_uvmat
-from wavefield.rig.formats.vic import load_vic, save_vic
+from wavefield.rig.formats.uvmat import load_uvmat, save_uvmat
 from wavefield.rig.rig import Rig, read_rig_text
 from wavefield.text import one_line
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.lens import Array
+from wavefield.rig.lens import Array, rotation_about
 from wavefield.rig.rig import Rig
-from wavefield.rig.rotation import rotation_about
 
 Size = tuple[int, int]
 LENGTHS = {
