@@ -85,10 +85,31 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
     inside = slice(margin, -margin)
     out = np.empty((4, *u.shape), np.float32)
     for n, field in enumerate((u, v)):
-        around = np.pad(np.asarray(field, np.float32), margin, "reflect", reflect_type="odd")
+        around = np.empty((u.shape[0] + 2 * margin, u.shape[1] + 2 * margin), np.float32)
+        _extend_oddly(np.asarray(field, np.float32), margin, around)
         for m, (along_x, along_y) in enumerate(((difference, sharpened), (sharpened, difference))):
             out[2 * n + m] = cv2.sepFilter2D(around, -1, along_x, along_y)[inside, inside]
     return out
+
+
+@njit
+def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
+    """Write a field with a margin that continues its slopes: reflected about the value at the edge."""
+    ny, nx = field.shape
+    for j in range(ny):
+        row, to = field[j], out[margin + j]
+        to[margin : margin + nx] = row
+        for k in range(1, margin + 1):
+            n = min(k, nx - 1)
+            to[margin - k] = F(2) * row[0] - row[n]
+            to[margin + nx - 1 + k] = F(2) * row[nx - 1] - row[nx - 1 - n]
+    first, last = out[margin], out[margin + ny - 1]
+    for k in range(1, margin + 1):
+        n = min(k, ny - 1)
+        low, high = out[margin + n], out[margin + ny - 1 - n]
+        for i in range(out.shape[1]):
+            out[margin - k, i] = F(2) * first[i] - low[i]
+            out[margin + ny - 1 + k, i] = F(2) * last[i] - high[i]
 
 
 @njit

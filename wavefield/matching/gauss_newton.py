@@ -285,7 +285,13 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
         else:
             sums = last_sums(a, b, u, v, _slopes(u, v), pair.work)
         sums *= pair.count
-        windowed = pair.windows(sums)
+        windowed = np.empty_like(sums)
+        if settings.robust:
+            pair.windows(sums, windowed)
+        else:
+            pair.windows(sums[:2], windowed[:2])
+            windowed[2:5] = pair.hessian
+            pair.windows(sums[5:], windowed[5:])
         before = u, v
         u, v, outlier = pair.advance(u, v, windowed[2:5], windowed[:2], number)
         if settings.robust:

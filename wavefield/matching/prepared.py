@@ -207,8 +207,9 @@ def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.nda
     if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
         return None
     bright = cv2.inRange(image, largest, largest)
-    saturated = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((SATURATED_SIDE, SATURATED_SIDE), np.uint8))
-    return saturated > 0 if cv2.countNonZero(saturated) else None
+    patch = np.ones((SATURATED_SIDE, SATURATED_SIDE), np.uint8)
+    middles = cv2.erode(bright, patch)
+    return cv2.dilate(middles, patch) > 0 if cv2.countNonZero(middles) else None
 
 
 def _padded(h: int, w: int) -> np.ndarray:
