@@ -48,7 +48,7 @@ def most_probable(modes, blocks):
     information = np.full((1, *SHAPE), 1 / NOISE**2, np.float32)
     factor = modes.factor(information[0])
     none = np.zeros((1, *modes.shape), np.float32)
-    return [modes.solve(information, information * f, none, 1e-3, none, factor) for f in blocks]
+    return [modes.solve(information, information * f, none, 1e-3, factor) for f in blocks]
 
 
 def learned(blocks, thought=3.0):

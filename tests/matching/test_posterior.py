@@ -10,7 +10,6 @@ from wavefield.matching import (
     Modes,
     PosteriorVariance,
     Prior,
-    edge_slopes,
     first_prior,
     noise_factor_near_holes,
     noise_of_scores,
@@ -54,16 +53,15 @@ def test_the_solver_agrees_with_a_dense_solve(fields):
         a[1] *= 0.2
     a[:, 4:9, 5:11] = 0  # a gap
     right = rng.standard_normal((fields, *shape)).astype(np.float32) * (a[0] > 0)
-    mean = rng.standard_normal((fields, my, mx)).astype(np.float32)
     parts = [[0]] if fields == 1 else [[0, 1], [1, 2]]
     dense = np.block([[seen.T @ (a[q].ravel()[:, None] * seen) for q in row] for row in parts])
     inverse = np.tile(modes.inverse.ravel().astype(float), fields)
     dense += np.diag(inverse)
-    b = np.concatenate([seen.T @ f.ravel() for f in right]) + inverse * mean.ravel()
+    b = np.concatenate([seen.T @ f.ravel() for f in right])
     exact = np.linalg.solve(dense, b).reshape(fields, my, mx)
     start = np.zeros((fields, my, mx), np.float32)
     factor = modes.factor(a[0] if fields == 1 else 0.5 * (a[0] + a[2]))
-    found = modes.solve(a, right, start, 1e-7, mean, factor)
+    found = modes.solve(a, right, start, 1e-7, factor)
     assert np.abs(found - exact).max() < 3e-6 * np.abs(exact).max()
     assert size == exact[0].size
 
@@ -83,7 +81,7 @@ def test_a_gap_is_filled_as_well_as_its_uncertainty_states_and_better_than_by_no
         data = modes.seen(modes.waves(truth[None].astype(np.float32)))
         data = data + noise * rng.standard_normal(shape).astype(np.float32)
         start = modes.waves(known * data)
-        waves = modes.solve(a[None], a * data, start, 1e-3, 0 * start, modes.factor(a))
+        waves = modes.solve(a[None], a * data, start, 1e-3, modes.factor(a))
         errors.append(modes.field(waves)[0] - truth)
         stds.append(np.sqrt(sum(spread(a)))[0])
     error, std = np.array(errors), np.array(stds)
@@ -101,26 +99,17 @@ def test_a_slope_at_the_edge_is_kept():
     truth = (0.2 * x - 6.0)[None]
     a = np.full(shape, 1 / noise**2, np.float32)
     factor = modes.factor(a)
-    mean, truncated_profiles, slopes = modes.mean(truth)
-    all_waves = modes.edge.field(
-        slopes, modes.edge.truncated_profiles(modes.shape, (np.ones(50), np.ones(60)))
-    )
-    left = []
-    for rest, whole, m in ((truncated_profiles, all_waves, mean), (0, 0, mean), (0, 0, 0 * mean)):
-        waves = modes.solve(a[None], a * (truth - rest), modes.waves(truth), 1e-3, m, factor)
-        left.append(np.abs(modes.field(waves) + whole - truth))
-    near = [float(one[:, :, :2].max()) for one in left]
-    assert near[1] < 0.3 * near[2]
-    assert near[0] < 0.3 * near[1]
-    # what so few modes leave of a slope at the edge would ring far inside
-    inside = [float(one[:, 10:-10, 10:-10].max()) for one in left]
-    assert inside[0] < 0.3 * inside[1]
-    slope = np.gradient(edge_slopes(truth)[0], axis=1)
-    assert slope[25, 2] == pytest.approx(0.2, rel=0.4)
+    errors = []
+    for edges, start in (modes.split(truth), (0 * truth, modes.waves(truth))):
+        waves = modes.solve(a[None], a * (truth - edges), start, 1e-3, factor)
+        errors.append(np.abs(modes.field(waves) + edges - truth))
+    assert errors[0][:, :, :2].max() < 0.1 * errors[1][:, :, :2].max()
+    inside = np.s_[:, 10:-10, 10:-10]  # what cosines leave of a slope would ring far inside
+    assert errors[0][inside].max() < 0.3 * errors[1][inside].max()
 
 
 @pytest.mark.parametrize("waves", [0.0, 0.01, 0.1, 1.0])
-def test_errors_at_the_edge_are_stated_and_noise_makes_no_slopes_there(waves):
+def test_noise_makes_no_slopes_at_the_edge(waves):
     """Slopes at the edge are no wave of the spectrum: on still water they were most of the error."""
     rng, shape, noise = np.random.default_rng(2), (50, 60), 0.3
     prior = prior_of(lambda k: waves * steep_law(k) + 1e-4, information=1 / noise**2)
@@ -129,15 +118,14 @@ def test_errors_at_the_edge_are_stated_and_noise_makes_no_slopes_there(waves):
     errors = []
     for truth in sea(shape, lambda k: waves * steep_law(k) + 1e-4, rng, 40).astype(np.float32):
         shown = (truth + noise * rng.standard_normal(shape).astype(np.float32))[None]
-        mean, beyond, slopes = modes.mean(shown)
-        solved = modes.solve(a[None], a * (shown - beyond), modes.waves(shown), 1e-3, mean, factor)
-        field = modes.field(solved) + modes.edge.field(slopes, modes._truncated)
+        edges, start = modes.split(shown)
+        field = modes.field(modes.solve(a[None], a * (shown - edges), start, 1e-3, factor)) + edges
         errors.append((field - truth)[0])
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / std
     edge = np.concatenate(
         [ratio[:, :3].ravel(), ratio[:, -3:].ravel(), ratio[:3].ravel(), ratio[-3:].ravel()]
     )
-    assert 0.6 < edge.mean() < 1.3
+    assert 0.6 < edge.mean() < 1.6  # variance is that of the middle; lattices reach beyond the grid
 
 
 def test_the_noise_of_scores_is_found_where_it_is():
@@ -178,10 +166,7 @@ def test_field_and_spectrum_follow_from_each_other():
     data = exact.seen(exact.waves(fields)) + noise * rng.standard_normal(fields.shape).astype(np.float32)
     for _ in range(3):
         modes = Modes(prior, shape)
-        waves = [
-            modes.solve(a[None], a * f[None], modes.waves(f[None]), 1e-3, 0 * modes.inverse, modes.factor(a))
-            for f in data
-        ]
+        waves = [modes.solve(a[None], a * f[None], modes.waves(f[None]), 1e-3, modes.factor(a)) for f in data]
         prior = refined_prior(prior, modes, waves, 1 / noise**2)
     k = np.array(prior.k[2:14])
     ratio = [prior.spectrum(k * np.cos(turn), k * np.sin(turn)) for turn in np.linspace(0.1, 1.5, 6)]
@@ -204,7 +189,7 @@ def learned(data, a, prior, rounds=4):
 
     def most_probable(modes):
         factor = modes.factor(a)
-        return [modes.solve(h, a * f, modes.waves(f), 1e-3, 0 * modes.waves(f), factor) for f in data]
+        return [modes.solve(h, a * f, modes.waves(f), 1e-3, factor) for f in data]
 
     for _ in range(rounds):
         prior = prior.with_min_signal_to_noise()
@@ -311,7 +296,7 @@ def test_a_field_goes_on_into_a_hole_better_where_neighbours_that_err_alike_are_
             information = (a / noise_factor_near_holes(a, factor))[None]
             start = np.zeros((1, *modes.shape), np.float32)
             right = information * data[None].astype(np.float32)
-            waves = modes.solve(information, right, start, 1e-4, start, modes.factor(information[0]))
+            waves = modes.solve(information, right, start, 1e-4, modes.factor(information[0]))
             found.append(np.mean((modes.field(waves)[0] - field)[22:38, 32:48] ** 2))
     assert np.mean(error[3.0]) < 0.95 * np.mean(error[1.0])
 

@@ -89,6 +89,6 @@ def test_a_current_however_fast_leaves_the_waves_as_exact_as_they_are(seed):
         images = particle_pair(moved, (SIZE, SIZE), noise=0.01, seed=seed)
         images = [matching.prepare(image, settings) for image in images]
         found = map_displacement(matching.match(*images, settings), *images, modes, True)
-        error = modes.field(found.waves) + modes.edge.field(found.slopes) + found.harmonics - moved(*blocks())
+        error = modes.field(found.waves) + found.edges + found.harmonics - moved(*blocks())
         errors.append(np.sqrt(np.mean(np.square(error[inside]))))
     assert errors[1] < 2.0 * errors[0] + 0.02, "px"

@@ -1,7 +1,7 @@
 """Displacement of image A to image B on a lattice of blocks, from arrays alone."""
 
 from wavefield.matching.displacement import Displacement, Evaluation, Reason
-from wavefield.matching.edges import Slopes, edge_slopes
+from wavefield.matching.edges import edge_field
 from wavefield.matching.gauss_newton import match, reevaluate, scores_at
 from wavefield.matching.matching_gain import displacement_area, footprint, transfer_function
 from wavefield.matching.matching_settings import MatchSettings
@@ -25,9 +25,8 @@ __all__ = [
     "PreparedImage",
     "Prior",
     "Reason",
-    "Slopes",
     "displacement_area",
-    "edge_slopes",
+    "edge_field",
     "first_prior",
     "footprint",
     "match",

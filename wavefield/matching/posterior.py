@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import Cosines, multiply
-from wavefield.matching.edges import EDGE_REACH, Edge, Slopes, kept_slopes
+from wavefield.matching.edges import EDGE_REACH, edge_field
 from wavefield.matching.noise import CLUSTER, hole_mask
 from wavefield.matching.preconditioner import Factor, Preconditioner
 from wavefield.matching.prior import Prior, wavenumbers
@@ -58,16 +58,13 @@ class Modes:
         Footprint of every mode.
     inverse : ndarray, (1 or c, my, mx)
         Inverse spectrum of every mode, of all components alike or of each.
-    edge : Edge
-        Smooth fields with slopes at the edges of the lattice.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
         self.prior = prior
         self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
-        edge = int(EDGE_REACH)  # the surroundings of the edge are no hole
-        inside = np.zeros(shape, np.bool_)
-        inside[edge:-edge, edge:-edge] = True
+        inside = np.zeros(shape, np.bool_)  # the surroundings of the edge are not a hole
+        inside[EDGE_REACH:-EDGE_REACH, EDGE_REACH:-EDGE_REACH] = True
         self._requested &= inside
         kx, ky = wavenumbers(shape)
         foot, spectrum, ratio = prior.footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
@@ -84,12 +81,9 @@ class Modes:
         self._cosines = Cosines(shape, (my, mx))
         self._by_parity = [self._cosines.split_parities(f) for f in (self.foot[None], self.inverse)]
         self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
-        self.edge = Edge(shape)
-        self._kept = kept_slopes(prior, self.edge, kx, ky)[0].astype(np.float32)[..., None]
-        none = np.zeros(1)
-        self._truncated = self.edge.truncated_profiles(
-            (my, mx), (prior.footprint(none, ky[:, 0]), prior.footprint(kx, none))
-        )
+        # signal over noise of single blocks, which also is that of slopes fitted to them
+        of_blocks = prior.information * spectrum.mean(axis=(1, 2))
+        self._kept = np.minimum(of_blocks, 1.0).astype(np.float32)[:, None, None]
         self._preconditioner = Preconditioner(
             shape, ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0), self.foot
         )
@@ -116,30 +110,23 @@ class Modes:
         """Field averaged over the footprint of the blocks, (c, ny, nx)."""
         return self.field(self.foot * waves)
 
-    def mean(self, field: Float) -> tuple[Float, Float, Slopes]:
-        """A smooth field with the edge slopes of a given one, which cosines do not represent.
+    def split(self, field: Float) -> tuple[Float, Float]:
+        """Split a field without holes into a smooth one with its edge slopes and cosines of the rest.
 
         Parameters
         ----------
         field : ndarray, (c, ny, nx)
-            First estimate of the field, without holes.
+            First estimate of the field.
 
         Returns
         -------
+        edges : ndarray of float32, (c, ny, nx)
+            The smooth field. Of slopes that noise exceeds only the fraction of waves is kept.
         waves : ndarray of float32, (c, my, mx)
-            Its coefficients.
-        beyond : ndarray of float32, (c, ny, nx)
-            Its rest beyond these modes, averaged over the footprint: without it the field would ring far into
-            the lattice.
-        slopes : Slopes
-            The slopes, for `edge`.
+            Coefficients of the rest.
         """
-        kept = self._kept[[0, 0, 1, 1]]  # the rest is noise
-        left, right, low, high = (
-            part * one for part, one in zip(self.edge.slopes(np.asarray(field, np.float32)), kept)
-        )
-        slopes = left, right, low, high
-        return self.waves(self.edge.field(slopes)), self.edge.field(slopes, self._truncated), slopes
+        edges = self._kept * edge_field(field)
+        return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
         """Preconditioner for some information.
@@ -178,24 +165,21 @@ class Modes:
         right: Float,
         start: Float,
         tolerance: float,
-        mean: Float,
         factor: Factor,
         seen: Float | None = None,
     ) -> Float:
-        """Solve (F A F + 1/S) f = F b + m/S by preconditioned conjugate gradients.
+        """Solve (F A F + 1/S) f = F b by preconditioned conjugate gradients.
 
         Parameters
         ----------
         information : ndarray of float32, (1 or 3, ny, nx)
             A of one field, or A_xx, A_xy, A_yy of two.
         right : ndarray of float32, (c, ny, nx)
-            b = A u + s / nu, with c = 1 or 2 fields.
+            b = A u + s / nu, with c = 1 or 2 fields, u less its smooth part of `split`.
         start : ndarray of float32, (c, my, mx)
             First guess.
         tolerance : float
             Of the residual in its own uncertainty, rms over the modes.
-        mean : ndarray of float32, (c, my, mx)
-            m, as given by `mean`.
         factor : tuple
             As given by `factor`.
         seen : ndarray of float32, (c, ny, nx), optional
@@ -208,7 +192,7 @@ class Modes:
         """
         a, c = information, len(right)
         seen = self.seen(start) if seen is None else seen
-        residual = self.foot * self.waves(right - _apply_information(a, seen)) + self.inverse * (mean - start)
+        residual = self.foot * self.waves(right - _apply_information(a, seen)) - self.inverse * start
         waves, residual = self._cosines.split_parities(start), self._cosines.split_parities(residual)
         foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in self._by_parity)
         typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]

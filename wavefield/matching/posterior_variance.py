@@ -14,7 +14,6 @@ from scipy.ndimage import map_coordinates, spline_filter1d
 
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import cosines
-from wavefield.matching.edges import Edge, kept_slopes
 from wavefield.matching.noise import hole_mask
 from wavefield.matching.prior import Prior, wavenumbers
 
@@ -63,9 +62,6 @@ class PosteriorVariance:
         self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
             np.float32
         )
-        edge = Edge(shape)
-        at_edges = edge.spread(*kept_slopes(prior, edge, kx, ky)[1])
-        self._edges = (1.0 + at_edges / np.transpose(noise)[:, 1, None, None]).astype(np.float32)
         self._typical = np.float32(np.add(noise[1], missing[1])[:, None, None])
         kernels = np.array(
             [_squared_response((square * a / c).mean(axis=0)) for a, c in zip(levels, precision)]
@@ -91,7 +87,6 @@ class PosteriorVariance:
         noise, missing = np.array([self._to_full_lattice(f) for f in log_variances]).reshape(
             2, -1, *self.shape
         )
-        noise *= self._edges
         # holes are emptier than the rest of their own frame: one that is darker than usual has none for that
         bare = information[information > 0]
         own = float(bare.mean()) if bare.size else np.inf

@@ -15,7 +15,7 @@ from wavefield.matching.block_lattice import slopes as slopes_of
 from wavefield.matching.matching_gain import averaged
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel, Model
 from wavefield.measurement.pair import why_rejected
-from wavefield.measurement.regrid import local_coefficients, push_pull
+from wavefield.measurement.regrid import push_pull
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -51,9 +51,8 @@ Flows = Mapping[str, CameraFlow]
 class FlowEstimate:
     """The MAP displacement between two frames, and what it is based on."""
 
-    waves: Float  # (2, my, mx): cosine coefficients of the displacement and of its prior mean, px
-    mean: Float
-    slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
+    waves: Float  # (2, my, mx): cosine coefficients of the displacement less its smooth part, px
+    edges: Float = field(repr=False)  # (2, ny, nx): that smooth part (`Modes.split`), px
     harmonics: Float = field(repr=False)  # (2, ny, nx): what it has beside these (`harmonics`), px
     each: Float = field(repr=False)  # (2, ny, nx): diagonal of every block's A, px^-2
     # Scores and reasons to reject blocks at the last evaluation
@@ -94,7 +93,7 @@ def map_displacement(
     """
     found: matching.Displacement | matching.Evaluation = match
     u = filled(match)
-    waves, (mean, edges, slopes) = modes.waves(u), modes.mean(u)
+    edges, waves = modes.split(u)
     seen, a, beyond, beside = None, u, edges, np.zeros_like(u)
     convergence = Convergence()
     for number in range(MAX_EVALUATIONS):
@@ -121,11 +120,11 @@ def map_displacement(
         if not number:
             information = np.float32(0.5) * (a[0] + a[2])
             factor, tolerances = modes.factor(information), modes.tolerances(information)
-        solved = modes.solve(a, right, waves, tolerances[min(number, 1)], mean, factor, seen)
+        solved = modes.solve(a, right, waves, tolerances[min(number, 1)], factor, seen)
         waves, seen = convergence.next(modes, waves, solved, seen)
         if convergence.converged:
             break
-    return FlowEstimate(waves, mean, slopes, beside, a[::2], found)
+    return FlowEstimate(waves, edges, beside, a[::2], found)
 
 
 def flows(
@@ -168,5 +167,5 @@ def flow_near(
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
     """The MAP displacement, ready to be read."""
     noise, missing = model.spread(found.information)
-    spline = model.splined(found.waves, found.slopes) + local_coefficients(found.harmonics)
+    spline = model.splined(found.waves, found.edges + found.harmonics)
     return CameraFlow(spline, noise, missing, why_rejected(found.found.reason))

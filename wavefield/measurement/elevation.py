@@ -68,9 +68,8 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 class ElevationEstimate:
     """The MAP elevation of one instant, and what it is based on."""
 
-    waves: Float  # (1, my, mx): cosine coefficients of the elevation and of its prior mean, metres
-    mean: Float
-    slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
+    waves: Float  # (1, my, mx): cosine coefficients of the elevation less its smooth part, metres
+    edges: Float = field(repr=False)  # (1, ny, nx): that smooth part (`Modes.split`), metres
     information: Float = field(repr=False)  # (ny, nx): A of every block, per square metre
     # Rms of the smooth epipolar error as metres of elevation: an error of the calibration, assumed to be as
     # large along the sight lines
@@ -90,7 +89,7 @@ def map_elevation(
     A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD.
     """
     z = blocks.filled
-    waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
+    edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]
     smooth, epipolar = _smooth_across(matches, modes)
     seen, scores = None, [z[0]]
@@ -98,7 +97,7 @@ def map_elevation(
     convergence = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in pairs]))))
     for number in range(MAX_EVALUATIONS):
         if number:
-            z = seen + beyond
+            z = seen + edges
             for one in pairs:
                 one.reevaluate(z[0], prepared)
         scores = [one.score(z[0]) for one in pairs]
@@ -113,16 +112,16 @@ def map_elevation(
             least = min(least, level)
             nu = nu * np.float32(min(1.0, MAX_NOISE_GROWTH * least / max(level, 1e-30)))
         information = (hessian / nu)[None]
-        right = information * (z - beyond) + (score / nu)[None]
+        right = information * (z - edges) + (score / nu)[None]
         if not number:
             factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
-        solved = modes.solve(information, right, waves, tolerances[min(number, 1)], mean, factor, seen)
+        solved = modes.solve(information, right, waves, tolerances[min(number, 1)], factor, seen)
         waves, seen = convergence.next(modes, waves, solved, seen)
         if convergence.converged:
             break
     lengths = [np.hypot(*one.D) for one in pairs]
     inconsistent = inconsistent_scores(scores, [one.hessian for one in pairs], lengths)
-    return ElevationEstimate(waves, mean, slopes, information[0], epipolar, inconsistent)
+    return ElevationEstimate(waves, edges, information[0], epipolar, inconsistent)
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
@@ -244,7 +243,7 @@ def surface_of(
 ) -> Surface:
     """Elevation at the nodes from matched pairs."""
     estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel)
-    spline = model.splined(estimate.waves, estimate.slopes)
+    spline = model.splined(estimate.waves, estimate.edges)
     (noise,), (missing,) = model.spread(estimate.information)
     noise *= np.float32(_NOISE_ALONG / NOISE_MARGIN)
     lattice, centre = geometry.lattice, geometry.rig[matches[0].pair[0]].centre

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Modes, PosteriorVariance, Prior, Slopes
+from wavefield.matching import Modes, PosteriorVariance, Prior
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.regrid import thin_plate
+from wavefield.measurement.regrid import local_coefficients, thin_plate
 from wavefield.variables import EXACT_SIX
 
 Float = NDArray[Any]
@@ -116,17 +116,15 @@ class FieldModel:
             return PosteriorVariance(self.prior, self._shape)
 
     @cached_property
-    def _spline(self) -> tuple[Float, tuple[Float, Float]]:
-        """From the field's cosines to those of its spline, (my, mx), and its profiles at the edges."""
+    def _spline(self) -> Float:
+        """Gain from the field's cosines to those of its spline, (my, mx)."""
         my, mx = self.modes.shape
-        gain = thin_plate(self._shape, self._smoothing)
-        return gain[:my, :mx], self.modes.edge.truncated_profiles((my, mx), (gain[:, 0], gain[0]))
+        return thin_plate(self._shape, self._smoothing)[:my, :mx]
 
-    def splined(self, waves: Float, slopes: Slopes) -> Float:
-        """Spline coefficients of the field, (ny, nx, c), from its cosines (c, my, mx)."""
-        gain, profiles = self._spline
-        out = self.modes.field(waves * gain) + self.modes.edge.field(slopes, profiles)
-        return np.ascontiguousarray(np.moveaxis(out, 0, -1), np.float32)
+    def splined(self, waves: Float, rest: Float) -> Float:
+        """Spline coefficients (ny, nx, c) of a field: cosines (c, my, mx) and a rest (c, ny, nx)."""
+        out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
+        return np.ascontiguousarray(out, np.float32)
 
 
 def elevation_model(geometry: GridGeometry, prior: Prior) -> FieldModel:

@@ -258,15 +258,15 @@ def _elevation_samples(
         def estimate(modes: Modes) -> tuple[Float, float]:
             # with noise from the scores along: with that across, an excess along would count as waves
             found = map_elevation(blocks, matches, flat, modes, pixel, noise_across=False)
-            return (found.waves - found.mean) / np.sqrt(bare), float(found.information.mean()) / bare
+            return found.waves / np.sqrt(bare), float(found.information.mean()) / bare
 
         def noise(modes: Modes) -> tuple[Float, float]:
             found = map_elevation(combine(turned), turned, flat, modes, pixel, noise_across=False)
-            return (found.waves - found.mean) / np.sqrt(bare), float(found.information.mean()) / bare
+            return found.waves / np.sqrt(bare), float(found.information.mean()) / bare
 
         def summary(modes: Modes) -> tuple[float, float, float]:
             found = map_elevation(blocks, matches, flat, modes, pixel)
-            z = modes.field(found.waves - found.mean)[0][found.information > 0]
+            z = modes.fieldfound.waves[0][found.information > 0]
             std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
             return float(found.information.mean()) / bare, std**2, found.epipolar**2
 
@@ -293,7 +293,7 @@ def _displacement_samples(
 
         def estimate(modes: Modes) -> tuple[Float, float]:
             found = map_displacement(match, *images, modes)
-            return (found.waves - found.mean) / np.sqrt(bare), float(found.information.mean()) / bare
+            return found.waves / np.sqrt(bare), float(found.information.mean()) / bare
 
         counts = match.valid.astype(np.float32)
         trace = match.hessian[0] + match.hessian[2]
@@ -311,7 +311,7 @@ def _first_spectrum(
     """Prior of fields of one kind: from windowed fields over the windows' gain, then refined twice."""
     kx, ky = (np.pi * np.arange(n) / n for n in samples[0].field.shape[:-3:-1])
     window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
-    fields = [one.field - matching.edge_slopes(one.field) for one in samples]
+    fields = [one.field - matching.edge_field(one.field) for one in samples]
     typical = float(np.mean([one.information for one in samples]))
     prior = matching.first_prior(fields, window, typical, samples[0].area)
     for ratio in (FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE):
