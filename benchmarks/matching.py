@@ -28,8 +28,8 @@ from wavefield.matching import (
     Displacement,
     MatchSettings,
     PreparedImage,
+    kernels,
     match,
-    matching_kernels,
     prepare,
 )
 
@@ -381,23 +381,23 @@ def memory() -> None:
 
 def profile() -> None:
     """Where the time of a pair goes; wrapping the functions costs a little itself."""
-    from wavefield.matching import gauss_newton, prepared
+    from wavefield.matching import prepared, pyramid
 
     a, b = images.particles(images.cellular(4.0), noise=0.02)
     stages = {
         "kernels: plain, robust and last steps": (
-            gauss_newton,
+            pyramid,
             ("plain_sums", "robust_sums", "final_sums", "unweighted_sums", "gradient_moments"),
         ),
-        "windows": (gauss_newton, ("filtered",)),
-        "smoother": (gauss_newton, ("smoothed",)),
-        "median of neighbours": (gauss_newton, ("replace_outliers",)),
-        "search": (gauss_newton, ("search",)),
+        "windows": (pyramid, ("filtered",)),
+        "smoother": (pyramid, ("smoothed",)),
+        "median of neighbours": (pyramid, ("replace_outliers",)),
+        "search": (pyramid, ("search",)),
         "solve, slopes, levels, masks": (
-            gauss_newton,
+            pyramid,
             ("step", "slopes", "subtract_slopes", "to_finer", "block_weights"),
         ),
-        "correlation, scores, reasons": (gauss_newton, ("assess",)),
+        "correlation, scores, reasons": (pyramid, ("assess",)),
         "prepare: normalise": (prepared, ("_normalize",)),
         "prepare: saturation": (prepared, ("_saturated",)),
     }
@@ -443,13 +443,13 @@ def profile() -> None:
 @nb.njit(nogil=True)
 def _read(image, u, v, work):
     for by in range(len(u)):
-        matching_kernels._warp_strip(image, by, u[by], v[by], work)
+        kernels._warp_strip(image, by, u[by], v[by], work)
 
 
 def _reading(first: PreparedImage, second: PreparedImage) -> float:
     """Least time, ms, to read the second image once under all blocks."""
     u = np.full(first.levels[0].blocks, np.float32(1.3))
-    work = matching_kernels.work_space(u.shape[1])
+    work = kernels.work_space(u.shape[1])
     times = []
     for _ in range(8):
         start = time.process_time()

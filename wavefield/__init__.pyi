@@ -7,7 +7,7 @@ from wavefield.calibration.target_images import calibrate_experiment as calibrat
 from wavefield.execution.workflow import Workflow
 from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
-from wavefield.matching.gauss_newton import match
+from wavefield.matching.pyramid import match
 from wavefield.measurement.settings import Settings
 from wavefield.pipeline.analysis import analyze_on_workers
 from wavefield.pipeline.catalog import run_catalog

@@ -5,9 +5,7 @@ import pytest
 import scipy.fft
 
 from wavefield.matching import Modes, PosteriorVariance, refined_prior
-from wavefield.matching.matching_gain import footprint
-from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, Prior
-from wavefield.matching.wavenumber_rings import SHORTEST_WAVENUMBER
+from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, SHORTEST_WAVENUMBER, Prior, footprint
 
 SHAPE = (60, 66)
 BLOCK = 9e-3  # metres: blocks of 5 px of 1.8 mm

@@ -5,7 +5,7 @@ import pytest
 from matching_cases import interior, particle_pair, truth
 
 from wavefield.matching import MatchSettings, displacement_area, match, prepare, reevaluate
-from wavefield.matching.matching_gain import RESTORED_VARIANCE
+from wavefield.matching.spectrum import RESTORED_VARIANCE
 from wavefield.measurement.images import bead_width
 
 PIV = MatchSettings.piv()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matching_cases import particle_pair, wave
 
-from wavefield.matching import MatchSettings, block_lattice, match, matching_kernels, prepare
+from wavefield.matching import MatchSettings, blocks, kernels, match, prepare
 
 F = np.float32
 
@@ -37,7 +37,7 @@ def case():
     c2 = rng.uniform(0.1, 2, (ny, nx)).astype(F)
     rows = np.empty((h, 5, w + 4), F)
     for y in range(h):
-        matching_kernels._spline_row(a, y, rows[y], w)
+        kernels._spline_row(a, y, rows[y], w)
     smooth, gx, gy = (rows[:, k, :w] for k in (2, 3, 4))
     return a, b, u, v, slope, c2, smooth, gx, gy
 
@@ -110,8 +110,8 @@ def expected_sums(case):
 def test_block_sums_follow_their_definition(case):
     a, b, u, v, slope, c2, *_ = case
     expected = expected_sums(case)
-    work = matching_kernels.work_space(u.shape[1])
-    for kernel, n in ((matching_kernels.robust_sums, 6), (matching_kernels.final_sums, 12)):
+    work = kernels.work_space(u.shape[1])
+    for kernel, n in ((kernels.robust_sums, 6), (kernels.final_sums, 12)):
         out = np.full((n, *u.shape), np.nan, F)
         kernel(a, b, u, v, slope, c2, F(0.05), work, out)
         for k in range(n):
@@ -120,10 +120,10 @@ def test_block_sums_follow_their_definition(case):
 
 def test_unweighted_sums_are_the_last_ones_with_weights_of_one(case):
     a, b, u, v, slope, c2, *_ = case
-    work = matching_kernels.work_space(u.shape[1])
+    work = kernels.work_space(u.shape[1])
     expected, out = np.full((2, 12, *u.shape), np.nan, F)
-    matching_kernels.final_sums(a, b, u, v, slope, 0 * c2, F(0.05), work, expected)
-    matching_kernels.unweighted_sums(a, b, u, v, slope, work, out)
+    kernels.final_sums(a, b, u, v, slope, 0 * c2, F(0.05), work, expected)
+    kernels.unweighted_sums(a, b, u, v, slope, work, out)
     given = [0, 1, 5, 6, 7, 8, 9, 10, 11]
     np.testing.assert_allclose(out[given], expected[given], atol=2e-5)
     assert np.isnan(out[2:5]).all()
@@ -137,9 +137,7 @@ def test_places_outside_the_image_are_read_inside_it(case):
         inner = room[32:-32].reshape(b.shape)
         for move in (-1e6, -30.0, 30.0, 1e6):
             out = np.empty((2, *u.shape), F)
-            matching_kernels.plain_sums(
-                a, inner, u + F(move), v + F(move), matching_kernels.work_space(u.shape[1]), out
-            )
+            kernels.plain_sums(a, inner, u + F(move), v + F(move), kernels.work_space(u.shape[1]), out)
             read.append(out)
     assert np.isfinite(read).all()
     np.testing.assert_array_equal(read[:4], read[4:])
@@ -147,15 +145,15 @@ def test_places_outside_the_image_are_read_inside_it(case):
 
 def test_plain_sums_with_slopes_taken_off_are_the_unweighted_ones(case):
     a, b, u, v, slope, c2, *_ = case
-    work = matching_kernels.work_space(u.shape[1])
+    work = kernels.work_space(u.shape[1])
     full = np.empty((6, *u.shape), F)
-    matching_kernels.robust_sums(a, b, u, v, slope, 0 * c2, F(0.05), work, full)
+    kernels.robust_sums(a, b, u, v, slope, 0 * c2, F(0.05), work, full)
     moments = np.empty((9, *u.shape), F)
-    matching_kernels.gradient_moments(a, work, moments)
+    kernels.gradient_moments(a, work, moments)
     np.testing.assert_allclose(moments[:3], full[2:5], atol=1e-5)
     plain = np.empty((2, *u.shape), F)
-    matching_kernels.plain_sums(a, b, u, v, work, plain)
-    block_lattice.subtract_slopes(plain, moments, slope)
+    kernels.plain_sums(a, b, u, v, work, plain)
+    blocks.subtract_slopes(plain, moments, slope)
     np.testing.assert_allclose(plain, full[:2], atol=2e-5)
 
 

@@ -5,8 +5,8 @@ import pytest
 from matching_cases import interior, particle_pair, truth
 
 from wavefield.matching import MatchSettings, match, prepare, reevaluate
-from wavefield.matching.block_lattice import slopes
-from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.blocks import slopes
+from wavefield.matching.kernels import BLOCK
 
 SETTINGS = MatchSettings.piv()
 VARIANCE = 5.0
@@ -66,5 +66,5 @@ def test_beads_anywhere_in_blocks_agree_on_short_waves(seed, monkeypatch):
         return float(np.sqrt(np.mean(np.square(score[:, inside]))))
 
     now = scatter()
-    monkeypatch.setattr("wavefield.matching.gauss_newton.slopes", by_neighbours)
+    monkeypatch.setattr("wavefield.matching.pyramid.slopes", by_neighbours)
     assert now < 0.9 * scatter()

@@ -11,9 +11,9 @@ from matching_cases import interior, particle_pair, truth, uniform
 
 from wavefield.matching import (
     MatchSettings,
-    block_lattice,
+    blocks,
+    kernels,
     match,
-    matching_kernels,
     prepare,
     reevaluate,
     scores_at,
@@ -43,11 +43,11 @@ def with_and_without(look, pair, move, monkeypatch):
     taken = []
 
     def keep(*all_of_it):
-        taken.append(block_lattice.subtract_strain(*all_of_it))
+        taken.append(blocks.subtract_strain(*all_of_it))
 
     scores = []
     for instead in (keep, lambda *nothing: None):
-        monkeypatch.setattr("wavefield.matching.gauss_newton.subtract_strain", instead)
+        monkeypatch.setattr("wavefield.matching.pyramid.subtract_strain", instead)
         seen = look(d, a, b, *exact)
         scores.append(seen.score[:, inside] / seen.hessian[[0, 2]][:, inside].mean(1)[:, None])
     return *scores, taken[0]
@@ -87,10 +87,10 @@ def test_strain_moments_follow_their_definition():
     rng = np.random.default_rng(2)
     ny, nx = 7, 11
     image = rng.normal(0, 1, (5 * ny + 3 + 16, 5 * nx + 1 + 16)).astype(F)
-    work = matching_kernels.work_space(nx)
+    work = kernels.work_space(nx)
     work.rows[:] = work.sums[:] = np.nan  # nothing is read before it is written
     out = np.full((8, ny, nx), np.nan, F)
-    matching_kernels.strain_moments(image, work, out)
+    kernels.strain_moments(image, work, out)
 
     def at(along_x, along_y):
         inner = image.astype(float)
@@ -109,7 +109,7 @@ def test_strain_moments_follow_their_definition():
 SUMS = """
 import hashlib
 import numpy as np
-from wavefield.matching.matching_kernels import gradient_moments, strain_moments, work_space
+from wavefield.matching.kernels import gradient_moments, strain_moments, work_space
 image = np.random.default_rng(1).standard_normal((116, 136)).astype(np.float32)
 work = work_space(24)
 first, second = np.empty((9, 20, 24), np.float32), np.empty((8, 20, 24), np.float32)

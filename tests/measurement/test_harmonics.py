@@ -8,8 +8,8 @@ import pytest
 from tests.matching.matching_cases import particle_pair
 from wavefield import matching
 from wavefield.matching import MatchSettings, Modes, Prior
-from wavefield.matching.matching_gain import displacement_area
-from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.kernels import BLOCK
+from wavefield.matching.spectrum import displacement_area
 from wavefield.measurement.displacement import harmonics, map_displacement
 
 SIZE = 260  # px

@@ -5,7 +5,7 @@ from measurement_cases import around
 
 from wavefield.grid import Grid
 from wavefield.matching import displacement_area
-from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.kernels import BLOCK
 from wavefield.measurement import GridGeometry, Model, learn, measure
 from wavefield.tank import Scene, Tank
 

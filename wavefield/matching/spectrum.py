@@ -1,275 +1,356 @@
-"""The spectrum of a field on a lattice of blocks, from the fields of sample frames."""
+"""Spectrum of a field on a lattice of blocks: prior, rings of wavenumber, and gains of matching.
+
+The prior is learned once per run from sample frames (`learned_spectrum`) and stored with the results, so that
+every frame is weighted alike.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d
 
-from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE, footprint
-from wavefield.matching.posterior import Modes
-from wavefield.matching.prior import Prior, wavenumbers
-from wavefield.matching.wavenumber_rings import (
-    DETECTED_SIGNAL_TO_NOISE,
-    NOISE_RINGS,
-    SHORTEST_WAVENUMBER,
-    WavenumberRings,
-)
+from wavefield.matching.blocks import gaussian, window_sigma
+from wavefield.matching.kernels import BLOCK
+from wavefield.matching.settings import MatchSettings
 
 Float = NDArray[np.floating[Any]]
 
-SHRINKAGE_MODES = 2.0  # a sector of so many modes and its ring have equal weights
-RING_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # weights of rings with similar directions
-MIN_SECTOR_FRACTION = 0.01  # of the ring: least power of a sector
-MIN_SQUARED_WINDOW_GAIN = 0.15  # of the windows: less, and a wave is not resolved
-MIN_POWER_TO_PLATEAU = 3.0  # of the windowed field over the plateau of noise, to be signal
-LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
-SHORTEST_IN_LIMITS = 0.5 * np.pi  # rad per block: what shorter waves show of a spectrum is noise
-MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
-MIN_INFORMATION_SHARE = 1e-3  # of what a prior assumes, in the fields that it gave; else they show nothing
-FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
-FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
-SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
-SLOPE_RINGS = 6  # from which the slope is fitted
+RINGS = 40  # of wavenumber, from 0 to pi per block
+SECTORS = 6  # of direction, from along columns to along rows
+DETECTED_SIGNAL_TO_NOISE = 0.3  # least that the MAP field separates from noise
+SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
+MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
+MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is uncertain
+FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
+NOISE_RINGS = 5  # over which the level of noise is averaged
+
+SECTOR_ANGLES = (np.arange(SECTORS) + 0.5) * np.pi / (2 * SECTORS)  # middle of every sector, rad
+FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value represents in the elevation by two cameras
+RESTORED_VARIANCE = 1.2  # px^2: more than blocks average displacements over, against what priors suppress
+OPEN_SIGNAL_TO_NOISE = 1.0  # least of every wave while a spectrum is learned
+FIRST_SIGNAL_TO_NOISE = 6.0  # the same in the first round, whose noise is several times too small
+
+Power = tuple[tuple[tuple[float, ...], ...], ...]
 
 
-def first_prior(
-    fields: Sequence[Float], window: Float, information: float, area: float = FOOTPRINT_VARIANCE
-) -> Prior:
-    """Prior from windowed fields.
+@dataclass(frozen=True)
+class Prior:
+    """Spectrum of a field in both wavenumbers, and the information of its blocks.
 
     Parameters
     ----------
-    fields : sequence of ndarray, (c, ny, nx)
-        Windowed fields of sample frames, without holes and less their edge slopes.
-    window : ndarray, (ny, nx)
-        Gain of the windows for every cosine mode.
+    k : tuple of float
+        Wavenumbers, rad per block.
+    power : tuple of tuple of tuple of float
+        Mean square of the field's cosine coefficients (orthonormal), in the field's unit squared: for every
+        component (or one for all), for directions evenly from along columns to along rows (a quarter turn; or
+        one for all), at the wavenumbers.
     information : float
-        Typical information of a block.
+        Typical information of a block: inverse variance of its own estimate, per unit squared.
+    noise : float
+        Noise of the scores, from the misfit of several fields, over that of their clusters in one field.
+    wave_fraction : float
+        Fraction of the spectrum that is waves. Noise of long wavelength among them, as on still water, is not
+        missing from a field.
+    detected : tuple of tuple of bool
+        Rings of every component in which waves stand out from the noise; all if empty. In the others the
+        power is the upper limit of what may be there undetected: a field is not damped below it.
+    undetected_fraction : float
+        Fraction of these limits that the sample fields contain.
     area : float
         Variance of the area that a block's value represents, px^2.
 
-    Returns
-    -------
-    Prior
-
     Notes
     -----
-    The spectrum over the windows' gain, less the plateau of noise; a power law where it is less than three
-    times the plateau.
+    Waves have directions, a short wave moves the water along itself, and an oblique camera sees it shortened:
+    each component of an image displacement has a spectrum of its own in both wavenumbers. Of the four
+    quarters of directions cosines represent one.
     """
-    kx, ky = wavenumbers(window.shape)
-    power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
-    binning = WavenumberRings(kx, ky)
-    window_power, gain = binning.mean(window**2), binning.mean(footprint(kx, ky, area) ** 2)
-    raw = binning.mean(power) / np.maximum(window_power, 1e-9)
-    plateau = float(raw[window_power > MIN_SQUARED_WINDOW_GAIN].min())
-    signal = np.maximum(raw - plateau, 0.0) / gain
-    last = binning.count_until_false(
-        (window_power > MIN_SQUARED_WINDOW_GAIN) & (raw > MIN_POWER_TO_PLATEAU * plateau)
-    )
-    power_law = _extrapolated(binning.middle, signal, last, plateau)
-    return Prior.isotropic(binning.k, power_law, information, area)
+
+    k: tuple[float, ...]
+    power: Power
+    information: float
+    noise: float = 1.0
+    wave_fraction: float = 1.0
+    detected: tuple[tuple[bool, ...], ...] = ()
+    undetected_fraction: float = 1.0
+    area: float = FOOTPRINT_VARIANCE
+
+    @classmethod
+    def isotropic(
+        cls, k: Sequence[float], power: Sequence[float], information: float, area: float = FOOTPRINT_VARIANCE
+    ) -> Prior:
+        """Prior of a field with the same spectrum at wavenumbers k in all directions and components.
+
+        Examples
+        --------
+        >>> prior = Prior.isotropic((0.1, 1.0), (4.0, 4.0), 1.0)
+        >>> prior.spectrum(np.array([0.3, 0.4]), np.array([[0.5]])).tolist()
+        [[[4.0, 4.0]]]
+        """
+        return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information), area=area)
+
+    def footprint(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """Gain of the area that a block's value represents, at wavenumbers kx, ky, rad per block."""
+        return footprint(kx, ky, self.area)
+
+    def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
+        """The prior with at least this signal over noise in every resolved mode.
+
+        A prior that is small where a field has waves suppresses them, and what is learned from such a field
+        is small there again. Spectra are therefore learned from fields that an open prior gave.
+        """
+        k = np.array(self.k)
+        least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
+        table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
+        power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in table)
+        return replace(self, power=power)
+
+    def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """Spectrum at wavenumbers kx, ky, rad per block, that broadcast to S: (1 or c,) + S."""
+        table = np.log(np.maximum(self.power, 1e-30))  # a field without any motion has none
+        directions = table.shape[1]
+        at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
+        direction = np.arctan2(np.abs(ky), np.abs(kx)) * (directions / (0.5 * np.pi)) - 0.5
+        direction = np.clip(np.broadcast_to(direction, at.shape), 0, directions - 1)
+        i, j = (
+            np.minimum(np.floor(v).astype(int), n - 2)
+            for v, n in ((at, len(self.k)), (direction, directions))
+        )
+        j, s, t = np.maximum(j, 0), direction - np.maximum(j, 0), at - i
+        after = np.minimum(j + 1, directions - 1)
+        out = (1 - s) * ((1 - t) * table[:, j, i] + t * table[:, j, i + 1])
+        out += s * ((1 - t) * table[:, after, i] + t * table[:, after, i + 1])
+        return np.asarray(np.exp(out))
+
+    def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """Fraction of `spectrum` that is expected to be waves, (1 or c,) + S."""
+        detected = np.array(self.detected or [[True] * len(self.k)])
+        fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
+        return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
+
+    def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""
+        return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
+
+    def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """Fraction of a wave's amplitude that the MAP field keeps, F^2 A S / (F^2 A S + 1), (1 or c,) + S."""
+        ratio = self.signal_to_noise(kx, ky)
+        return np.asarray(ratio / (ratio + 1.0))
+
+    def mean_gain(self, k: Float) -> NDArray[np.float64]:
+        """`gain` at wavenumbers k, rad per block, mean over components and directions by their power."""
+        at = _in_all_directions(k)
+        power = self.spectrum(*at)
+        return np.asarray((self.gain(*at) * power).sum(axis=(0, 1)) / power.sum(axis=(0, 1)))
+
+    def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Variance of the MAP field by waves, G^2 S, and by noise, G^2 / (F^2 A), each (1 or c,).
+
+        Where all blocks have the typical information; the mean over the field is not counted.
+        """
+        kx, ky = wavenumbers(shape)
+        squared_gain = np.square(self.gain(kx, ky))
+        squared_gain[:, 0, 0] = 0.0
+        noise = squared_gain / (self.footprint(kx, ky) ** 2 * self.information)
+        return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
+
+    def noise_power(self, k: Float) -> NDArray[np.float64]:
+        """Noise G^2 / (F^2 A) in the power of the MAP field's cosines, mean over directions and components.
+
+        0 beyond the shortest wave of the lattice.
+        """
+        total_weight = self.footprint(k, np.zeros(1)) ** 2 * self.information
+        squared_gain = np.square(self.gain(*_in_all_directions(k))).mean(axis=(0, 1))
+        return np.where(k < np.pi, squared_gain / np.maximum(total_weight, 1e-30), 0.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a recipe."""
+        names = ("information", "noise", "wave_fraction", "undetected_fraction", "area")
+        tables = {
+            "k": list(self.k),
+            "power": [[list(ring) for ring in directions] for directions in self.power],
+            "detected": [list(rings) for rings in self.detected],
+        }
+        return tables | {name: getattr(self, name) for name in names}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Prior:
+        """Inverse of `to_dict`."""
+        power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in data["power"])
+        detected = tuple(tuple(map(bool, rings)) for rings in data["detected"])
+        names = ("noise", "wave_fraction", "undetected_fraction", "area")
+        numbers = {name: float(data[name]) for name in names}
+        information = float(data["information"])
+        return cls(tuple(map(float, data["k"])), power, information, detected=detected, **numbers)
 
 
-def refined_prior(
-    prior: Prior,
-    modes: Modes,
-    waves: Sequence[Float],
-    information: float,
-    noise_alone: Sequence[tuple[Float, float]] = (),
-) -> Prior:
-    """Prior from the MAP fields that another prior gave.
+def _in_all_directions(k: Float) -> tuple[Float, Float]:
+    """Wavenumbers (directions,) + S of waves in all directions."""
+    direction = SECTOR_ANGLES.reshape(-1, *(1,) * np.ndim(k))
+    return k * np.cos(direction), k * np.sin(direction)
+
+
+def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Wavenumbers of a lattice's cosines along columns (nx,) and along rows (ny, 1), rad per block."""
+    ky, kx = (np.pi * np.arange(n) / n for n in shape)
+    return kx, ky[:, None]
+
+
+class WavenumberRings:
+    """Rings of wavenumber, and their sectors."""
+
+    def __init__(self, kx: Float, ky: Float) -> None:
+        edges = np.linspace(0, np.pi, RINGS + 1)
+        self.middle = 0.5 * (edges[1:] + edges[:-1])
+        self.k = tuple(map(float, self.middle))
+        self.of_modes = np.clip(np.digitize(np.hypot(kx, ky), edges) - 1, 0, RINGS - 1)
+        direction = np.arctan2(ky, kx).ravel() * (SECTORS / (0.5 * np.pi))
+        self._sector = np.minimum(direction.astype(int), SECTORS - 1) * RINGS + self.of_modes.ravel()
+        self.count = np.bincount(self.of_modes.ravel(), minlength=RINGS)
+        self.sector_count = np.bincount(self._sector, minlength=SECTORS * RINGS).reshape(SECTORS, RINGS)
+
+    def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
+        """Mean of a field over rings, (rings,)."""
+        total = np.bincount(self.of_modes.ravel(), field.ravel(), minlength=RINGS)
+        return np.asarray(total / np.maximum(self.count, 1))
+
+    def rings(self, fields: Float) -> NDArray[np.float64]:
+        """Mean of fields (c, my, mx) over rings, (c, rings)."""
+        return np.array([self.mean(field) for field in fields])
+
+    def sectors(self, fields: Float) -> NDArray[np.float64]:
+        """Mean of fields (c, my, mx) over the sectors of rings, (c, sectors, rings)."""
+        size = self.sector_count.size
+        total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
+        return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
+
+    def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
+        """Rings (rings,) with a significant signal over noise; beyond a gap it has to be larger."""
+        contiguous = np.arange(RINGS) < self.count_until_false(
+            (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
+        )
+        # waves beyond the first ring without any have to exceed the noise by more, with both neighbours
+        beyond_gap = self.exceeds(ratio, MIN_RING_SIGNAL_TO_NOISE, samples) & (self.count > 0)
+        beyond_gap &= ratio > DETECTED_SIGNAL_TO_NOISE
+        beyond_gap &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
+        if beyond_gap.any():  # the first three rings may belong to the gap
+            contiguous &= ratio > DETECTED_SIGNAL_TO_NOISE
+        return np.asarray(contiguous | beyond_gap)
+
+    def exceeds(self, ratio: Float, least: float, samples: int = 1) -> NDArray[np.bool_]:
+        """Rings (rings,) whose signal over noise is more than the least and more than chance, with both
+        neighbours.
+        """
+        count = self.count * samples
+        of_three = np.maximum(np.convolve(count, np.ones(3), mode="same"), 1)
+        chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / of_three)
+        mean = np.convolve(ratio * count, np.ones(3), mode="same") / of_three
+        return np.asarray(mean > np.maximum(chance, least))
+
+    def level(self, ratio: Float) -> NDArray[np.float64]:
+        """Level of noise (rings,) from single rings, without long waves, which are errors of calibration."""
+        count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
+        weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
+        total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
+        known = np.flatnonzero(weight)
+        if not known.size:
+            return np.ones(RINGS)
+        return np.asarray(np.interp(np.arange(RINGS), known, total[known] / weight[known]))
+
+    @staticmethod
+    def count_until_false(flags: NDArray[np.bool_]) -> int:
+        """Number of flags before the first that is false, at least three."""
+        return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
+
+
+def transfer_function(settings: MatchSettings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+    """Gain of windows, smoother and steps for waves of displacement, by linear theory.
 
     Parameters
     ----------
-    prior : Prior
-        The one used.
-    modes : Modes
-        Cosines of these fields.
-    waves : sequence of ndarray, (c, my, mx)
-        Cosine coefficients of the MAP fields of sample frames, less those of their prior mean.
-    information : float
-        Mean information of a block in them.
-    noise_alone : sequence of (ndarray, float), optional
-        Coefficients of fields that the same prior gave of noise alone, and their information: they measure
-        how noise changes from ring to ring. Its level is the least of the power over what is expected of it.
+    settings : MatchSettings
+        Those of the match.
+    kx, ky : ndarray, shapes that broadcast
+        Wavenumbers along columns and rows, rad per block.
 
     Returns
     -------
-    Prior
+    ndarray
+        Amplitude gain.
 
     Notes
     -----
-    Of a mode with spectrum S and noise N = 1 / (F^2 A), the MAP field keeps G = S / (S + N), and so
-    G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring, and over those of
-    every sector of it. A spectrum may have gaps and several peaks: a ring counts where S is significant
-    against N. In gaps S is the upper limit of what could be there undetected. Beyond the last ring that
-    counts it is a power law, no higher than that limit, with constant sectors. Directions are averaged over
-    neighbouring rings, and sectors of few modes shrink to their ring.
-    """
-    if not information > MIN_INFORMATION_SHARE * prior.information:  # nothing was visible
-        return prior
-    spectrum, binning = prior.spectrum(modes.kx, modes.ky), WavenumberRings(modes.kx, modes.ky)
-    measured, of_sectors, noise = _signals_and_noise(
-        waves, spectrum, modes.foot, information, binning, noise_alone
-    )
-    detected = np.array([binning.significant(one, len(waves)) for one in measured / noise])
-    lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in detected]
-    occupied = binning.count > 0
-    relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
-    limit = np.maximum(measured, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise
-    highest = np.where(occupied, np.minimum(limit, DETECTED_SIGNAL_TO_NOISE * noise), np.inf)
-    least = float((1.0 / (np.square(modes.foot, dtype=np.float64) * information)).min())
-    parts = zip(np.where(detected, measured, limit), lasts, highest)
-    rings = np.array([_extrapolated(binning.middle, one, last, least, top) for one, last, top in parts])
-    weight = binning.sector_count * len(waves) * np.square(rings / (rings + noise))[:, None]
-    power = _shapes(of_sectors / rings[:, None], weight, lasts) * rings[:, None]
-    return replace(
-        prior,
-        k=binning.k,
-        power=tuple(tuple(tuple(float(f"{value:.4g}") for value in row) for row in one) for one in power),
-        information=information,
-        detected=tuple(tuple(map(bool, flags)) for flags in detected),
-        undetected_fraction=_undetected_fraction(measured, rings, noise, detected, binning),
-    )
-
-
-def _signals_and_noise(
-    waves: Sequence[Float],
-    spectrum: Float,
-    foot: Float,
-    information: float,
-    binning: WavenumberRings,
-    noise_alone: Sequence[tuple[Float, float]],
-) -> tuple[Float, Float, Float]:
-    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains.
-    Fields of noise alone show how it changes from ring to ring; its level is that of rings without waves.
+    T <- S (T + W (1 - T)) for the window W and the smoother S of every step at every level.
     """
 
-    def block_noise(of: float) -> Float:
-        return np.asarray(1.0 / (np.square(foot, dtype=np.float64) * of))
+    def response(weights: np.ndarray) -> np.ndarray:
+        n = np.arange(len(weights)) - len(weights) // 2
+        along_x, along_y = (np.cos(np.asarray(k)[..., None] * n) @ weights.astype(float) for k in (kx, ky))
+        return np.asarray(along_x * along_y)
 
-    rings, noise = _over_gain(waves, spectrum, block_noise(information), binning.rings)
-    sectors, noise_of_sectors = _over_gain(waves, spectrum, block_noise(information), binning.sectors)
-    shape = np.ones_like(rings)
-    if noise_alone:
-        ratios = [
-            np.divide(*_over_gain([field], spectrum, block_noise(own), binning.rings))
-            for field, own in noise_alone
-        ]
-        shape = np.array([binning.level(one) for one in np.mean(ratios, axis=0)])
-    resolved = (binning.count > 0) & (binning.middle < SHORTEST_WAVENUMBER)
-    level = [_plateau(one, binning.count[resolved]) for one in (rings / (shape * noise))[:, resolved]]
-    plateau = shape * np.reshape(level, (-1, 1))
-    return rings - plateau * noise, sectors - plateau[:, None] * noise_of_sectors, plateau * noise
-
-
-def _over_gain(
-    fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
-) -> tuple[Float, Float]:
-    """Mean power of MAP fields of a spectrum, and of their noise, over the squared gain."""
-    power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
-    spectrum = np.broadcast_to(spectrum, power.shape)
-    squared_gain = np.square(spectrum / (spectrum + noise))
-    weight = np.maximum(mean(squared_gain), 1e-30)
-    return mean(power) / weight, np.maximum(mean(squared_gain * noise) / weight, 1e-30)
+    total = np.zeros(np.broadcast_shapes(np.shape(kx), np.shape(ky)))
+    for level in reversed(range(settings.levels)):
+        sigma = settings.smoother_sigma if level == 0 else settings.coarse_smoother_sigma
+        window = response(gaussian(2**level * window_sigma(settings.window)))
+        smoother = np.ones_like(window)
+        if sigma > 0:
+            smoother = 1 - (1 - response(gaussian(2**level * sigma))) ** settings.smoother_order
+        for _ in range(settings.iterations[settings.levels - 1 - level]):
+            total = smoother * (total + window * (1 - total))
+    return total
 
 
-def _undetected_fraction(
-    measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
-) -> float:
-    """Fraction of the limits of rings without significant waves that their fields contain.
-    By least squares of the power over noise, of which the level is uncertain: a + b (limit over noise).
+def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:
+    """Gain of the area that a block's value is taken to represent.
+
+    Parameters
+    ----------
+    kx, ky : ndarray, shapes that broadcast
+        Wavenumbers along columns and rows, rad per block.
+    variance : float
+        Of that area, px^2.
+
+    Returns
+    -------
+    ndarray
+        Amplitude gain.
     """
-    limit, found = rings / noise, measured / noise
-    weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
-    total = max(float(weight.sum()), 1e-30)
-    mean, level = float((weight * limit).sum()) / total, float((weight * found).sum()) / total
-    square = max(float((weight * np.square(limit - mean)).sum()), 1e-6)
-    slope = float((weight * (limit - mean) * found).sum()) / square
-    return float(np.clip(slope / max(1.0 + level - slope * mean, 0.1), 0.0, 1.0))
-
-
-def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
-    """Sectors over their rings, (c, sectors, rings), averaged over neighbouring rings and shrunk to 1.
-    Constant beyond the last significant ring of each component.
-    """
-    for one, last in zip(weight, lasts):
-        one[:, last:] = 0.0
-    total_weight = convolve1d(weight, RING_SMOOTHING, axis=-1, mode="constant")
-    mean = convolve1d(estimate * weight, RING_SMOOTHING, axis=-1, mode="constant") / np.maximum(
-        total_weight, 1e-30
-    )
-    out: NDArray[np.float64] = np.maximum(
-        (total_weight * mean + SHRINKAGE_MODES) / (total_weight + SHRINKAGE_MODES), MIN_SECTOR_FRACTION
-    )
-    for one, last in zip(out, lasts):
-        one[:, last:] = one[:, last - 1 : last]
+    out: np.ndarray = np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2)
     return out
 
 
-def shrinkage(variance: float, noise: float, waves: float) -> float:
-    """Fraction of a spectrum that is waves, from the variance of fields.
+def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
+    """Fields (c, ny, nx) averaged over the area of such a variance, px^2, that a block's value represents."""
+    side = 0.5 * variance / BLOCK**2
+    kernel = np.array([side, 1.0 - 2.0 * side, side])
+    return np.stack(
+        [cv2.sepFilter2D(one, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT) for one in fields]
+    )
+
+
+def displacement_area(bead_width: float) -> float:
+    """Variance of the area that a block's displacement is taken to represent, px^2.
 
     Parameters
     ----------
-    variance : float
-        Of a field.
-    noise : float
-        The part of it that noise gives.
-    waves : float
-        The part of it that the spectrum would give.
+    bead_width : float
+        Width of the beads' images at half their height, px.
 
     Returns
     -------
     float
-        1 where the variance is half of what the spectrum would give, or four times that of the noise; less in
-        proportion.
+        Of the block, 25/12, and of the beads' images: width^2 / 3 by matching drawn images of beads of 1.5 to
+        4.2 px. And 1.2 more, which restores part of the short waves that priors suppress.
 
     Examples
     --------
-    >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
-    (1.0, 0.0)
+    >>> [round(displacement_area(width), 2) for width in (1.5, 3.0)]
+    [4.03, 6.28]
     """
-    signal = variance - noise
-    needed = min(FULL_WAVE_FRACTION * waves, FULL_SIGNAL_TO_NOISE * noise)
-    return float(np.clip(signal / max(needed, 1e-30), 0.0, 1.0))
-
-
-def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """Power over noise of rings without waves: the least mean over neighbouring rings."""
-    if ratio.size < NOISE_RINGS:
-        return 1.0
-    box = np.ones(NOISE_RINGS)
-    total, modes = (np.convolve(f, box, mode="valid") for f in (ratio * count, count))
-    return float(np.min(total / modes))
-
-
-def _extrapolated(
-    k: NDArray[np.float64],
-    power: NDArray[np.float64],
-    last: int,
-    noise: float,
-    upper_limit: Float | float = np.inf,
-) -> tuple[float, ...]:
-    """The spectrum with a power law, no higher than the upper limit, beyond its first `last` rings."""
-    out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
-    first = max(last - SLOPE_RINGS, 1)
-    slope = SLOPE_RANGE[1]
-    if last - first > 2:
-        slope = float(np.polyfit(np.log(k[first:last]), np.log(out[first:last]), 1)[0])
-    slope = float(np.clip(slope, *SLOPE_RANGE))
-    out[last:] = out[last - 1] * (k[last:] / k[last - 1]) ** slope
-    out[last:] = np.minimum.accumulate(np.minimum(out, upper_limit)[last:])
-    return tuple(map(float, out))
-
-
-def _cosine_coefficients(field: Float) -> NDArray[Any]:
-    out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
-    return out
+    return BLOCK**2 / 12.0 + bead_width**2 / 3.0 + RESTORED_VARIANCE

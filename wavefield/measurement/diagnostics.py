@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.displacement import flows
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.geometry import GridGeometry
@@ -20,6 +19,7 @@ from wavefield.measurement.pair import PairMatch, match_pair
 from wavefield.measurement.record import learn
 from wavefield.measurement.resolution import in_focus, shortest_carried
 from wavefield.measurement.velocity import velocity
+from wavefield.one_thread import one_thread
 from wavefield.variables import Quality
 
 Pair = tuple[str, str]

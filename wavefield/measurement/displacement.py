@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
-from wavefield.matching.block_lattice import slopes as slopes_of
-from wavefield.matching.matching_gain import averaged
+from wavefield.matching.blocks import slopes as slopes_of
+from wavefield.matching.spectrum import averaged
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel, Model
 from wavefield.measurement.pair import why_rejected
 from wavefield.measurement.regrid import push_pull

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching import Prior
-from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.kernels import BLOCK
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.midtime import StepEstimate
 from wavefield.measurement.model import LearnedRecord

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.matching import MatchSettings
-from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.kernels import BLOCK
 from wavefield.matching.prepared import Mask
 from wavefield.measurement.rectify import binned, sight_map
 from wavefield.measurement.regrid import BlockLattice

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching import Modes, PosteriorVariance, Prior
-from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.regrid import local_coefficients, thin_plate
+from wavefield.one_thread import one_thread
 from wavefield.variables import EXACT_SIX
 
 Float = NDArray[Any]

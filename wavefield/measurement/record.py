@@ -19,9 +19,7 @@ from scipy.special import gammaincinv
 from wavefield import matching
 from wavefield.images import made_even
 from wavefield.matching import Modes, Prior
-from wavefield.matching.matching_gain import FOOTPRINT_VARIANCE
-from wavefield.matching.one_thread import one_thread
-from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
+from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, FOOTPRINT_VARIANCE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement import elevation
 from wavefield.measurement.displacement import camera_flow, filled, map_displacement, motion_variance
 from wavefield.measurement.elevation import combine, first_information, map_elevation
@@ -40,6 +38,7 @@ from wavefield.measurement.model import FieldModel, LearnedRecord, displacement_
 from wavefield.measurement.paths import displacements_at_nodes
 from wavefield.measurement.ripples import SharedMotion, ripple_rise, shared_motion
 from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
+from wavefield.one_thread import one_thread
 from wavefield.variables import EXACT_SIX, Quality
 
 Frames = Mapping[str, NDArray[Any] | None]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching.matching_kernels import BLOCK
-from wavefield.matching.prior import Prior
+from wavefield.matching.kernels import BLOCK
+from wavefield.matching.spectrum import Prior
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import LearnedRecord
 from wavefield.measurement.regrid import interpolation_gain

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching import Displacement, Evaluation
-from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.kernels import BLOCK
 from wavefield.measurement.displacement import FlowEstimate
 from wavefield.measurement.error_budget import RIPPLE_BLOCKS
 from wavefield.measurement.geometry import GridGeometry

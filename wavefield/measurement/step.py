@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.displacement import Flows, flows
 from wavefield.measurement.elevation import Surface, surface
 from wavefield.measurement.error_budget import TERMS, bead_tilt, error_budget
@@ -38,6 +37,7 @@ from wavefield.measurement.paths import common_lateness, elevation_errors
 from wavefield.measurement.record import learn, sample_steps
 from wavefield.measurement.search_range import search_widened
 from wavefield.measurement.velocity import Motion, Regions, mean_flow, velocity
+from wavefield.one_thread import one_thread
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality, frames_of_path
 
 Series = Mapping[str, Sequence[NDArray[Any] | None]]

@@ -10,7 +10,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
 from wavefield.errors import CubeError
-from wavefield.matching.one_thread import one_thread
+from wavefield.one_thread import one_thread
 from wavefield.variables import CUBE_DIMS, FrameStatus, Quality, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves.estimation.inputs import a_cube, takes

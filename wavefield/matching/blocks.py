@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from wavefield.compiled import compiled
-from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.kernels import BLOCK
 
 F = np.float32
 BORDER = cv2.BORDER_REPLICATE

@@ -1,14 +1,15 @@
-"""Block Gauss-Newton matching over a pyramid."""
+"""Block Gauss-Newton matching over a pyramid: first estimate, steps, and assessment of the blocks."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
+from wavefield.compiled import compiled
 from wavefield.errors import FrameError
-from wavefield.matching.assess import LastStep, assess, evaluation
-from wavefield.matching.block_lattice import (
+from wavefield.matching.blocks import (
     block_weights,
     filtered,
     replace_outliers,
@@ -22,27 +23,31 @@ from wavefield.matching.block_lattice import (
     to_finer,
     window_weights,
 )
-from wavefield.matching.displacement import Displacement, Evaluation
-from wavefield.matching.matching_gain import RESTORED_VARIANCE, displacement_area
-from wavefield.matching.matching_kernels import (
+from wavefield.matching.kernels import (
     BLOCK,
     F,
     WorkSpace,
     final_sums,
     plain_sums,
     robust_sums,
+    shift_sums,
     unweighted_sums,
     work_space,
 )
-from wavefield.matching.matching_settings import MatchSettings
-from wavefield.matching.prepared import Level, PreparedImage, level_count, prepare
-from wavefield.matching.search import search
+from wavefield.matching.prepared import NO_MASK, Level, PreparedImage, level_count, prepare
+from wavefield.matching.settings import Displacement, Evaluation, MatchSettings, Reason
+from wavefield.matching.spectrum import RESTORED_VARIANCE, displacement_area
+from wavefield.parabola import parabola_vertex
 
 # of the mean trace of the windowed Hessians: keeps steps small where images have little contrast
 RIDGE_FRACTION = 0.01
 MAX_STEP = 1.5  # px
 _TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE  # px^2: slopes within blocks depend little on it
 Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
+MIN_CORRELATION = 0.3  # of windows: below, a block has no score and no Hessian
+NORMALIZATION_SIDE = 41  # px of the level: side of the box of its local normalisation
+
+njit = compiled(error_model="numpy")
 
 
 def match(
@@ -414,3 +419,192 @@ def scores_at(
     own = pair.a.moments[:3]
     shared = (found.hessian[0] + found.hessian[2]) / np.maximum(own[0] + own[2], F(1e-12))
     return replace(found, u=u, v=v, score=score, hessian=own * (shared * pair.count))
+
+
+def search(
+    a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement of every block to the best of all whole-pixel shifts, refined by parabolas.
+    Returns u, v (ny, nx), px of this level.
+    """
+    ny, nx = a.blocks
+    w = nx * BLOCK
+    margin = max(abs(n) for n in (*x_range, *y_range)) + 1
+    first, second = (
+        level.image if settings.normalization > 0 else _locally_normalized(level.image) for level in (a, b)
+    )
+    first = np.ascontiguousarray(first)
+    second = cv2.copyMakeBorder(second, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
+    weights = window_weights(settings.search_window)
+    border = len(weights) // 2
+    n = x_range[1] - x_range[0] + 1
+    score = np.empty((y_range[1] - y_range[0] + 1, ny, n, nx + 2 * border), np.float32)
+    row = np.empty(w, np.float32)
+    for dy, scores in enumerate(score, y_range[0]):
+        shift_sums(first, second, margin, x_range[0], dy, row, scores)
+        side_by_side = scores.reshape(ny, -1)
+        filtered(side_by_side, weights, side_by_side)
+    u, v = _peaks(score, border, x_range[0], y_range[0])
+    for _ in range(2):
+        replace_outliers(u, v, 2.0)
+    return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
+
+
+def _locally_normalized(image: np.ndarray) -> np.ndarray:
+    def mean(f: np.ndarray) -> np.ndarray:
+        return cv2.blur(f, (NORMALIZATION_SIDE, NORMALIZATION_SIDE), borderType=cv2.BORDER_REPLICATE)
+
+    image = image - mean(image)
+    variance = mean(image * image)
+    out: np.ndarray = image / np.sqrt(variance + F(0.01) * F(variance.mean()) + F(1e-12))
+    return out
+
+
+@njit
+def _largest(score: np.ndarray, border: int, best: np.ndarray) -> None:
+    """Number of the shift with the largest score of each block, the first of equals, into best (ny, nx)."""
+    rows, ny, n, width = score.shape
+    nx = width - 2 * border
+    top = np.empty(nx, np.float32)
+    for j in range(ny):
+        for i in range(nx):  # copied as a slice, it takes five seconds more to compile
+            top[i], best[j, i] = score[0, j, 0, border + i], np.int32(0)
+        for dy in range(rows):
+            for k in range(n):
+                middle = score[dy, j, k, border : border + nx]
+                for i in range(nx):
+                    larger = middle[i] > top[i]
+                    best[j, i] = np.int32(dy * n + k) if larger else best[j, i]
+                    top[i] = middle[i] if larger else top[i]
+
+
+def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of the largest score of each block, (ny, nx), with parabolas through its neighbours.
+    score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y.
+    """
+    rows, ny, n, width = score.shape
+    best = np.empty((ny, width - 2 * border), np.int32)
+    _largest(score, border, best)
+    y, x = np.divmod(best, n)
+    j, i = np.indices(best.shape)
+
+    def at(dy: int, dx: int) -> np.ndarray:
+        row, column = np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, n - 1)
+        return np.asarray(score[row, j, column, border + i])
+
+    dx = np.clip(parabola_vertex(at(0, -1), at(0, 0), at(0, 1)), -0.5, 0.5)
+    dy = np.clip(parabola_vertex(at(-1, 0), at(0, 0), at(1, 0)), -0.5, 0.5)
+    inside_x, inside_y = (x > 0) & (x < n - 1), (y > 0) & (y < rows - 1)
+    u, v = (x + first_x).astype(np.float32), (y + first_y).astype(np.float32)
+    return u + np.where(inside_x, dx, F(0)), v + np.where(inside_y, dy, F(0))
+
+
+@dataclass(frozen=True)
+class LastStep:
+    """The last step of a match, and the sums it was made of."""
+
+    sums: np.ndarray  # (12, ny, nx): those of `final_sums`, per block
+    windowed: np.ndarray  # (12, ny, nx): over windows
+    coverage: np.ndarray  # (ny, nx): usable fraction of each window
+    du: np.ndarray  # (ny, nx): the step, px
+    dv: np.ndarray
+    outlier: np.ndarray  # (ny, nx) bool: where the step was replaced by that of the neighbours
+
+
+def assess(
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: LastStep, settings: MatchSettings
+) -> Displacement:
+    """The result of a match at its last displacement u, v (ny, nx), px."""
+    found = evaluation(a, b, u, v, last, settings)
+    ny, nx = u.shape
+    return Displacement(
+        x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
+        y=np.arange(ny) * float(BLOCK) + (BLOCK - 1) / 2,
+        u=u,
+        v=v,
+        correlation=found.correlation,
+        reason=found.reason,
+        settings=settings,
+        score=found.score,
+        hessian=found.hessian,
+    )
+
+
+def evaluation(
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: LastStep, settings: MatchSettings
+) -> Evaluation:
+    """Scores and validity of the blocks at a displacement; reads the windowed sums from the sixth on."""
+    correlation, energy = _correlation(last)
+    score, hessian = _own_scores(last, correlation)
+    reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
+    return Evaluation(score, hessian, correlation, reason)
+
+
+def _correlation(last: LastStep) -> tuple[np.ndarray, np.ndarray]:
+    """Normalised correlation and matched gradient energy of the windows, (ny, nx)."""
+    rr, sa, aa, sr, ar, ab = last.windowed[5:11]
+    power = float(aa.mean() / F(BLOCK * BLOCK))
+    least = F((1e-4 * power + 1e-12) ** 2)
+    n = F(1) / (np.maximum(last.coverage, F(1e-3)) * F(BLOCK * BLOCK))
+    a, r = sa * n, sr * n
+    var_a = np.maximum(aa * n - a * a, F(0))
+    covariance = ar * n - a * r
+    var_b = np.maximum(var_a - F(2) * covariance + (rr * n - r * r), F(0))
+    correlation = (var_a - covariance) / np.sqrt(np.maximum(var_a * var_b, least))
+    return np.clip(correlation, F(-1), F(1)), ab * n
+
+
+def _own_scores(last: LastStep, correlation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Score (2, ny, nx) and Hessian (3, ny, nx) of every block after the step."""
+    # the Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
+    # the gradients is ratio / (2 - ratio), and 0 where their correlation is too low
+    shared, of_mean = last.windowed[10:12]
+    ratio = np.clip(shared / np.maximum(of_mean, F(1e-12)), F(0), F(1))
+    ratio[correlation <= F(MIN_CORRELATION)] = 0
+    hessian = last.sums[2:5] * (ratio / (F(2) - ratio))
+    xx, xy, yy = hessian
+    step = np.stack([xx * last.du + xy * last.dv, xy * last.du + yy * last.dv])
+    return last.sums[:2] - step, hessian
+
+
+def _reasons(
+    a: Level,
+    b: Level,
+    u: np.ndarray,
+    v: np.ndarray,
+    outlier: np.ndarray,
+    correlation: np.ndarray,
+    energy: np.ndarray,
+    settings: MatchSettings,
+) -> np.ndarray:
+    """Bits of `Reason` per block, (ny, nx) uint8."""
+    inside, weight = np.empty((2, *u.shape), np.float32)
+    block_weights(NO_MASK, NO_MASK, u, v, *b.shape, inside)
+    if a.good.size or b.good.size:
+        block_weights(a.good, b.good, u, v, *b.shape, weight)
+    else:
+        weight = inside
+    least = F(max(settings.min_gradient_energy * _sparse_median(energy, weight > 0), 1e-12))
+    rejected = {
+        Reason.EDGE: inside == 0,
+        Reason.MASKED: (weight == 0) & (inside > 0),
+        Reason.TEXTURE: energy <= least,
+        Reason.CORRELATION: correlation < F(settings.min_correlation),
+        Reason.NEIGHBOURS: outlier,
+    }
+    if settings.search_x is not None and settings.search_y is not None:
+        slack = 2.0 ** (settings.levels - 1)  # px: one of the coarsest level
+        limits = (u, settings.search_x), (v, settings.search_y)
+        rejected[Reason.RANGE] = np.logical_or.reduce(
+            [(field < low - slack) | (field > high + slack) for field, (low, high) in limits]
+        )
+    reason = np.zeros(u.shape, np.uint8)
+    for bit, blocks in rejected.items():
+        reason[blocks] |= np.uint8(bit)
+    return reason
+
+
+def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
+    """Median of a field over usable blocks, of every third block each way: windows overlap that much."""
+    every_third = field[::3, ::3][usable[::3, ::3]]
+    return float(np.median(every_third)) if every_third.size else 0.0

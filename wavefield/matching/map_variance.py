@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter1d
 
 from wavefield.compiled import compiled
-from wavefield.matching.cosines import cosines
+from wavefield.matching.map_field import cosines
 from wavefield.matching.noise import hole_mask
-from wavefield.matching.prior import Prior, wavenumbers
+from wavefield.matching.spectrum import Prior, wavenumbers
 
 Float = NDArray[Any]
 F = np.float32

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import threadpoolctl
 
-from wavefield.matching.one_thread import one_thread
+from wavefield.one_thread import one_thread
 
 
 def blas_threads():

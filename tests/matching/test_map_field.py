@@ -16,9 +16,9 @@ from wavefield.matching import (
     refined_prior,
     shrinkage,
 )
-from wavefield.matching.cosines import cosines
-from wavefield.matching.posterior_variance import hole_variance
-from wavefield.matching.wavenumber_rings import SECTORS
+from wavefield.matching.map_field import cosines
+from wavefield.matching.map_variance import hole_variance
+from wavefield.matching.spectrum import SECTORS
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 
@@ -222,7 +222,7 @@ def test_waves_have_a_direction_and_components_a_spectrum_of_their_own():
     h = np.stack([a, 0 * a, a])
     errors = []
     for f, own, truth in zip(data, found, fields):
-        waves = alike.solve(h, a * f, alike.waves(f), 1e-3, 0 * alike.waves(f), alike.factor(a))
+        waves = alike.solve(h, a * f, alike.waves(f), 1e-3, alike.factor(a))
         inside = np.s_[:, 8:-8, 8:-8]
         errors.append([np.mean((g - truth)[inside] ** 2) for g in (own, alike.field(waves))])
     own, radial_error = np.sqrt(np.mean(errors, axis=0))

@@ -1,0 +1,277 @@
+"""The spectrum of a field on a lattice of blocks, from the fields of sample frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
+
+from wavefield.matching.map_field import Modes
+from wavefield.matching.spectrum import (
+    DETECTED_SIGNAL_TO_NOISE,
+    FOOTPRINT_VARIANCE,
+    NOISE_RINGS,
+    SHORTEST_WAVENUMBER,
+    Prior,
+    WavenumberRings,
+    footprint,
+    wavenumbers,
+)
+
+Float = NDArray[np.floating[Any]]
+
+SHRINKAGE_MODES = 2.0  # a sector of so many modes and its ring have equal weights
+RING_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # weights of rings with similar directions
+MIN_SECTOR_FRACTION = 0.01  # of the ring: least power of a sector
+MIN_SQUARED_WINDOW_GAIN = 0.15  # of the windows: less, and a wave is not resolved
+MIN_POWER_TO_PLATEAU = 3.0  # of the windowed field over the plateau of noise, to be signal
+LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
+SHORTEST_IN_LIMITS = 0.5 * np.pi  # rad per block: what shorter waves show of a spectrum is noise
+MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
+MIN_INFORMATION_SHARE = 1e-3  # of what a prior assumes, in the fields that it gave; else they show nothing
+FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
+FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
+SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
+SLOPE_RINGS = 6  # from which the slope is fitted
+
+
+def first_prior(
+    fields: Sequence[Float], window: Float, information: float, area: float = FOOTPRINT_VARIANCE
+) -> Prior:
+    """Prior from windowed fields.
+
+    Parameters
+    ----------
+    fields : sequence of ndarray, (c, ny, nx)
+        Windowed fields of sample frames, without holes and less their edge slopes.
+    window : ndarray, (ny, nx)
+        Gain of the windows for every cosine mode.
+    information : float
+        Typical information of a block.
+    area : float
+        Variance of the area that a block's value represents, px^2.
+
+    Returns
+    -------
+    Prior
+
+    Notes
+    -----
+    The spectrum over the windows' gain, less the plateau of noise; a power law where it is less than three
+    times the plateau.
+    """
+    kx, ky = wavenumbers(window.shape)
+    power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
+    binning = WavenumberRings(kx, ky)
+    window_power, gain = binning.mean(window**2), binning.mean(footprint(kx, ky, area) ** 2)
+    raw = binning.mean(power) / np.maximum(window_power, 1e-9)
+    plateau = float(raw[window_power > MIN_SQUARED_WINDOW_GAIN].min())
+    signal = np.maximum(raw - plateau, 0.0) / gain
+    last = binning.count_until_false(
+        (window_power > MIN_SQUARED_WINDOW_GAIN) & (raw > MIN_POWER_TO_PLATEAU * plateau)
+    )
+    power_law = _extrapolated(binning.middle, signal, last, plateau)
+    return Prior.isotropic(binning.k, power_law, information, area)
+
+
+def refined_prior(
+    prior: Prior,
+    modes: Modes,
+    waves: Sequence[Float],
+    information: float,
+    noise_alone: Sequence[tuple[Float, float]] = (),
+) -> Prior:
+    """Prior from the MAP fields that another prior gave.
+
+    Parameters
+    ----------
+    prior : Prior
+        The one used.
+    modes : Modes
+        Cosines of these fields.
+    waves : sequence of ndarray, (c, my, mx)
+        Cosine coefficients of the MAP fields of sample frames, less those of their prior mean.
+    information : float
+        Mean information of a block in them.
+    noise_alone : sequence of (ndarray, float), optional
+        Coefficients of fields that the same prior gave of noise alone, and their information: they measure
+        how noise changes from ring to ring. Its level is the least of the power over what is expected of it.
+
+    Returns
+    -------
+    Prior
+
+    Notes
+    -----
+    Of a mode with spectrum S and noise N = 1 / (F^2 A), the MAP field keeps G = S / (S + N), and so
+    G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring, and over those of
+    every sector of it. A spectrum may have gaps and several peaks: a ring counts where S is significant
+    against N. In gaps S is the upper limit of what could be there undetected. Beyond the last ring that
+    counts it is a power law, no higher than that limit, with constant sectors. Directions are averaged over
+    neighbouring rings, and sectors of few modes shrink to their ring.
+    """
+    if not information > MIN_INFORMATION_SHARE * prior.information:  # nothing was visible
+        return prior
+    spectrum, binning = prior.spectrum(modes.kx, modes.ky), WavenumberRings(modes.kx, modes.ky)
+    measured, of_sectors, noise = _signals_and_noise(
+        waves, spectrum, modes.foot, information, binning, noise_alone
+    )
+    detected = np.array([binning.significant(one, len(waves)) for one in measured / noise])
+    lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in detected]
+    occupied = binning.count > 0
+    relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
+    limit = np.maximum(measured, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise
+    highest = np.where(occupied, np.minimum(limit, DETECTED_SIGNAL_TO_NOISE * noise), np.inf)
+    least = float((1.0 / (np.square(modes.foot, dtype=np.float64) * information)).min())
+    parts = zip(np.where(detected, measured, limit), lasts, highest)
+    rings = np.array([_extrapolated(binning.middle, one, last, least, top) for one, last, top in parts])
+    weight = binning.sector_count * len(waves) * np.square(rings / (rings + noise))[:, None]
+    power = _shapes(of_sectors / rings[:, None], weight, lasts) * rings[:, None]
+    return replace(
+        prior,
+        k=binning.k,
+        power=tuple(tuple(tuple(float(f"{value:.4g}") for value in row) for row in one) for one in power),
+        information=information,
+        detected=tuple(tuple(map(bool, flags)) for flags in detected),
+        undetected_fraction=_undetected_fraction(measured, rings, noise, detected, binning),
+    )
+
+
+def _signals_and_noise(
+    waves: Sequence[Float],
+    spectrum: Float,
+    foot: Float,
+    information: float,
+    binning: WavenumberRings,
+    noise_alone: Sequence[tuple[Float, float]],
+) -> tuple[Float, Float, Float]:
+    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains.
+    Fields of noise alone show how it changes from ring to ring; its level is that of rings without waves.
+    """
+
+    def block_noise(of: float) -> Float:
+        return np.asarray(1.0 / (np.square(foot, dtype=np.float64) * of))
+
+    rings, noise = _over_gain(waves, spectrum, block_noise(information), binning.rings)
+    sectors, noise_of_sectors = _over_gain(waves, spectrum, block_noise(information), binning.sectors)
+    shape = np.ones_like(rings)
+    if noise_alone:
+        ratios = [
+            np.divide(*_over_gain([field], spectrum, block_noise(own), binning.rings))
+            for field, own in noise_alone
+        ]
+        shape = np.array([binning.level(one) for one in np.mean(ratios, axis=0)])
+    resolved = (binning.count > 0) & (binning.middle < SHORTEST_WAVENUMBER)
+    level = [_plateau(one, binning.count[resolved]) for one in (rings / (shape * noise))[:, resolved]]
+    plateau = shape * np.reshape(level, (-1, 1))
+    return rings - plateau * noise, sectors - plateau[:, None] * noise_of_sectors, plateau * noise
+
+
+def _over_gain(
+    fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
+) -> tuple[Float, Float]:
+    """Mean power of MAP fields of a spectrum, and of their noise, over the squared gain."""
+    power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
+    spectrum = np.broadcast_to(spectrum, power.shape)
+    squared_gain = np.square(spectrum / (spectrum + noise))
+    weight = np.maximum(mean(squared_gain), 1e-30)
+    return mean(power) / weight, np.maximum(mean(squared_gain * noise) / weight, 1e-30)
+
+
+def _undetected_fraction(
+    measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
+) -> float:
+    """Fraction of the limits of rings without significant waves that their fields contain.
+    By least squares of the power over noise, of which the level is uncertain: a + b (limit over noise).
+    """
+    limit, found = rings / noise, measured / noise
+    weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
+    total = max(float(weight.sum()), 1e-30)
+    mean, level = float((weight * limit).sum()) / total, float((weight * found).sum()) / total
+    square = max(float((weight * np.square(limit - mean)).sum()), 1e-6)
+    slope = float((weight * (limit - mean) * found).sum()) / square
+    return float(np.clip(slope / max(1.0 + level - slope * mean, 0.1), 0.0, 1.0))
+
+
+def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
+    """Sectors over their rings, (c, sectors, rings), averaged over neighbouring rings and shrunk to 1.
+    Constant beyond the last significant ring of each component.
+    """
+    for one, last in zip(weight, lasts):
+        one[:, last:] = 0.0
+    total_weight = convolve1d(weight, RING_SMOOTHING, axis=-1, mode="constant")
+    mean = convolve1d(estimate * weight, RING_SMOOTHING, axis=-1, mode="constant") / np.maximum(
+        total_weight, 1e-30
+    )
+    out: NDArray[np.float64] = np.maximum(
+        (total_weight * mean + SHRINKAGE_MODES) / (total_weight + SHRINKAGE_MODES), MIN_SECTOR_FRACTION
+    )
+    for one, last in zip(out, lasts):
+        one[:, last:] = one[:, last - 1 : last]
+    return out
+
+
+def shrinkage(variance: float, noise: float, waves: float) -> float:
+    """Fraction of a spectrum that is waves, from the variance of fields.
+
+    Parameters
+    ----------
+    variance : float
+        Of a field.
+    noise : float
+        The part of it that noise gives.
+    waves : float
+        The part of it that the spectrum would give.
+
+    Returns
+    -------
+    float
+        1 where the variance is half of what the spectrum would give, or four times that of the noise; less in
+        proportion.
+
+    Examples
+    --------
+    >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
+    (1.0, 0.0)
+    """
+    signal = variance - noise
+    needed = min(FULL_WAVE_FRACTION * waves, FULL_SIGNAL_TO_NOISE * noise)
+    return float(np.clip(signal / max(needed, 1e-30), 0.0, 1.0))
+
+
+def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
+    """Power over noise of rings without waves: the least mean over neighbouring rings."""
+    if ratio.size < NOISE_RINGS:
+        return 1.0
+    box = np.ones(NOISE_RINGS)
+    total, modes = (np.convolve(f, box, mode="valid") for f in (ratio * count, count))
+    return float(np.min(total / modes))
+
+
+def _extrapolated(
+    k: NDArray[np.float64],
+    power: NDArray[np.float64],
+    last: int,
+    noise: float,
+    upper_limit: Float | float = np.inf,
+) -> tuple[float, ...]:
+    """The spectrum with a power law, no higher than the upper limit, beyond its first `last` rings."""
+    out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
+    first = max(last - SLOPE_RINGS, 1)
+    slope = SLOPE_RANGE[1]
+    if last - first > 2:
+        slope = float(np.polyfit(np.log(k[first:last]), np.log(out[first:last]), 1)[0])
+    slope = float(np.clip(slope, *SLOPE_RANGE))
+    out[last:] = out[last - 1] * (k[last:] / k[last - 1]) ** slope
+    out[last:] = np.minimum.accumulate(np.minimum(out, upper_limit)[last:])
+    return tuple(map(float, out))
+
+
+def _cosine_coefficients(field: Float) -> NDArray[Any]:
+    out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
+    return out

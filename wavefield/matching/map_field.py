@@ -1,0 +1,599 @@
+"""The MAP field (optimal interpolation) on a lattice of blocks: all blocks weighted against the spectrum.
+
+With the score s and the matched Hessian H of the blocks at the field u that matching reached, nu the noise
+of the scores, A = H / nu, F the footprint of a block and S the field's spectrum, the field f solves
+
+    (F A F + 1/S) f = F (A u + s / nu).
+
+F and S are diagonal in cosines, A is diagonal in blocks; a hole has A = 0. Each of two components has an S of
+its own.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from wavefield.compiled import compiled
+from wavefield.matching.noise import CLUSTER, hole_mask
+from wavefield.matching.spectrum import Prior, wavenumbers
+
+Float = NDArray[Any]
+F = np.float32
+Mask = NDArray[np.bool_]
+
+MIN_SIGNAL_TO_NOISE = 2e-2  # of a mode, and so the gain below which it is left out
+MAX_ITERATIONS = 200  # at most; some ten are usual
+HOLE_KERNEL = np.ones((5, 5), np.uint8)  # blocks: smaller holes converge as fast as the rest
+TOLERANCES_WITH_HOLES = 0.03, 0.007  # of the solver, in the first and the second evaluation
+TOLERANCES = 0.2, 0.03  # the same without holes
+Factor = tuple[Float, Float]
+
+EXACT_MODES = 300  # modes of the highest signal over noise that are solved exactly
+# blocks: width over which slopes are fitted, and length over which the field decays. Wide enough that the
+# noise of a slope is small, and short against the lattice.
+EDGE_REACH = 6
+ALONG_EDGE_SIGMA = 3.0  # blocks: smoothing of the slopes along the edge, half of their fit across
+
+# sums may be reordered by the compiler, but in the same way on every call
+reassociating = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+in_order = compiled(error_model="numpy")
+
+
+class Modes:
+    """The cosine modes of a MAP field: those with more than a fiftieth of signal over noise.
+
+    Parameters
+    ----------
+    prior : Prior
+        Spectrum and typical information.
+    shape : tuple of int
+        Lattice (ny, nx).
+    requested : ndarray of bool, (ny, nx), optional
+        Blocks whose field is requested; all if left out.
+
+    Attributes
+    ----------
+    kx, ky : ndarray, (mx,) and (my, 1)
+        Wavenumbers along columns and rows, rad per block.
+    foot : ndarray, (my, mx)
+        Footprint of every mode.
+    inverse : ndarray, (1 or c, my, mx)
+        Inverse spectrum of every mode, of all components alike or of each.
+    """
+
+    def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
+        self.prior = prior
+        self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
+        inside = np.zeros(shape, np.bool_)  # the surroundings of the edge are not a hole
+        inside[EDGE_REACH:-EDGE_REACH, EDGE_REACH:-EDGE_REACH] = True
+        self._requested &= inside
+        kx, ky = wavenumbers(shape)
+        foot, spectrum, ratio = prior.footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
+        rows, columns = np.nonzero((ratio > MIN_SIGNAL_TO_NOISE).any(axis=0))
+        # whole vectors, and as many even as odd ones
+        my, mx = (
+            min(n // 2 * 2, (int(i.max(initial=3)) + 8) // 8 * 8)
+            for n, i in zip(shape, (rows, columns), strict=True)
+        )
+        band = np.s_[..., :my, :mx]
+        self.kx, self.ky = kx[:mx], ky[:my]
+        self.foot = np.ascontiguousarray(foot[band], np.float32)
+        self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
+        self._cosines = Cosines(shape, (my, mx))
+        self._by_parity = [self._cosines.split_parities(f) for f in (self.foot[None], self.inverse)]
+        self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
+        # signal over noise of single blocks, which also is that of slopes fitted to them
+        of_blocks = prior.information * spectrum.mean(axis=(1, 2))
+        self._kept = np.minimum(of_blocks, 1.0).astype(np.float32)[:, None, None]
+        self._preconditioner = Preconditioner(
+            shape, ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0), self.foot
+        )
+
+    @property
+    def lattice(self) -> tuple[int, int]:
+        """Rows and columns of blocks."""
+        return self._cosines.lattice
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of modes along y and x."""
+        return self._cosines.shape
+
+    def waves(self, field: Float) -> Float:
+        """Coefficients (c, my, mx) of a field (c, ny, nx)."""
+        return self._cosines.waves(field)
+
+    def field(self, waves: Float) -> Float:
+        """Field (c, ny, nx) of coefficients (c, my, mx)."""
+        return self._cosines.field(waves)
+
+    def seen(self, waves: Float) -> Float:
+        """Field averaged over the footprint of the blocks, (c, ny, nx)."""
+        return self.field(self.foot * waves)
+
+    def split(self, field: Float) -> tuple[Float, Float]:
+        """Split a field without holes into a smooth one with its edge slopes and cosines of the rest.
+
+        Parameters
+        ----------
+        field : ndarray, (c, ny, nx)
+            First estimate of the field.
+
+        Returns
+        -------
+        edges : ndarray of float32, (c, ny, nx)
+            The smooth field. Of slopes that noise exceeds only the fraction of waves is kept.
+        waves : ndarray of float32, (c, my, mx)
+            Coefficients of the rest.
+        """
+        edges = self._kept * edge_field(field)
+        return edges, self.waves(field - edges)
+
+    def factor(self, information: Float) -> Factor:
+        """Preconditioner for some information.
+
+        Parameters
+        ----------
+        information : ndarray of float32, (ny, nx)
+            A, or the mean of its two diagonal parts.
+
+        Returns
+        -------
+        tuple
+            For `solve`.
+        """
+        return self._preconditioner.factor(information)
+
+    def tolerances(self, information: Float) -> tuple[float, float]:
+        """Tolerances of the first and the second evaluation.
+
+        Parameters
+        ----------
+        information : ndarray of float32, (ny, nx)
+            A, or the mean of its two diagonal parts.
+
+        Returns
+        -------
+        float, float
+            For `solve`: closer where there are holes, in which the field converges last.
+        """
+        hole = hole_mask(information, self.prior.information) & self._requested
+        return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
+
+    def solve(
+        self,
+        information: Float,
+        right: Float,
+        start: Float,
+        tolerance: float,
+        factor: Factor,
+        seen: Float | None = None,
+    ) -> Float:
+        """Solve (F A F + 1/S) f = F b by preconditioned conjugate gradients.
+
+        Parameters
+        ----------
+        information : ndarray of float32, (1 or 3, ny, nx)
+            A of one field, or A_xx, A_xy, A_yy of two.
+        right : ndarray of float32, (c, ny, nx)
+            b = A u + s / nu, with c = 1 or 2 fields, u less its smooth part of `split`.
+        start : ndarray of float32, (c, my, mx)
+            First guess.
+        tolerance : float
+            Of the residual in its own uncertainty, rms over the modes.
+        factor : tuple
+            As given by `factor`.
+        seen : ndarray of float32, (c, ny, nx), optional
+            `seen` of the first guess, where it is at hand.
+
+        Returns
+        -------
+        ndarray of float32, (c, my, mx)
+            Coefficients of f.
+        """
+        a, c = information, len(right)
+        seen = self.seen(start) if seen is None else seen
+        residual = self.foot * self.waves(right - _apply_information(a, seen)) - self.inverse * start
+        waves, residual = self._cosines.split_parities(start), self._cosines.split_parities(residual)
+        foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in self._by_parity)
+        typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]
+        diagonal = 1 / (foot**2 * typical + inverse)
+        a = self._cosines.mirrored(a)
+        step = np.empty_like(residual)
+        size = self._preconditioner.apply(residual, diagonal, factor, step)
+        direction, image = step.copy(), np.empty_like(residual)
+        for _ in range(MAX_ITERATIONS):
+            if size <= tolerance * tolerance * waves.size:
+                break
+            np.multiply(foot, direction, out=image)
+            quarters = self._cosines.quarters_of(image)
+            multiply(a, quarters)
+            image = self._cosines.coefficients_of(quarters)
+            flat = direction.ravel(), image.ravel()
+            length = F(size / _apply_prior(foot.ravel(), inverse.ravel(), *flat))
+            _advance(length, *flat, waves.ravel(), residual.ravel())
+            size, before = self._preconditioner.apply(residual, diagonal, factor, step), size
+            _update_direction(F(size / before), step.ravel(), direction.ravel())
+        return self._cosines.merge_parities(waves)
+
+
+def _apply_information(a: Float, field: Float) -> Float:
+    """A times a field, (c, ny, nx)."""
+    if len(field) == 1:
+        return a * field
+    u, v = field
+    return np.stack([a[0] * u + a[1] * v, a[1] * u + a[2] * v])
+
+
+@reassociating
+def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
+    """Turn A F p into (F A F + 1/S) p for the direction p; return its product with p."""
+    total = F(0)
+    for i in range(len(image)):
+        value = foot[i] * image[i] + inverse[i] * direction[i]
+        image[i] = value
+        total += value * direction[i]
+    return total
+
+
+@reassociating
+def _advance(length: F, direction: Float, image: Float, waves: Float, residual: Float) -> None:
+    for i in range(len(waves)):
+        waves[i] += length * direction[i]
+        residual[i] -= length * image[i]
+
+
+@reassociating
+def _update_direction(ratio: F, step: Float, direction: Float) -> None:
+    for i in range(len(step)):
+        direction[i] = ratio * direction[i] + step[i]
+
+
+def _freedom(gain: Float) -> float:
+    """Fraction of the variance of clusters of scores that remains after a fit with this gain."""
+    rows, columns = (_box(n) for n in gain.shape)
+    power = np.square(rows[:, None] * columns)
+    return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
+
+
+def _box(n: int) -> NDArray[np.float64]:
+    m = np.arange(1, CLUSTER // 2 + 1)[:, None]
+    out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
+    return out
+
+
+# Cosine transforms by parity.
+#
+# A cosine is even or odd about the middle of its lattice, so a quarter of the lattice determines each of the
+# four combinations of parities; transforming these separately halves the cost. Coefficients *by parity* are
+# (2, my / 2, 2, c, mx / 2), the parities along y and x each before their index; *quarters* are
+# (2, hy, 2, c, hx) with hy = ceil(ny / 2).
+
+
+def cosines(n: int, count: int) -> NDArray[np.float64]:
+    """The first orthonormal cosines on n blocks, (count, n)."""
+    phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
+    out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
+    out[0] /= np.sqrt(2.0)
+    return out
+
+
+class Cosines:
+    """Transforms between fields on a lattice and the coefficients of their first cosines.
+
+    Examples
+    --------
+    >>> waves = np.zeros((1, 4, 6), np.float32)
+    >>> waves[0, 1, 2] = 1.0
+    >>> transforms = Cosines((7, 10), (4, 6))
+    >>> bool(np.allclose(transforms.waves(transforms.field(waves)), waves, atol=1e-6))
+    True
+    """
+
+    def __init__(self, lattice: tuple[int, int], shape: tuple[int, int]) -> None:
+        self.lattice, self.shape = lattice, shape
+        self._half = (lattice[0] + 1) // 2, (lattice[1] + 1) // 2
+        rows, columns = (
+            cosines(n, m).astype(F)[:, :h] for n, m, h in zip(lattice, shape, self._half, strict=True)
+        )
+        # (2, my / 2, hy) and its transpose; (2, mx / 2, hx) and its transpose
+        self._rows, self._columns = (np.ascontiguousarray([c[::2], c[1::2]]) for c in (rows, columns))
+        self._rows_t, self._columns_t = (
+            np.ascontiguousarray(c.transpose(0, 2, 1)) for c in (self._rows, self._columns)
+        )
+
+    def waves(self, field: Float) -> Float:
+        """Coefficients (c, my, mx) of a field (c, ny, nx)."""
+        return self.merge_parities(self.coefficients_of(self.quarters(field)))
+
+    def field(self, waves: Float) -> Float:
+        """Field (c, ny, nx) of coefficients (c, my, mx)."""
+        ny, nx = self.lattice
+        quarters = self.quarters_of(self.split_parities(waves))
+        out = np.empty((len(waves), ny, nx), F)
+        _unfold(quarters, out)
+        return out
+
+    def split_parities(self, waves: Float) -> Float:
+        """Coefficients (c, my, mx) by parity."""
+        c, (my, mx) = len(waves), self.shape
+        parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
+        return np.ascontiguousarray(parts, F)
+
+    def merge_parities(self, by_parity: Float) -> Float:
+        """Coefficients (c, my, mx) from those by parity."""
+        c = by_parity.shape[3]
+        return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
+
+    def quarters(self, field: Float) -> Float:
+        """Quarters of a field (c, ny, nx): its even and odd parts."""
+        hy, hx = self._half
+        out = np.empty((2, hy, 2, len(field), hx), F)
+        _fold(np.ascontiguousarray(field, F), out)
+        return out
+
+    def mirrored(self, field: Float) -> Float:
+        """A field (c, ny, nx) at the four mirrored positions, (2, 2, c, hy, hx)."""
+        (ny, nx), (hy, hx) = self.lattice, self._half
+        # the middle of an odd number of blocks is its own mirror image and is counted once
+        out = np.zeros((2, 2, len(field), hy, hx), F)
+        out[0, 0] = field[:, :hy, :hx]
+        out[0, 1, ..., : nx - hx] = field[:, :hy, : hx - 1 : -1]
+        out[1, 0, :, : ny - hy] = field[:, : hy - 1 : -1, :hx]
+        out[1, 1, :, : ny - hy, : nx - hx] = field[:, : hy - 1 : -1, : hx - 1 : -1]
+        return out
+
+    def quarters_of(self, by_parity: Float) -> Float:
+        """Quarters from coefficients by parity."""
+        _, my, _, c, mx = by_parity.shape
+        hy, hx = self._half
+        # rows in the middle: modes along y are the smaller part of their cosines
+        part = np.empty((2 * my, 2, c, hx), F)
+        flat = by_parity.reshape(2 * my, 2, c, mx)
+        for parity in range(2):
+            for n in range(c):
+                np.matmul(flat[:, parity, n], self._columns[parity], out=part[:, parity, n])
+        out: Float = np.matmul(self._rows_t, part.reshape(2, my, 2 * c * hx))
+        return out.reshape(2, hy, 2, c, hx)
+
+    def coefficients_of(self, quarters: Float) -> Float:
+        """Coefficients by parity from quarters."""
+        _, hy, _, c, hx = quarters.shape
+        my, mx = self.shape[0] // 2, self.shape[1] // 2
+        part = np.matmul(self._rows, quarters.reshape(2, hy, 2 * c * hx)).reshape(2 * my, 2, c, hx)
+        out = np.empty((2 * my, 2, c, mx), F)
+        for parity in range(2):
+            for n in range(c):
+                np.matmul(part[:, parity, n], self._columns_t[parity], out=out[:, parity, n])
+        return out.reshape(2, my, 2, c, mx)
+
+
+@reassociating
+def _fold(field: Float, out: Float) -> None:
+    _, hy, _, c, hx = out.shape
+    _, ny, nx = field.shape
+    for n in range(c):
+        for j in range(hy):
+            up, down = field[n, j], field[n, ny - 1 - j]
+            once = F(1) if j < ny - hy else F(0)  # the middle of an odd number of rows
+            ee, eo, oe, oo = out[0, j, 0, n], out[0, j, 1, n], out[1, j, 0, n], out[1, j, 1, n]
+            for i in range(nx - hx):
+                p, q = up[i], up[nx - 1 - i]
+                r, s = once * down[i], once * down[nx - 1 - i]
+                ee[i], eo[i] = (p + r) + (q + s), (p + r) - (q + s)
+                oe[i], oo[i] = (p - r) + (q - s), (p - r) - (q - s)
+            for i in range(nx - hx, hx):
+                p, r = up[i], once * down[i]
+                ee[i] = eo[i] = p + r
+                oe[i] = oo[i] = p - r
+
+
+@reassociating
+def _unfold(quarters: Float, out: Float) -> None:
+    _, hy, _, c, hx = quarters.shape
+    _, ny, nx = out.shape
+    for n in range(c):
+        for j in range(hy):
+            up, down = out[n, j], out[n, ny - 1 - j]
+            ee, eo, oe, oo = (
+                quarters[0, j, 0, n],
+                quarters[0, j, 1, n],
+                quarters[1, j, 0, n],
+                quarters[1, j, 1, n],
+            )
+            for i in range(hx):
+                p, q, r, s = ee[i] + oe[i], eo[i] + oo[i], ee[i] - oe[i], eo[i] - oo[i]
+                up[i], down[i] = p + q, r + s
+                up[nx - 1 - i], down[nx - 1 - i] = p - q, r - s
+
+
+@reassociating
+def multiply(a: Float, quarters: Float) -> None:
+    """Multiply a field, given as quarters (2, hy, 2, 1 or 2, hx), by A (2, 2, 1 or 3, hy, hx), in place."""
+    _, hy, _, c, _ = quarters.shape
+    for j in range(hy):
+        top, bottom = quarters[0, j], quarters[1, j]
+        if c == 1:
+            _multiply_one(a[0, 0, 0, j], a[0, 1, 0, j], a[1, 0, 0, j], a[1, 1, 0, j], top, bottom)
+        else:
+            _multiply_two(a[0, 0, :, j], a[0, 1, :, j], a[1, 0, :, j], a[1, 1, :, j], top, bottom)
+
+
+@reassociating
+def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
+    """Values at the four mirrored positions from the four parities, and back but for a factor."""
+    p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
+    return p + q, p - q, r + s, r - s
+
+
+@reassociating
+def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+    ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
+    for i in range(len(a0)):
+        f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
+        f0, f1, f2, f3 = a0[i] * f0, a1[i] * f1, a2[i] * f2, a3[i] * f3
+        ee[i], eo[i] = (f0 + f2) + (f1 + f3), (f0 + f2) - (f1 + f3)
+        oe[i], oo[i] = (f0 - f2) + (f1 - f3), (f0 - f2) - (f1 - f3)
+
+
+@reassociating
+def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+    ue, uo, pe, po = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
+    ve, vo, qe, qo = top[0, 1], top[1, 1], bottom[0, 1], bottom[1, 1]
+    x0, x1, x2, x3 = a0[0], a1[0], a2[0], a3[0]
+    m0, m1, m2, m3 = a0[1], a1[1], a2[1], a3[1]
+    y0, y1, y2, y3 = a0[2], a1[2], a2[2], a3[2]
+    for i in range(len(x0)):
+        u0, u1, u2, u3 = _four_places(ue[i], uo[i], pe[i], po[i])
+        v0, v1, v2, v3 = _four_places(ve[i], vo[i], qe[i], qo[i])
+        f0, f1, f2, f3 = (
+            x0[i] * u0 + m0[i] * v0,
+            x1[i] * u1 + m1[i] * v1,
+            x2[i] * u2 + m2[i] * v2,
+            x3[i] * u3 + m3[i] * v3,
+        )
+        g0, g1, g2, g3 = (
+            m0[i] * u0 + y0[i] * v0,
+            m1[i] * u1 + y1[i] * v1,
+            m2[i] * u2 + y2[i] * v2,
+            m3[i] * u3 + y3[i] * v3,
+        )
+        ue[i], uo[i] = (f0 + f2) + (f1 + f3), (f0 + f2) - (f1 + f3)
+        pe[i], po[i] = (f0 - f2) + (f1 - f3), (f0 - f2) - (f1 - f3)
+        ve[i], vo[i] = (g0 + g2) + (g1 + g3), (g0 + g2) - (g1 + g3)
+        qe[i], qo[i] = (g0 - g2) + (g1 - g3), (g0 - g2) - (g1 - g3)
+
+
+# A smooth field with the slopes that another one has at the edges of its lattice.
+#
+# A cosine series has no slope there: without such a field, long waves that cross an edge would ring far into
+# the lattice. A quadratic fitted to the whole lattice does not serve: errors on texture grow by half.
+
+
+def edge_field(field: Float) -> Float:
+    """The smooth field with the edge slopes of a given one.
+
+    Parameters
+    ----------
+    field : ndarray, (c, ny, nx)
+        Fields without holes.
+
+    Returns
+    -------
+    ndarray of float32, (c, ny, nx)
+        Exponentials that decay from each edge, along x and then along y.
+    """
+    field = np.asarray(field, np.float32)
+    out = _with_slopes_along_x(field)
+    rest = np.ascontiguousarray(np.swapaxes(field - out, 1, 2))
+    out += np.swapaxes(_with_slopes_along_x(rest), 1, 2)
+    return out
+
+
+def _with_slopes_along_x(field: Float) -> Float:
+    """The field with the slopes at the first and the last column, smoothed along these."""
+    fit, profile, smoother = _tables(*field.shape[1:])
+    first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
+    return np.asarray(last[..., None] * profile - first[..., None] * profile[::-1])
+
+
+@lru_cache(maxsize=16)
+def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
+    """Weights of a line's slope, profile (nx,) of slope 1 at the last column, smoother (ny, ny) along it."""
+    t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
+    profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
+    modes = cosines(ny, ny)
+    gain = np.exp(-0.5 * np.square(ALONG_EDGE_SIGMA * np.pi * np.arange(ny) / ny))
+    return t / (t * t).sum(), profile.astype(np.float32), ((modes.T * gain) @ modes).astype(np.float32)
+
+
+# Preconditioner: the exact coupling of the strongest modes, a diagonal for the others.
+
+
+class Preconditioner:
+    """Tables of the exact block, the same for all components of a field on a lattice (ny, nx).
+    ratio, inverse and foot (my, mx): signal over noise, inverse spectrum and footprint of the modes.
+    """
+
+    def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:
+        count = min(EXACT_MODES, ratio.size)
+        order = np.sort(np.argsort(-ratio.ravel(), kind="stable")[:count])
+        self._iy, self._ix = (i.astype(np.int64) for i in np.divmod(order, ratio.shape[1]))
+        sums = []
+        for n, i in zip(lattice, (self._iy, self._ix), strict=True):
+            m = np.arange(2 * int(i.max()) + 1)[:, None]
+            sums.append(np.cos(np.pi * m * (np.arange(n) + 0.5) / n).astype(np.float32))
+        self._sum_rows, self._sum_columns = sums[0], np.ascontiguousarray(sums[1].T)
+        norm = 0.5 * foot.ravel()[order].astype(np.float64)
+        for n, i in zip(lattice, (self._iy, self._ix), strict=True):
+            norm *= np.where(i == 0, np.sqrt(1.0 / n), np.sqrt(2.0 / n))
+        self._norm = norm.astype(np.float32)
+        self._own_inverse = inverse.ravel()[order].astype(np.float32)
+        self._square = np.square(foot.ravel()[order])
+        half = ratio.shape[1] // 2  # positions among the coefficients by parity
+        line = (self._iy % 2 * (ratio.shape[0] // 2) + self._iy // 2) * 2 + self._ix % 2
+        self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
+
+    def factor(self, information: Float) -> Factor:
+        """Cholesky factor of the exact block and its scale for an information (ny, nx)."""
+        table = self._sum_rows @ information @ self._sum_columns
+        scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
+        count = self._norm.size
+        matrix = np.zeros((count, count), np.float32)
+        _assemble(table, self._iy, self._ix, self._norm * scale, self._own_inverse * scale * scale, matrix)
+        lower, failed = scipy.linalg.lapack.spotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
+        if failed:  # by rounding: scaled as it is, its diagonal is about 1
+            lower = np.eye(count, dtype=np.float32, order="F")
+        return lower, scale.astype(np.float32)
+
+    def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
+        """Write the next step; return its product with the residual."""
+        lower, scale = factor
+        positions = self._positions[residual.shape[3]]
+        gathered = np.empty(positions.shape, F)
+        _gather(residual.ravel(), positions, scale, gathered)
+        exact, _ = scipy.linalg.lapack.spotrs(lower, gathered.T, lower=0, overwrite_b=1)
+        return float(
+            _preconditioned(diagonal.ravel(), residual.ravel(), exact.T, positions, scale, out.ravel())
+        )
+
+
+@reassociating
+def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
+    for n in range(len(positions)):
+        for k in range(len(scale)):
+            out[n, k] = residual[positions[n, k]] * scale[k]
+
+
+@reassociating
+def _preconditioned(
+    diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
+) -> F:
+    """Write the preconditioned residual, diagonal and exact part; return its product with the residual."""
+    for i in range(len(out)):
+        out[i] = diagonal[i] * residual[i]
+    for n in range(len(positions)):
+        for k in range(len(scale)):
+            out[positions[n, k]] = exact[n, k] * scale[k]
+    total = F(0)
+    for i in range(len(out)):
+        total += residual[i] * out[i]
+    return total
+
+
+@in_order
+def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
+    """Lower triangle of F A F + 1/S among some modes, scaled: products of cosines are sums of cosines."""
+    for p in range(iy.size):
+        for q in range(p + 1):
+            y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]
+            x0, x1 = abs(ix[p] - ix[q]), ix[p] + ix[q]
+            total = table[y0, x0] + table[y0, x1] + table[y1, x0] + table[y1, x1]
+            out[p, q] = norm[p] * norm[q] * total
+        out[p, p] += own[p]
