@@ -33,18 +33,28 @@ OTHER = "Other"
 
 def demo(folder: Path) -> None:
     """Run the demo, unless the folder has one by this very code."""
-    import wavefield as wf
     from wavefield.commands.cli import main
 
-    sources = sorted(Path(wf.__file__).parent.rglob("*.py"))
-    made = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     done = folder / "made_by"
-    if done.exists() and done.read_text(encoding="utf-8") == made:
+    if done.exists() and done.read_text(encoding="utf-8") == code():
         return
     shutil.rmtree(folder, ignore_errors=True)
     if main(["-q", "demo", str(folder)]):
         raise RuntimeError("the demo of the site failed")
-    done.write_text(made, encoding="utf-8")
+    sign_demo(folder)
+
+
+def sign_demo(folder: str | Path) -> None:
+    """Note in a demo's folder which code made it."""
+    (Path(folder) / "made_by").write_text(code(), encoding="utf-8")
+
+
+def code() -> str:
+    """A digest of the package's sources."""
+    import wavefield as wf
+
+    sources = sorted(Path(wf.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 
 def tasks() -> dict[str, list[str]]:
