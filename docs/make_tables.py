@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 import inspect
 import re
+import tomllib
 import types
 from enum import Enum
 from itertools import takewhile
@@ -18,6 +19,7 @@ from wavefield.variables import CUBE_FIELDS, GROUPS, TABLE, FrameStatus, Quality
 ROOT = Path(__file__).parents[1]
 PAGES = (
     ROOT / "CONTRIBUTING.md",
+    ROOT / "packaging" / "recipe.yaml",
     *(
         ROOT / "docs" / f"{name}.md"
         for name in ("experiment-file", "images", "cube", "waves", "workflows-and-catalogs")
@@ -71,8 +73,6 @@ def cube() -> str:
         "frame",
         "camera",
         "frame_fault",
-        "checksum",
-        "stored_bytes",
         "camera_shift",
         "gain/direction",
         "k",
@@ -284,7 +284,16 @@ def rooms() -> str:
     return rows_to_table(("floor", "room", "holds"), rows)
 
 
+def dependencies() -> str:
+    """Dependencies of the package by their names on conda-forge."""
+    other = {"opencv-python-headless": "py-opencv", "dask": "dask-core", "matplotlib": "matplotlib-base"}
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    needs = [re.match(r"([\w-]+)[^>]*(>=.+)", need).groups() for need in config["project"]["dependencies"]]
+    return "\n".join(f"    - {other.get(name, name)} {bound}" for name, bound in needs)
+
+
 TABLES = {
+    "dependencies": dependencies,
     "rooms": rooms,
     "experiment": experiment,
     "settings": settings_table,
@@ -302,7 +311,7 @@ TABLES = {
 def filled(page: str) -> str:
     """The page with every table made anew."""
     for name, make in TABLES.items():
-        pattern = re.compile(rf"(<!-- table: {name} -->\n).*?(<!-- end -->)", re.S)
+        pattern = re.compile(rf"(<!-- table: {name} -->\n).*?((?: *# )?<!-- end -->)", re.S)
         page = pattern.sub(lambda place, make=make: f"{place[1]}{make()}\n{place[2]}", page)
     return page
 

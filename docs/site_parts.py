@@ -21,7 +21,12 @@ TASKS = {
     "Calibrate the cameras": ("calibration.", "rig."),
     "Plan and simulate": ("tank.", "pipeline.forecast"),
     "Measure": ("pipeline.lazy", "pipeline.running", "pipeline.catalog", "matching.", "store.ledger"),
-    "Open, check and export": ("pipeline.opened_run", "store.", "waves.estimation."),
+    "Open, check and export": (
+        "pipeline.opened_run",
+        "pipeline.uncertainty_terms",
+        "store.",
+        "waves.estimation.",
+    ),
     "Spectra": ("waves.spectra.", "waves.wave_analysis", "pipeline.analysis"),
     "Dispersion, current, directions": ("waves.dispersion_relation.", "waves.fused."),
     "Bound waves and interactions": ("waves.nonlinear.",),
