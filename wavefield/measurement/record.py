@@ -265,7 +265,7 @@ def _elevation_samples(
 
         def summary(modes: Modes) -> tuple[float, float, float]:
             found = map_elevation(blocks, matches, flat, modes, pixel)
-            z = modes.fieldfound.waves[0][found.information > 0]
+            z = modes.field(found.waves)[0][found.information > 0]
             std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
             return float(found.information.mean()) / bare, std**2, found.epipolar**2
 
