@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavefield.measurement.paths import noise_weights, place_weights, read_path
+from wavefield.measurement.paths import noise_weights, path_weights, place_weights, read_path
 from wavefield.measurement.regrid import BlockLattice, coefficients
 from wavefield.variables import EXACT_SIX, PATH_WEIGHTS
 
@@ -27,7 +27,7 @@ def error(angle, *there, frames=6):
         LATTICE,
         X,
         Y,
-        frames,
+        path_weights(frames=frames),
     )
     exact = angle * np.stack([-(Y - MIDDLE), X - MIDDLE])
     return float(np.abs(d[:2] - exact).max() / np.abs(exact).max())

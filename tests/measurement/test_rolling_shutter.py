@@ -12,9 +12,10 @@ from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.paths import (
     common_lateness,
     elevation_errors,
+    frame_weights,
     lateness,
-    read_uneven_path,
-    uneven_weights,
+    path_weights,
+    read_path,
 )
 from wavefield.series import Experiment
 from wavefield.tank import Scene
@@ -27,7 +28,7 @@ USED = {2: (2, 3), 3: (1, 2, 3), 4: (1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
 @settings(max_examples=40, deadline=None)
 def test_weights_at_other_times_are_exact_for_polynomials(frames, at, smooth):
     smooth, at = smooth and frames == 6, np.array(at)
-    value, rate = uneven_weights(EVEN, USED[frames], smooth, at)
+    value, rate = frame_weights(EVEN, USED[frames], smooth, at)
     for degree in range(frames):
         np.testing.assert_allclose(EVEN**degree @ value, at**degree, atol=1e-9)
         if degree < frames - smooth:
@@ -40,8 +41,8 @@ def test_a_path_is_read_at_the_moment_that_is_asked_for(places):
     splines = [turned(angle) if q == "1" else None for q in there]
     everywhere = [np.ones(LATTICE.shape, bool) if q == "1" else None for q in there]
     X, Y = np.meshgrid(np.linspace(110.0, 190.0, 5), np.linspace(110.0, 190.0, 5))
-    at = 0.003 * (Y - MIDDLE)
-    d, _ = read_uneven_path(splines, everywhere, LATTICE, X, Y, EVEN, at)
+    weights = path_weights(EVEN, 6, 0.003 * (Y - MIDDLE))
+    d, _ = read_path(splines, everywhere, LATTICE, X, Y, weights)
     exact = angle * np.stack([-(Y - MIDDLE), X - MIDDLE])
     assert np.abs(d[:2] - exact).max() < 5e-4 * np.abs(exact).max()
 

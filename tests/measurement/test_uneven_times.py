@@ -10,25 +10,30 @@ from test_paths import LATTICE, MIDDLE, turned
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import z_by_orders
 from wavefield.measurement.paths import (
-    ELEVATION_WEIGHTS,
+    EVEN_TIMES,
+    frame_weights,
     noise_of_displacements,
     noise_weights,
+    path_weights,
     place_weights,
     read_path,
-    read_uneven_path,
-    uneven_weights,
 )
 
-EVEN = np.arange(6) - 2.5
+EVEN = EVEN_TIMES
+ELEVATION = {  # polynomials through even frames at mid-time
+    2: (1 / 2, 1 / 2),
+    3: (-1 / 8, 6 / 8, 3 / 8),
+    4: (-1 / 16, 9 / 16, 9 / 16, -1 / 16),
+    6: np.array([3, -25, 150, 150, -25, 3]) / 256,
+}
 JITTER = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6).map(lambda e: EVEN + e)
 USED = {2: (2, 3), 3: (1, 2, 3), 4: (1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
 
 
 def test_even_times_have_the_weights_of_even_paths():
     for frames, used in USED.items():
-        value, rate = uneven_weights(EVEN, used, smooth=frames == 6)
-        even = ELEVATION_WEIGHTS[frames][::-1] if frames == 3 else ELEVATION_WEIGHTS[frames]
-        np.testing.assert_allclose(value, even, atol=1e-7)
+        value, rate = frame_weights(EVEN, used, smooth=frames == 6)
+        np.testing.assert_allclose(value[list(used)], ELEVATION[frames], atol=1e-12)
         if frames != 3:
             np.testing.assert_allclose(rate[list(used)], place_weights(frames)[1], atol=1e-12)
             later = np.cumsum(rate[::-1])[::-1][1:]
@@ -42,7 +47,7 @@ def test_even_times_have_the_weights_of_even_paths():
 @settings(max_examples=60, deadline=None)
 def test_a_polynomial_in_time_is_exact_at_any_times(times, frames, smooth):
     smooth = smooth and frames == 6
-    value, rate = uneven_weights(times, USED[frames], smooth)
+    value, rate = frame_weights(times, USED[frames], smooth)
     for degree in range(frames):
         assert value @ times**degree == pytest.approx(float(degree == 0), abs=1e-9)
         if degree < frames - smooth:
@@ -75,21 +80,12 @@ def test_paths_through_frames_at_uneven_times_are_as_exact_as_through_even_ones(
     there = {2: "00100", 3: "01100", -3: "00110", 4: "01110", 6: "11111"}[places]
     there = [q == "1" for q in there]
     limit = {2: 0.03, 3: 3e-3, 4: 5e-4, 6: 5e-4}[abs(places)]
-    uneven = error(0.1, times, there, lambda *a: read_uneven_path(*a, times))
+    uneven = error(0.1, times, there, lambda *a: read_path(*a, path_weights(times)))
     assert max(uneven) < limit
     # and through the same places as where times are taken for even
-    if np.abs(times - EVEN).max() > 0.1 and places in (4, 6):
+    used = list(USED.get(places, ()))
+    if places in (4, 6) and np.abs(times - EVEN)[used].max() > 0.1:
         assert max(error(0.1, times, there, read_path)) > 3 * max(uneven)
-
-
-def test_even_times_give_the_paths_of_even_times():
-    splines, everywhere = [turned(0.2)] * 5, [np.ones(LATTICE.shape, bool)] * 5
-    X, Y = np.meshgrid(np.linspace(110.0, 190.0, 7), [100.0, np.nan, 170.0])
-    for there in (slice(0, 5), slice(1, 4)):
-        one = read_path(splines[there], everywhere[there], LATTICE, X, Y)
-        other = read_uneven_path(splines[there], everywhere[there], LATTICE, X, Y, EVEN)
-        np.testing.assert_allclose(other[0], one[0], rtol=1e-5, atol=1e-3)
-        np.testing.assert_array_equal(other[1], one[1])
 
 
 @given(JITTER, st.sampled_from([(), (0,), (5,), (1,), (4,), (1, 4)]), st.floats(-2, 2))

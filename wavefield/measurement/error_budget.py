@@ -24,16 +24,16 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.midtime import StepEstimate
 from wavefield.measurement.model import LearnedRecord
 from wavefield.measurement.paths import (
-    ELEVATION_WEIGHTS,
+    EVEN_TIMES,
+    FRAMES_OF_Z,
     elevation_gain,
+    frame_weights,
     noise_weights,
     path_gain,
-    place_weights,
-    uneven_weights,
 )
 from wavefield.measurement.velocity import WAVE_VARIANCES
 from wavefield.rig.field import pixel_at
-from wavefield.variables import EXACT_SIX
+from wavefield.variables import EXACT_SIX, frames_of_path
 from wavefield.water import dispersion
 
 Float = NDArray[Any]
@@ -60,7 +60,7 @@ def error_budget(
     geometry: GridGeometry,
     record: LearnedRecord,
     frame_rate: float,
-    times: Float | None = None,
+    times: Float = EVEN_TIMES,
 ) -> dict[str, Float]:
     """Variances of z and dx, dy, dz of one step by term, each (4, ny, nx), m^2."""
     sheet = geometry.settings.sheet_thickness is not None
@@ -96,9 +96,7 @@ def removed_by_prior(estimate: StepEstimate) -> Float:
     return np.concatenate([z[None], estimate.motion.missing])
 
 
-def removed_by_frames(
-    estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float | None
-) -> Float:
+def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
     """Waves that turn too fast for the frames: sum S |1 - K(omega dt)|^2, for velocities with (omega dt)^2.
 
     z comes from 6, 4, 3 or 2 frames, velocities from paths of 6, 4 or 2.
@@ -113,26 +111,17 @@ def removed_by_frames(
     return np.float32(MARGIN**2) * out
 
 
-def lost_by_elevation(waves: WaveRings, frames: int, times: Float | None = None) -> float:
+def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:
     """Variance, m^2, that the weights w of the frames at times t remove of z: sum S |1 - sum w e^(ipt)|^2."""
-    weights = ELEVATION_WEIGHTS[frames]
-    if times is None:
-        times = np.arange(6) - 2.5
-    else:
-        weights = uneven_weights(times, np.flatnonzero(weights).tolist())[0]
+    weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))
 
 
-def lost_by_paths(waves: WaveRings, path_frames: int, times: Float | None = None) -> float:
+def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
     """Variance, m^2, that paths remove of the rise per step: sum S |ip - sum w e^(ipt)|^2, and `orbits`."""
-    t, weights = place_weights(path_frames)
-    if times is not None:
-        first = 3 - len(t) // 2
-        some = list(range(first, first + len(t)))
-        weights = uneven_weights(times, some, path_frames == 6)[1][some]
-        t = times[some]
-    seen = np.exp(1j * np.outer(waves.phase, t)) @ weights
+    _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
+    seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.paths import ELEVATION_WEIGHTS, uneven_weights
+from wavefield.measurement.paths import EVEN_TIMES, FRAMES_OF_Z, frame_weights
 from wavefield.measurement.velocity import Motion
 from wavefield.variables import AROUND
 
@@ -52,7 +52,7 @@ def z_by_orders(
     flow: tuple[float, float],
     x: Float,
     y: Float,
-    times: Float | None = None,
+    times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[Float, ...]:
     """Elevation at mid-time at nodes x, y (ny, nx), metres: by all frames, by fewer, by the nearest two.
@@ -62,45 +62,44 @@ def z_by_orders(
     # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
     # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
     # frames are missing; beads repeat their errors in all frames, so these do not average out
-    weights = [ELEVATION_WEIGHTS[n] for n in _numbers_of_frames(surfaces)]
+    used = [FRAMES_OF_Z[n] for n in _numbers_of_frames(surfaces)]
     if surfaces[4] is None:
-        weights = [one[::-1] for one in weights]
-    return _weighted(weights, surfaces, flow, x, y, times, late)
+        used = [reversed_in_time(one) for one in used]
+    return _interpolated(used, surfaces, flow, x, y, times, late)
 
 
-def _weighted(
-    weights: Sequence[Float],
+def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
+    """The frames as far on the other side of mid-time."""
+    return tuple(5 - n for n in reversed(frames))
+
+
+def _interpolated(
+    used: Sequence[Sequence[int]],
     surfaces: Surfaces,
     flow: tuple[float, float],
     x: Float,
     y: Float,
-    times: Float | None,
+    times: Float,
     late: Float | None,
 ) -> tuple[Float, ...]:
-    """Sums of the surfaces, in water that moves with the flow, with each of some weights (6,) of even times.
-    Where times are uneven, or nodes are seen late, with those of the polynomial through the same frames.
-    """
-    moments, (dx, dy) = _moments_and_shift(flow, times)
+    """Polynomials through the surfaces of some frames, in water that moves with the flow, at mid-time."""
+    dx, dy = _per_interval(flow, times)
     at: Float | float = 0.0 if late is None else -late
-    if late is not None or times is not None:
-        used = [np.flatnonzero(one).tolist() for one in weights]
-        weights = [uneven_weights(moments, some, at=at)[0].astype(np.float32) for some in used]
-    out: list[Float] = [np.zeros(x.shape, np.float32) for _ in weights]
-    for n, (t, surface) in enumerate(zip(moments.tolist(), surfaces, strict=True)):
-        if surface is not None and any(np.any(one[n]) for one in weights):
+    weights = [frame_weights(times, some, at=at)[0].astype(np.float32) for some in used]
+    out: list[Float] = [np.zeros(x.shape, np.float32) for _ in used]
+    for n, (t, surface) in enumerate(zip(times.tolist(), surfaces, strict=True)):
+        if surface is not None and any(n in some for some in used):
             z = surface.read(x + (t - at) * dx, y + (t - at) * dy)
-            for total, one in zip(out, weights, strict=True):
-                if np.any(one[n]):
+            for total, one, some in zip(out, weights, used, strict=True):
+                if n in some:
                     total += one[n] * z
     return tuple(out)
 
 
-def _moments_and_shift(flow: tuple[float, float], times: Float | None) -> tuple[Float, tuple[float, float]]:
-    """Times of the six frames from mid-time, and how far the water moves, metres, in one of their units."""
-    if times is None:
-        return np.arange(6) - 2.5, flow
+def _per_interval(flow: tuple[float, float], times: Float) -> tuple[float, float]:
+    """How far the water moves in an interval, metres, from how far it moves in the step."""
     interval = float(times[AROUND + 1] - times[AROUND])
-    return times, (flow[0] / interval, flow[1] / interval)
+    return flow[0] / interval, flow[1] / interval
 
 
 def where_measured(
@@ -109,17 +108,17 @@ def where_measured(
     flow: tuple[float, float],
     x: Float,
     y: Float,
-    times: Float | None = None,
+    times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
     """Elevations of `z_by_orders`, by fewer frames where others have not measured a node; their number; and
     where the nearest two have measured it. Elsewhere all are filled alike, and z stays smooth.
     """
-    moments, (dx, dy) = _moments_and_shift(flow, times)
+    dx, dy = _per_interval(flow, times)
     # z comes from the others where a frame is absent
     measured = [
         np.ones(x.shape, np.bool_) if surface is None else surface.is_measured(x + t * dx, y + t * dy)
-        for t, surface in zip(moments.tolist(), surfaces, strict=True)
+        for t, surface in zip(times.tolist(), surfaces, strict=True)
     ]
     nearest = measured[AROUND] & measured[AROUND + 1]
     numbers = _numbers_of_frames(surfaces)
@@ -128,8 +127,8 @@ def where_measured(
     if numbers[0] >= 4:  # at the edge of the view a current leaves one of the neighbours
         before, after = (nearest & measured[n] & ~measured[5 - n] for n in (1, 4))
         if before.any() or after.any():
-            one_sided = ELEVATION_WEIGHTS[3][::-1], ELEVATION_WEIGHTS[3]
-            by_sides = _weighted(one_sided, surfaces, flow, x, y, times, late)
+            one_sided = reversed_in_time(FRAMES_OF_Z[3]), FRAMES_OF_Z[3]
+            by_sides = _interpolated(one_sided, surfaces, flow, x, y, times, late)
             fewer = np.where(before, by_sides[0], np.where(after, by_sides[1], fewer))
             frames = np.where(before | after, np.uint8(3), frames)
     for number, z in reversed(list(zip(numbers, orders))[:-1]):

@@ -24,14 +24,11 @@ from wavefield.variables import PATH_WEIGHTS, Quality
 
 Float = NDArray[Any]
 
-# Weight of each of six frames in z at mid-time, by the number of frames that are used.
-ELEVATION_WEIGHTS = {
-    6: np.array([3, -25, 150, 150, -25, 3], np.float32) / np.float32(256),
-    4: np.array([0, -1, 9, 9, -1, 0], np.float32) / np.float32(16),
-    3: np.array([0, 0, 3, 6, -1, 0], np.float32)
-    / np.float32(8),  # reversed where the frame before is present
-    2: np.array([0, 0, 1, 1, 0, 0], np.float32) / np.float32(2),
-}
+EVEN_TIMES = np.arange(6) - 2.5  # of the six frames around a step, intervals from mid-time
+# Frames from which z at mid-time comes, by their number; of three, those without the one before the step
+FRAMES_OF_Z = {6: (0, 1, 2, 3, 4, 5), 4: (1, 2, 3, 4), 3: (2, 3, 4), 2: (2, 3)}
+# Frames through whose places a path goes: its own two, with the one before, after, with both, all six
+FRAMES_OF_PATH = ((2, 3), (1, 2, 3), (2, 3, 4), (1, 2, 3, 4), (0, 1, 2, 3, 4, 5))
 # Correlation of the noise of successive displacements. They share a frame: were that all, it would be -1/2;
 # what the beads' places make in every pair of frames has none. By errors of chords and of paths through four
 # and six places at 80 frames/s it is -0.14 to -0.21 in good light.
@@ -59,7 +56,7 @@ def noise_weights(frames: int) -> tuple[float, ...]:
     return tuple(float(part) for part in out[len(half) - 1 :])
 
 
-def uneven_weights(
+def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
     """Weights (6, ...) of six frames in a value and in its rate, by the polynomial through ``frames`` alone.
@@ -218,16 +215,6 @@ def _solve_near(
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
-def _extended(after: bool, before: bool, u: Real, v: Real, ua: Real, va: Real, ub: Real, vb: Real) -> Weights:
-    """Displacements after and before; where one was not measured, the path is extrapolated."""
-    if not after:
-        ua, va = (F(2) * u - ub, F(2) * v - vb) if before else (u, v)
-    if not before:
-        ub, vb = F(2) * u - ua, F(2) * v - va
-    return ua, va, ub, vb
-
-
-@compiled(error_model="numpy", fastmath=_LOOSE)
 def _read_path(
     splines: tuple[Float, Float, Float, Float, Float],
     measured: tuple[Mask, Mask, Mask, Mask],
@@ -235,39 +222,43 @@ def _read_path(
     lattice: tuple[Real, Real, Real],
     x: Float,
     y: Float,
-    outer_weights: tuple[Real, Real],
+    weights: Float,
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
-    """Fill out (6, n) and block (5, n); fields of five steps in time order, empty where there is none."""
+    """Fill out (6, n) and block (5, n); fields of five steps in time order, empty where there is none.
+    The weights are those of `path_weights`, of all places (m = 1) or of each (m = n).
+    """
     bb, b, c, a, aa = splines
     has_bb, has_b, has_a, has_aa = measured
     ny, nx = shape
     x0, y0, step = lattice
-    near, far = outer_weights
-    across, half, bend = F(1) / step, F(0.5), F(1 / 16)
+    across, half = F(1) / step, F(0.5)
     for k in range(x.size):
         if not (np.isfinite(x[k]) and np.isfinite(y[k])):
             out[:, k] = np.nan
             block[:, k] = -1
             block[2, k] = 0
             continue
+        m = k if weights.shape[3] > 1 else 0
         px, py = (x[k] - x0) * across, (y[k] - y0) * across
         # from the nearest blocks, all within half a block's change of the field
+        part = weights[3, 0, 2, m] * across
         u, v, n = _nearest(c, nx, ny, px, py)
-        u, v, n = _nearest(c, nx, ny, px - half * across * u, py - half * across * v)
+        u, v, n = _nearest(c, nx, ny, px - part * u, py - part * v)
         ua, va, ub, vb = u, v, u, v
         na = nb = 0
         if has_a.size:
-            ua, va, na = _nearest(a, nx, ny, px + half * across * u, py + half * across * v)
+            ua, va, na = _nearest(a, nx, ny, px + (across - part) * u, py + (across - part) * v)
         if has_b.size:
             for _ in range(2):
-                ub, vb, nb = _nearest(b, nx, ny, px - across * (half * u + ub), py - across * (half * v + vb))
+                ub, vb, nb = _nearest(b, nx, ny, px - part * u - across * ub, py - part * v - across * vb)
         after, before = has_a.size > 0 and has_a[na], has_b.size > 0 and has_b[nb]
-        ua, va, ub, vb = _extended(after, before, u, v, ua, va, ub, vb)
-        kx, ky = bend * across * (ua - ub), bend * across * (va - vb)
+        w = weights[int(before) + 2 * int(after), 0]
+        part = w[2, m] * across
+        kx, ky = -across * (w[1, m] * ub + w[3, m] * ua), -across * (w[1, m] * vb + w[3, m] * va)
         # in blocks from here on: the fields' unit is px
-        sx, sy, u, v, g = _solve_near(c, nx, ny, half * across, px + kx, py + ky, u, v)
+        sx, sy, u, v, g = _solve_near(c, nx, ny, part, px + kx, py + ky, u, v)
         n = _nearest(c, nx, ny, sx, sy)[2]
         ua, va, ub, vb = u, v, u, v
         ax, ay = sx + across * u, sy + across * v
@@ -281,28 +272,56 @@ def _read_path(
             nb = _nearest(b, nx, ny, bx, by)[2]
         after = has_a.size > 0 and has_a[na] and _inside(nx, ny, ax, ay)
         before = has_b.size > 0 and has_b[nb] and _inside(nx, ny, bx, by)
-        ua, va, ub, vb = _extended(after, before, u, v, ua, va, ub, vb)
-        # the bend as it is now moves the place of departure a little, and with it all places
-        kx, ky = bend * across * (ua - ub) - kx, bend * across * (va - vb) - ky
+        w, r = weights[int(before) + 2 * int(after), 0], weights[int(before) + 2 * int(after), 1]
+        # the way as it is now moves the place of departure a little, and with it all places
+        change = w[2, m] * across - part
+        kx = -across * (w[1, m] * ub + w[3, m] * ua) - change * u - kx
+        ky = -across * (w[1, m] * vb + w[3, m] * va) - change * v - ky
         us, vs = displacement_at(c, nx, ny, sx + g[0] * kx + g[1] * ky, sy + g[2] * kx + g[3] * ky)
-        out[0, k] = us - (ua - F(2) * u + ub) / F(24)
-        out[1, k] = vs - (va - F(2) * v + vb) / F(24)
+        eu, ev = us - u, vs - v
+        ua, va, ub, vb = ua + eu, va + ev, ub + eu, vb + ev
+        out[0, k] = r[1, m] * ub + r[2, m] * us + r[3, m] * ua
+        out[1, k] = r[1, m] * vb + r[2, m] * vs + r[3, m] * va
         out[2, k], out[3, k] = us, vs
-        out[4, k], out[5, k] = bend * (ua - ub), bend * (va - vb)
+        out[4, k] = (half - w[2, m]) * us - w[1, m] * ub - w[3, m] * ua
+        out[5, k] = (half - w[2, m]) * vs - w[1, m] * vb - w[3, m] * va
         block[0, k] = block[4, k] = -1
         block[1, k] = nb if before else -1
         block[2, k] = n
         block[3, k] = na if after else -1
         if after and before and has_aa.size > 0 and has_bb.size > 0:
-            ax, ay = ax + across * ua, ay + across * va
-            wb, zb, _ = _nearest(bb, nx, ny, bx - across * ub, by - across * vb)
+            ax, ay = ax + across * (ua - eu), ay + across * (va - ev)
+            wb, zb, _ = _nearest(bb, nx, ny, bx - across * (ub - eu), by - across * (vb - ev))
             bx, by, wb, zb, _ = _solve_near(bb, nx, ny, across, bx, by, wb, zb)
             na, nb = _nearest(aa, nx, ny, ax, ay)[2], _nearest(bb, nx, ny, bx, by)[2]
             if has_aa[na] and has_bb[nb] and _inside(nx, ny, ax, ay) and _inside(nx, ny, bx, by):
                 wa, za = displacement_at(aa, nx, ny, ax, ay)
-                out[0, k] = us + near * (ua - F(2) * u + ub) + far * (wa - F(2) * u + wb)
-                out[1, k] = vs + near * (va - F(2) * v + vb) + far * (za - F(2) * v + zb)
+                r = weights[4, 1]
+                wa, za, wb, zb = wa + eu, za + ev, wb + eu, zb + ev
+                out[0, k] = r[0, m] * wb + r[1, m] * ub + r[2, m] * us + r[3, m] * ua + r[4, m] * wa
+                out[1, k] = r[0, m] * zb + r[1, m] * vb + r[2, m] * vs + r[3, m] * va + r[4, m] * za
                 block[0, k], block[4, k] = nb, na
+
+
+def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float = 0.0) -> Float:
+    """Weights (5, 2, 5, m) of five displacements, for the places of `FRAMES_OF_PATH`: in the way from the
+    step's first frame to the place at a time, and in the displacement per interval then.
+
+    The polynomials through four even places give X0 = X - d01/2 + (d12 - d-10)/16 and
+    dX/dt dt = (26 d01 - d-10 - d12)/24. Through six they are (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48,
+    with 0.4 of the variance by noise (frames 6), or (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920,
+    exact to the fifth degree (frames 7); their place is that of four. Times (6,) and at (m,) are intervals
+    from mid-time.
+    """
+    at = np.ravel(at)
+    out = np.empty((5, 2, 5, at.size))
+    for n, some in enumerate(FRAMES_OF_PATH):
+        value, rate = frame_weights(times, some, len(some) == frames == 6, at)
+        if len(some) == 6:
+            value = frame_weights(times, FRAMES_OF_PATH[3], at=at)[0]
+        way, out[n, 1] = (np.cumsum(one[::-1], axis=0)[::-1][1:] for one in (value, rate))
+        out[n, 0] = way - [[1], [1], [0], [0], [0]]
+    return out
 
 
 def five(steps: Sequence[Step | None]) -> Sequence[Step | None]:
@@ -317,12 +336,15 @@ def read_path(
     lattice: BlockLattice,
     X: Float,
     Y: Float,
-    frames: int = 6,
+    weights: Float | None = None,
 ) -> tuple[Float, NDArray[np.int64]]:
-    """dX/dt dt at mid-time at pixels X, Y, displacement over the step, and bend, px, (6,) + the shape of X.
-    Splines (ny, nx, 2), px, of an odd number of steps. Also returns the blocks read, 5 per X, or -1.
+    """dX/dt dt at pixels X, Y, displacement over the step, and bend, px, (6,) + the shape of X.
+    Splines (ny, nx, 2), px, of an odd number of steps; weights of `path_weights`, by default of even times.
+    Displacements are per interval, that over the step is the step's own. Also returns the blocks read, 5 per
+    X, or -1.
     """
     nodes = np.shape(X)
+    weights = np.asarray(path_weights() if weights is None else weights, np.float32)
     xs, ys = (np.ascontiguousarray(v, dtype=np.float32).ravel() for v in (X, Y))
     out, block = np.empty((6, xs.size), np.float32), np.empty((5, xs.size), np.int64)
     none, nothing = np.zeros(0, np.float32), np.zeros(0, np.bool_)
@@ -331,94 +353,9 @@ def read_path(
     )
     has = [nothing if f is None else np.ascontiguousarray(f).ravel() for f in five(valid)]
     place = F(lattice.x0), F(lattice.y0), F(lattice.step)
-    # X0 = X - d01/2 + (d12 - d-10)/16, the bend being (d12 - d-10)/16; dX/dt dt = (26 d01 - d-10 - d12)/24 of
-    # four frames; of six (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48, with 0.4 of the variance by noise,
-    # or (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920, exact to the fifth degree; paths are parabolas
-    # if one end is missing, straight if both are
-    near, far = (F(weight) for weight in PATH_WEIGHTS[max(frames, 6)][1:])
     measured = has[0], has[1], has[3], has[4]
-    _read_path((bb, b, c, a, aa), measured, lattice.shape, place, xs, ys, (near, far), out, block)
+    _read_path((bb, b, c, a, aa), measured, lattice.shape, place, xs, ys, weights, out, block)
     return out.reshape(6, *nodes), block.reshape(5, *nodes)
-
-
-_ITERATIONS = 6  # each leaves the gradient of the displacement, at most a third, of the error in px
-
-
-def displacement_weights(
-    times: Float, block: NDArray[np.int64], at: Float | float = 0.0, frames: int = 6
-) -> tuple[Float, Float]:
-    """Weights of five displacements, (5, ...), in the way from the step's first frame to the place at a time,
-    and in the displacement per interval then; times (6,) and at: intervals from mid-time, block (5, ...).
-    """
-    before, after = block[1] >= 0, block[3] >= 0
-    case = before + 2 * after + ((block[0] >= 0) & (block[4] >= 0))
-    used = [(2, 3), (1, 2, 3), (2, 3, 4), (1, 2, 3, 4), (0, 1, 2, 3, 4, 5)]
-    way, moved = np.empty((2, 5, *case.shape))
-    for n, some in enumerate(used):
-        here = case == n
-        if not here.any():
-            continue
-        when = at if np.ndim(at) == 0 else np.asarray(at)[here]
-        value, rate = uneven_weights(times, some, len(some) == frames == 6, when)
-        if len(some) == 6:  # the place is that of a cubic, as at even times
-            value = uneven_weights(times, used[3], at=when)[0]
-        later = [np.cumsum(weights[::-1], axis=0)[::-1][1:].reshape(5, -1) for weights in (value, rate)]
-        way[:, here], moved[:, here] = later[0] - [[1], [1], [0], [0], [0]], later[1]
-    return way, moved
-
-
-def read_uneven_path(
-    splines: Sequence[Float | None],
-    valid: Sequence[Mask | None],
-    lattice: BlockLattice,
-    X: Float,
-    Y: Float,
-    times: Float,
-    at_time: Float | float = 0.0,
-    frames: int = 6,
-) -> tuple[Float, NDArray[np.int64]]:
-    """As `read_path`, by the polynomial through the same places, with times (6,) and at_time in intervals.
-    Displacements are per interval, that over the step is the step's own; X, Y are places at at_time.
-    """
-    first, block = read_path(splines, valid, lattice, X, Y)
-    way, weights = displacement_weights(times, block, at_time, frames)
-    at = np.stack([X, Y]).astype(np.float64)
-    seen = np.isfinite(first[0])
-    fields = five(splines)
-    start = np.where(seen, at - 0.5 * first[2:4] + first[4:], 0.0)
-    d = np.zeros((5, *start.shape))
-    d[:2] = np.where(seen, first[2:4], 0.0)
-    for _ in range(_ITERATIONS):
-        for n, place in ((1, start - d[1]), (0, start - d[1] - d[0])):
-            d[n] = _read(fields[n], lattice, place)
-        place = start
-        for n in (2, 3, 4):
-            d[n] = _read(fields[n], lattice, place)
-            place = place + d[n]
-        start = np.where(seen, at - np.einsum("n...,nc...->c...", way, d), 0.0)
-    out = np.empty_like(first)
-    out[:2] = np.einsum("n...,nc...->c...", weights, d)
-    out[2:4], out[4:] = d[2], start + 0.5 * d[2] - at
-    out[:, ~seen] = np.nan
-    return out, block
-
-
-def _read(spline: Float | None, lattice: BlockLattice, place: Float) -> Float:
-    """Displacements (2, ...) at places (2, ...), px; zero where there is no field."""
-    out = np.zeros(place.shape, np.float32)
-    if spline is not None:
-        x, y = ((p - p0) / lattice.step for p, p0 in zip(place, (lattice.x0, lattice.y0)))
-        places = np.ascontiguousarray(np.stack([x, y]).reshape(2, -1), np.float32)
-        flat = out.reshape(2, -1)
-        _read_all(np.ascontiguousarray(spline, np.float32).ravel(), lattice.shape, places, flat)
-    return out
-
-
-@compiled(error_model="numpy")
-def _read_all(c: Float, shape: tuple[int, int], places: Float, out: Float) -> None:
-    """Fill out (2, n) at places (2, n), in blocks."""
-    for k in range(places.shape[1]):
-        out[0, k], out[1, k] = displacement_at(c, shape[1], shape[0], places[0, k], places[1, k])
 
 
 @dataclass(frozen=True)
@@ -454,11 +391,11 @@ def displacements_at_nodes(
     z: Float,
     geometry: GridGeometry,
     path_frames: int,
-    times: Float | None = None,
+    times: Float = EVEN_TIMES,
     every: int = 1,
 ) -> CameraDisplacements:
     """Displacements of the named cameras at every n-th node along x and y on the surface z, metres.
-    z is at all nodes. Uneven times of the six frames are in intervals from mid-time.
+    z is at all nodes. Times of the six frames are in intervals from mid-time.
     """
     z = z[::every, ::every]
     count, shape = len(names), z.shape
@@ -477,9 +414,9 @@ def displacements_at_nodes(
         rows = slice(2 * n, 2 * n + 2)
         jacobian[rows] = at[2:].reshape(2, 3, *shape)
         delay = row_delay(name, geometry)
-        when = times if times is not None or not delay else np.arange(6) - 2.5
-        late: Float | float = delay * (Y - middle_row(sight)) if delay else 0.0
-        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, path_frames, when, -late)
+        late = delay * (np.nan_to_num(Y) - middle_row(sight)) if delay else 0.0
+        weights = path_weights(times, path_frames, -late)
+        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, weights)
         if delay:  # what moves down is seen later in the next frame
             found[:2] /= 1.0 + delay * found[1]
         moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
@@ -492,59 +429,42 @@ def displacements_at_nodes(
 
 
 def _along_path(
-    path: Sequence[CameraFlow | None],
-    sight: Sight,
-    X: Float,
-    Y: Float,
-    frames: int,
-    times: Float | None,
-    at_time: Float | float = 0.0,
+    path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
     """Path of one camera at given pixels (`read_path`), blocks read, variances by noise and by the prior."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
     valid = [None if f is None else f.valid for f in path]
-    if times is None:
-        d, block = read_path(splines, valid, sight.lattice, X, Y, frames)
-    else:
-        at_time = np.nan_to_num(at_time)
-        d, block = read_uneven_path(splines, valid, sight.lattice, X, Y, times, at_time, frames)
-    noises = [None if f is None else f.noise.reshape(len(f.noise), -1) for f in five(path)]
-    if times is not None:
-        weights = noise_of_displacements(displacement_weights(times, block, at_time, frames)[1])
-        parts = (
-            w * np.take(one, np.maximum(at, 0), axis=1)
-            for w, one, at in zip(weights, noises, block)
-            if one is not None
-        )
-        noise = sum(parts)
-    else:
-        noise = np.empty((len(here.noise), block[0].size), np.float32)
-        own, near, _ = (*noise_weights(4), 0.0)
-        weights = np.array([[1.0, 0.0, 0.0], [own, near, 0.0], noise_weights(max(frames, 6))], np.float32)
-        some = [noises[2] if one is None else one for one in noises]
-        _noise_along(tuple(map(np.ascontiguousarray, some)), block.reshape(5, -1), weights, noise)
-        noise = noise.reshape(-1, *block.shape[1:])
-    return d, block, noise, np.take(here.missing.reshape(len(here.missing), -1), block[2], axis=1)
+    d, block = read_path(splines, valid, sight.lattice, X, Y, weights)
+    noises = [(here if f is None else f).noise for f in five(path)]
+    flat = tuple(np.ascontiguousarray(one.reshape(len(one), -1)) for one in noises)
+    variance = np.stack([noise_of_displacements(one) for one in weights[:, 1]]).astype(np.float32)
+    noise = np.empty((len(here.noise), block[0].size), np.float32)
+    _noise_along(flat, block.reshape(5, -1), variance, noise)
+    missing = np.take(here.missing.reshape(len(here.missing), -1), block[2], axis=1)
+    return d, block, noise.reshape(-1, *block.shape[1:]), missing
 
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
     """Fill out (c, n) with the noise (c, blocks) of five steps at the blocks read (5, n), -1 where none was.
-    The weights (3, 3) of the step, its neighbours and theirs are for paths of two, four and six places.
+    The weights (5, 5, m) are of variances, for the places of `FRAMES_OF_PATH`.
     """
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
-        near = block[1, k] >= 0 and block[3, k] >= 0
-        far = near and block[0, k] >= 0 and block[4, k] >= 0
-        w = weights[int(near) + int(far)]
+        before, after = block[1, k] >= 0, block[3, k] >= 0
+        far = block[0, k] >= 0 and block[4, k] >= 0
+        m = k if weights.shape[2] > 1 else 0
+        w = weights[int(before) + 2 * int(after) + int(far), :, m]
         for i in range(len(out)):
-            total = w[0] * c[i, block[2, k]]
-            if near:
-                total += w[1] * (b[i, block[1, k]] + a[i, block[3, k]])
+            total = w[2] * c[i, block[2, k]]
+            if before:
+                total += w[1] * b[i, block[1, k]]
+            if after:
+                total += w[3] * a[i, block[3, k]]
             if far:
-                total += w[2] * (bb[i, block[0, k]] + aa[i, block[4, k]])
+                total += w[0] * bb[i, block[0, k]] + w[4] * aa[i, block[4, k]]
             out[i, k] = total
 
 

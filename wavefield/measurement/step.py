@@ -33,7 +33,7 @@ from wavefield.measurement.midtime import (
     z_by_orders,
 )
 from wavefield.measurement.model import Model
-from wavefield.measurement.paths import common_lateness, elevation_errors
+from wavefield.measurement.paths import EVEN_TIMES, common_lateness, elevation_errors
 from wavefield.measurement.record import learn, sample_steps
 from wavefield.measurement.search_range import search_widened
 from wavefield.measurement.velocity import Motion, Regions, mean_flow, velocity
@@ -138,9 +138,7 @@ def measure(
             step = number - 2 * AROUND - 1
             row = {name: field[step] for name, field in out.items()}
             row["frame_status"] = out["frame_status"][step : step + 1]
-            times = None
-            if departures is not None:
-                times = np.arange(6) - 2.5 + departures[step : step + 6]
+            times = EVEN_TIMES if departures is None else EVEN_TIMES + departures[step : step + 6]
             _fill_step(row, window, moves[: 2 * neighbours + 1], geometry, model, frame_rate, times)
             window.pop(0)
             moves.pop(0)
@@ -167,7 +165,7 @@ def _fill_step(
     geometry: GridGeometry,
     model: Model,
     frame_rate: float,
-    times: Float | None,
+    times: Float,
 ) -> None:
     """Fill the fields (ny, nx) and the status (1,) of one step; what cannot be measured stays NaN."""
     _, before, first, second, after, _ = window
@@ -240,15 +238,13 @@ def _fields(
     geometry: GridGeometry,
     model: Model,
     frame_rate: float,
-    times: Float | None,
+    times: Float,
 ) -> dict[str, Float]:
     """Fields of a step, (ny, nx), in the cube's units."""
     first, second = estimate.nearest
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
     d = motion.d.copy()
     d[:2] -= bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
-    if times is None and geometry.settings.row_delays:  # chords are of another moment than paths as well
-        times = np.arange(6) - 2.5
     terms = np.stack(list(error_budget(estimate, geometry, model.record, frame_rate, times).values()))
     z_std, *d_std = np.sqrt(terms.sum(axis=0))
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
@@ -309,10 +305,10 @@ def estimate_step(
     moves: Sequence[Flows],
     geometry: GridGeometry,
     model: Model,
-    times: Float | None = None,
+    times: Float,
 ) -> StepEstimate | None:
     """Surfaces and motion of a step; None if nothing can be measured.
-    Uneven times of the six frames are in intervals from mid-time.
+    Times of the six frames are in intervals from mid-time.
     """
     surfaces: Surfaces = [instant.surface for instant in window]
     estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
@@ -342,7 +338,7 @@ def _estimate(
     moves: Sequence[Flows],
     geometry: GridGeometry,
     path_frames: int,
-    times: Float | None,
+    times: Float,
     regions: Regions | None = None,
 ) -> StepEstimate | None:
     """Motion and surface at mid-time: where water is in an image depends on its height, that on its path."""

@@ -20,7 +20,7 @@ from wavefield.measurement.outliers import (
     outlier_camera,
     outlier_regions,
 )
-from wavefield.measurement.paths import CameraDisplacements, displacements_at_nodes
+from wavefield.measurement.paths import EVEN_TIMES, CameraDisplacements, displacements_at_nodes
 from wavefield.measurement.settings import Settings
 from wavefield.variables import Quality
 
@@ -281,7 +281,7 @@ def velocity(
     geometry: GridGeometry,
     path_frames: int,
     regions: Regions | None = None,
-    times: Float | None = None,
+    times: Float = EVEN_TIMES,
 ) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
 
@@ -291,8 +291,8 @@ def velocity(
 
     Noise of the cameras is independent; what the prior removes from a wave all cameras miss alike, so it does
     not shrink when they are averaged: it is shared among the components (`component_variances`). Cameras are
-    left out in given regions, or where they are found to contradict the others. Times of the six frames,
-    intervals from mid-time, are given where they are uneven.
+    left out in given regions, or where they are found to contradict the others.
+    Times of the six frames are in intervals from mid-time.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -335,7 +335,7 @@ def mean_flow(
     z: Float,
     geometry: GridGeometry,
     path_frames: int,
-    times: Float | None = None,
+    times: Float = EVEN_TIMES,
 ) -> tuple[float, float] | None:
     """Median displacement of the water over the step, (dx, dy), metres, by all cameras at some nodes.
     None if fewer than two cameras have displacements.
