@@ -232,6 +232,7 @@ class WavePanel:
     def _show_coherence(self) -> None:
         found = self._session.run.wave_group("coherence")
         if found is not None and "gamma2_w" in found:
-            valid = found["valid"].values if "valid" in found else np.ones(found.k.size, bool)
-            curves = {c: np.where(valid, found[variable].values, np.nan) for c, variable, *_ in _CURVES}
+            if "valid" in found:
+                found = found.where(found["valid"])  # in noise, coherence rises to 1
+            curves = {column: found[variable].values for column, variable, *_ in _CURVES}
             self.sources["coherence"].data = {"k": found.k.values / (2 * np.pi)} | curves

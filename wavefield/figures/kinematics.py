@@ -119,17 +119,14 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     Notes
     -----
     Counterpart of the paper's coherence curves, with its common normalisation, on the left; the standard
-    magnitude-squared coherence with its level of chance on the right. Thin and pale where noise exceeds the
-    waves.
+    magnitude-squared coherence with its level of chance on the right. Lines are thin and pale where the
+    store marks the spectra as not valid.
     """
     figure, [[left, right]] = panels(2)
-    k = cycles(coherence)
-    valid = coherence.valid.values if "valid" in coherence else np.ones(k.size, bool)
+    k, valid = cycles(coherence), coherence["valid"].values if "valid" in coherence else None
     for ax, stem in ((left, "C_"), (right, "gamma2_")):
         curves = {label: np.abs(coherence[stem + n].values) for n, label in _COHERENCES.items()}
-        for style, values in zip(LINES, curves.values(), strict=False):
-            ax.plot(k, values, color=style["color"], linewidth=0.7, alpha=0.5)
-        draw_curves(ax, k, {label: np.where(valid, values, np.nan) for label, values in curves.items()})
+        draw_curves(ax, k, curves, valid=valid)
     right.plot(k, coherence.level_w.values, color="0.5", linestyle=":", label="chance (5 %)")
     finish(left, CYCLES, "|C(k)|, common normalisation (1)", ylim=(0, 1.1))
     finish(right, CYCLES, "γ²(k) (1)", ylim=(0, 1.05))

@@ -192,6 +192,7 @@ def _draw_density(
     bins = np.linspace(mean - span, mean + span, 121) if span else np.linspace(-1, 1, 121)
     centres, density = (bins[1:] + bins[:-1]) / 2, positive(densities(finite, bins))
     axes.semilogy(centres, density, label=f"{name}, σ = {sigma:.3g} {unit}", **style)
+    axes.locator_params(axis="x", nbins=6)
     return sigma
 
 

@@ -173,10 +173,17 @@ def draw_curves(
     styles: Iterable[Mapping[str, Any]] = LINES,
     *,
     log: str = "",
+    valid: np.ndarray | None = None,
 ) -> None:
-    """Draw curves over x by their labels, each in its style; `log` names logarithmic axes, such as "xy"."""
+    """Draw curves over x by their labels, each in its style; `log` names logarithmic axes, such as "xy".
+    Where they are not `valid` (n,), they are thin and pale.
+    """
     for style, (label, values) in zip(styles, curves.items(), strict=False):
-        axes.plot(x, positive(values) if "y" in log else np.asarray(values), label=label, **style)
+        drawn = positive(values) if "y" in log else np.asarray(values)
+        if valid is not None:
+            axes.plot(x, drawn, color=style["color"], linewidth=0.7, alpha=0.5)
+            drawn = np.where(valid, drawn, np.nan)
+        axes.plot(x, drawn, label=label, **style)
     axes.set(**{f"{name}scale": "log" for name in log})
 
 

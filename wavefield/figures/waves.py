@@ -160,11 +160,10 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
             continue
         method = name.removeprefix("Ez_")
         low, high, valid = (f"{part}_{method}" for part in ("low", "high", "valid"))
-        values = positive(spectra[name].values)
-        ax.loglog(frequency, values, color=style["color"], linewidth=0.7, alpha=0.5)
-        valid_values = np.where(spectra[valid].values, values, np.nan) if valid in spectra else values
-        ax.loglog(frequency, valid_values, label=label, **style)
-        peak = max(peak, float(np.max(np.nan_to_num(valid_values))))
+        values = spectra[name].values
+        good = spectra[valid].values if valid in spectra else np.ones(values.size, bool)
+        draw_curves(ax, frequency, {label: values}, (style,), log="xy", valid=good)
+        peak = max(peak, float(np.nan_to_num(values[good]).max(initial=0.0)))
         if method == "stereo" and low in spectra and high in spectra:
             interval = [spectra[name].values * values for name in (low, high)]
             ax.fill_between(frequency, *interval, color=style["color"], alpha=0.15, linewidth=0)

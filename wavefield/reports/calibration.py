@@ -221,10 +221,10 @@ def _flat(content: Content) -> str:
     return (
         f"z of the {flat['nodes']} nodes of view {flat['view']}, triangulated: rms "
         f"{small(flat['z_rms_mm'], 'mm')}, {small(flat['z_about_its_plane_rms_mm'], 'mm')} about its plane, "
-        f"tilt {small(flat['tilt_mrad'], 'mrad')}. Predicted from the fit alone: z is determined to "
-        f"{small(predicted['z_mm'], 'mm')}, tilt and level of the target to "
-        f"{small(predicted['z_of_which_tilt_mm'], 'mm')}. The uncertainty of the water's level is found by "
-        "`check` and `run` (`z_level_std`)."
+        f"tilt {small(flat['tilt_mrad'], 'mrad')}. By the fit alone, the standard uncertainty of z is "
+        f"{small(predicted['z_mm'], 'mm')}, of which tilt and level of the target contribute "
+        f"{small(predicted['z_of_which_tilt_mm'], 'mm')}. `check` and `run` add that of the water's level "
+        "(`z_level_std`)."
     )
 
 

@@ -18,9 +18,9 @@ from wavefield import __version__
 from wavefield.figures.style import file_of
 from wavefield.store.verdict import Remark
 
-_DPI = 120  # shown at 96 per inch: sharp on dense screens, and small
+_DPI = 120  # two panels of 5.2 inches fill the width of the page
 _COLOURS = 128  # of a picture's palette: a third of the bytes, and no visible difference
-WIDE_PX = 1000  # a wider PNG holds several panels: on a phone it is moved sideways instead of shrunk
+WIDE_PX = 1000  # a wider PNG holds several panels: on a phone a tap enlarges it
 SENTENCE_LETTERS = 60  # a longer cell is a sentence: on a phone such rows are stacked
 MAX_OPEN_ROWS = 20  # a longer table in a folded section is folded itself
 
@@ -42,14 +42,11 @@ class Picture(Item):
     caption: str  # below the figure: what it is and how to read it
     alt: str  # for readers who cannot see it: its content, with its numbers
     png: bytes = field(init=False)
-    width: int | None = field(init=False)  # on the page, px; None: its own
 
     def __post_init__(self, figure: Figure | bytes) -> None:
-        if isinstance(figure, bytes):
-            self.png, self.width = small_png(figure), None
-        else:
-            png = file_of(figure, dpi=_DPI, pil_kwargs={"compress_level": 1})
-            self.png, self.width = small_png(png), round(96 * figure.get_figwidth())
+        if isinstance(figure, Figure):
+            figure = file_of(figure, dpi=_DPI, pil_kwargs={"compress_level": 1})
+        self.png = small_png(figure)
 
     @property
     def data(self) -> str:
@@ -58,7 +55,7 @@ class Picture(Item):
 
     @property
     def wide(self) -> bool:
-        """Whether it is too wide to be shrunk to a phone."""
+        """Whether a phone shows it too small to be read."""
         return int.from_bytes(self.png[16:20], "big") >= WIDE_PX  # the width in the header of a PNG
 
 

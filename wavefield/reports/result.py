@@ -56,7 +56,7 @@ def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
     in_view = "" if numbers.in_view > 0.9995 else f"; {_percent(numbers.measured_in_view)} of what is in view"
     sheet, level = in_light_sheet(run), ""
     if "z_level_std" in cube and not sheet:
-        level = f"; all of z alike: {number(1e3 * float(cube.z_level_std), 'mm', 2)}"
+        level = f"; common to all z: {number(1e3 * float(cube.z_level_std), 'mm', 2)}"
     return [
         *([] if sheet else _of_waves(run)),
         (f"Rms of the {'' if sheet else 'surface '}velocity u, v, w", f"{u}, {v}, {w} cm/s", ""),

@@ -110,16 +110,18 @@ def _sizes_of_terms(snap: xr.Dataset, cube: xr.Dataset) -> str:
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
     """Coherence of the rate of rise with the terms of the kinematic condition."""
-    valid = coherence.valid.values if "valid" in coherence else np.ones(coherence.k.size, bool)
-    curves = (np.where(valid, np.abs(coherence[name].values), 0.0) for name in ("C_tot", "C_nl"))
-    total, nonlinear = (float(np.nanmax(curve)) for curve in curves)
+    if "valid" in coherence:
+        valid = coherence.where(coherence["valid"])
+    else:
+        valid = coherence
+    total, nonlinear = (median_of(np.abs(valid[name].values)) for name in ("C_tot", "C_nl"))
     return Picture(
         figures.coherence_curves(coherence),
         "Coherence of the rate of rise with w, with the nonlinear term, and with their sum: with the common "
-        "normalisation of the paper (left) and the standard one with its level of chance (right). Thin where "
-        "noise, which is coherent too, exceeds the waves.",
-        f"Curves over wavenumber. The coherence with the sum is {total:.3f} at most; that with the nonlinear "
-        f"term reaches {nonlinear:.3f}.",
+        "normalisation of the paper (left) and the standard one with its level of chance (right); thin where "
+        "the spectra are not reliable.",
+        f"Curves over wavenumber. Where the spectra are reliable, the median coherence with the sum is "
+        f"{number(total)}, that with the nonlinear term {number(nonlinear)}.",
     )
 
 

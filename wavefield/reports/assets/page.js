@@ -1,5 +1,10 @@
 "use strict";
 (function () {
+  // on a phone, pictures of several panels are enlarged by a tap or Enter
+  for (const one of document.querySelectorAll("figure.wide")) {
+    one.addEventListener("click", () => one.classList.toggle("large"));
+    one.addEventListener("keydown", (event) => { if (event.key == "Enter") one.classList.toggle("large"); });
+  }
   // folded sections: opened by links to them, by a button for all, and for printing
   const sections = [...document.querySelectorAll("section.folded > details")];
   const button = document.getElementById("unfold");
@@ -9,6 +14,7 @@
     if (inside) { inside.open = true; target.scrollIntoView(); }
   };
   const label = () => { button.textContent = sections.every((one) => one.open) ? "Fold all" : "Unfold all"; };
+  if (!button) return;
   button.hidden = false;
   button.addEventListener("click", () => {
     const open = !sections.every((one) => one.open);
