@@ -123,7 +123,7 @@ class CameraPanel:
         made = parts.make_figure(
             "camera_view", tools="pan,wheel_zoom,box_zoom,reset,save", toolbar_location="above",
             x_range=Range1d(0, 1), y_range=Range1d(1, 0), x_axis_label="column (px)", y_axis_label="row (px)",
-            aspect_ratio=float(np.clip(width / height, 1.15, 2.2)),
+            aspect_ratio=float(np.clip(width / height, 1.15, 2.2)), sizing_mode="scale_width",
         )  # fmt: skip
         made.grid.grid_line_color = None
         keep_pixels_square(made)

@@ -98,7 +98,7 @@ class FollowPage:
             "map", tools="pan,wheel_zoom,reset,save", toolbar_location="above", match_aspect=True,
             aspect_ratio=1.3, sizing_mode="scale_width", x_axis_label="x (m)", y_axis_label="y (m)",
         )  # fmt: skip
-        made.title.text = "waiting for frames"
+        made.title.text = "waiting for the first measured step"
         made.grid.grid_line_color = None
         image = made.image("image", source=self.sources["image"], color_mapper=self.mapper)
         made.x_range.renderers = made.y_range.renderers = [image]
@@ -176,7 +176,7 @@ class FollowPage:
             words += f"measured {latest.measured}, skipped {latest.skipped}; latency {delay}"
         else:
             words += "nothing measured yet"
-        self.words["state"].text = f"{words}. {plain(latest.trouble)}" if latest.trouble else words
+        self.words["state"].text = f"{words}; {plain(latest.trouble)}" if latest.trouble else words
         for name, image in latest.images.items():
             self.cameras[name].show(image)
         if latest.fields:

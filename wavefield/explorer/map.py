@@ -206,6 +206,7 @@ class SurfacePanel:
         size = 0.56 * self._diagonal
         made = parts.make_figure(
             "surface", tools="wheel_zoom,reset,save", toolbar_location="above", aspect_ratio=1.4,
+            sizing_mode="scale_width",
             x_range=(-size, size), y_range=(-0.72 * size, 0.72 * size),
             x_axis_type=None, y_axis_type=None, min_border_left=4,
         )  # fmt: skip

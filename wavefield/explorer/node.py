@@ -303,7 +303,7 @@ class NodePanel:
             "f": found.frequency, "e": e, "low": e * found.low, "high": e * found.high,
         }  # fmt: skip
         factors = f"{number(found.low, 2)} to {number(found.high, 2)}"
-        self.spectrum.title.text = f"spectrum of {name}; shaded: 95 % interval, {factors} times the curve"
+        self.spectrum.title.text = f"95 % interval: {factors} times the curve"
         near = self._near()
         if name == "z" and near is not None:
             self._show_probe_spectrum(near, float(1 / found.frequency[0]))

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from bokeh.document import Document
 from bokeh.events import DocumentReady
 from bokeh.layouts import column, row
@@ -203,12 +204,14 @@ class LookPage:
     def _show_probes(self, probes: "xr.Dataset") -> None:
         """Draw the probes on the map, and compare the node with one beside it."""
         record = self.session.record
-        names, x, y = (probes[name].values for name in ("probe", "probe_x", "probe_y"))
-        self.map.mark_probes([str(name) for name in names], x, y)
+        names, x, y = probes.probe.values.astype(str), probes.probe_x.values, probes.probe_y.values
+        self.map.mark_probes(list(names), x, y)
         self.node.probes = probes
         inside = (x >= record.x[0]) & (x <= record.x[-1]) & (y >= record.y[0]) & (y <= record.y[-1])
-        if not inside.all():
-            self.trouble = f"probes outside the map: {', '.join(str(name) for name in names[~inside])}"
+        placed = np.isfinite(x) & np.isfinite(y)
+        for words, which in (("outside the map", placed & ~inside), ("without a place", ~placed)):
+            if which.any():
+                self.trouble += f"{'; ' if self.trouble else ''}probes {words}: {', '.join(names[which])}"
 
     # -- actions of the reader -------------------------------------------------------------------------
 

@@ -48,6 +48,10 @@ _KEYS = (
     ("Home End", "first, last step"),
 )  # fmt: skip
 _LOADING = '<span class="loading" role="status">Loading …</span>'
+_SPINNER = """.loading::before { content: ""; display: inline-block; width: 14px; height: 14px;
+margin: 0 8px -2px 0; border: 2px solid #d0d7de; border-top-color: #0072B2; border-radius: 50%;
+animation: turn 1s linear infinite; }
+@keyframes turn { to { transform: rotate(1turn); } }"""
 _DEFAULTS: dict[str, object] = {
     "sizing_mode": "stretch_width", "toolbar_location": None, "tools": "xpan,xwheel_zoom,reset",
     "min_border_left": 62, "min_border_right": 12, "min_border_top": 4,
@@ -83,7 +87,9 @@ class LazyPanel(Generic[P]):
     """A panel that is made when its tab is first opened; until then the tab says that it is loading."""
 
     def __init__(self, make: Callable[[], P]) -> None:
-        self.body = column(words_of("", _LOADING, html=True), sizing_mode="stretch_width")
+        loading = words_of("", _LOADING, html=True)
+        loading.stylesheets = [_SPINNER]  # the page's own does not reach into Bokeh's parts
+        self.body = column(loading, sizing_mode="stretch_width")
         self._make = make
         self._made: P | None = None
 

@@ -110,10 +110,7 @@ def _sizes_of_terms(snap: xr.Dataset, cube: xr.Dataset) -> str:
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
     """Coherence of the rate of rise with the terms of the kinematic condition."""
-    if "valid" in coherence:
-        valid = coherence.where(coherence["valid"])
-    else:
-        valid = coherence
+    valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid[name].values)) for name in ("C_tot", "C_nl"))
     return Picture(
         figures.coherence_curves(coherence),
