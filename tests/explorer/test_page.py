@@ -124,7 +124,7 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(tmp_path):
     next((path / "w" / "c").glob("0/0/0")).write_bytes(b"nonsense")
     page, document = LookPage(LookSession(path), Place(step=1)), Document()
     page.attach(document)
-    assert "w of steps 0 to 39 is lost" in page.state.text
+    assert "w of steps 0 to 7 cannot be read" in page.state.text
     page.change(step=50)
     page.redraw()
     assert np.isfinite(page.map.sources["image"].data["image"][0]).any()
