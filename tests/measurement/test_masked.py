@@ -6,7 +6,7 @@ import pytest
 from measurement_cases import RATE, around
 
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, learn, measure
-from wavefield.series.camera_mask import CameraMask
+from wavefield.series.frames import CameraMask
 from wavefield.series.masks import MaskSection, footprints, outline_in_image
 from wavefield.variables import Quality
 

@@ -13,8 +13,7 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.rig import Rig
 from wavefield.series import Experiment
-from wavefield.series.image_names import camera_names, find_series
-from wavefield.series.proposal import propose
+from wavefield.series.proposal import camera_names, find_series, propose
 from wavefield.tank.rigs import platform_rig
 
 

@@ -21,8 +21,7 @@ from wavefield.measurement.images import prepare, ready, usable
 from wavefield.measurement.pair import match_pair
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.camera_mask import CameraMask
-from wavefield.series.frames import subtracted
+from wavefield.series.frames import CameraMask, subtracted
 from wavefield.series.listing import newest_frames, number_frames
 from wavefield.series.masks import covered_series, footprints
 from wavefield.series.mean_images import read_backgrounds, refuse_other_images

@@ -14,7 +14,7 @@ from wavefield.grid import Grid
 from wavefield.pipeline.experiment_of_cube import experiment_path, load_experiment
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.camera_mask import CameraMask
+from wavefield.series.frames import CameraMask
 from wavefield.series.masks import covered_series
 from wavefield.store.camera_pairs import read_pair_statistics
 from wavefield.store.read import find_store, open_cube

@@ -19,8 +19,8 @@ from scipy import special  # scipy.stats takes half a second to import
 from wavefield.quality.remarks import RECORD_LIMITS
 from wavefield.robust import PER_MEDIAN, robust_std
 from wavefield.series import Experiment, FrameSeries
+from wavefield.series.clocks import is_alike, recorded_rates, video_rates, video_rotations
 from wavefield.series.frames import is_interlaced
-from wavefield.series.rates import is_alike, recorded_rates, video_rates, video_rotations
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import FrameFault, FrameStatus, Quality

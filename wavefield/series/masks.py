@@ -13,8 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from wavefield.config_files import ConfigSection
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.rig import Camera, Rig
-from wavefield.series.camera_mask import CameraMask, Outline
-from wavefield.series.frames import FrameSeries
+from wavefield.series.frames import CameraMask, FrameSeries, Outline
 from wavefield.series.listing import has_pattern, number_frames
 from wavefield.series.readers import FrameEntry
 

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
-from wavefield.series.formats.packed import packed, packed_bytes
 from wavefield.series.formats.recording import (
     RawRecording,
     Recording,
     checked_shape,
     complete_images,
     no_times,
+    packed,
+    packed_bytes,
     plain,
 )
 

@@ -5,8 +5,15 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from wavefield.errors import FrameError
-from wavefield.series.formats.packed import packed, packed_bytes
-from wavefield.series.formats.recording import RawRecording, Recording, checked_shape, complete_images, plain
+from wavefield.series.formats.recording import (
+    RawRecording,
+    Recording,
+    checked_shape,
+    complete_images,
+    packed,
+    packed_bytes,
+    plain,
+)
 
 _NEEDED = ("Total Frame", "Image Width", "Image Height", "Color Bit")
 _XML = {

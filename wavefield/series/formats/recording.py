@@ -1,4 +1,4 @@
-"""One image after another in a file: their places, and pixels of complete bytes."""
+"""One image after another in a file: their places, and their pixels, of whole bytes or packed bits."""
 
 from bisect import bisect_right
 from collections.abc import Callable
@@ -7,6 +7,7 @@ from io import BytesIO, FileIO
 from pathlib import Path
 from typing import Any, Protocol
 
+import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -140,3 +141,20 @@ def complete_images(path: Path, count: int, start: Callable[[int], int], each: i
     if not complete:
         raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
     return complete
+
+
+def packed(shape: tuple[int, int], bits: int) -> Callable[[Stream], Pixels]:
+    """Reader of pixels of 10 or 12 bits one after another, the highest bit first."""
+    count, size = shape[0] * shape[1], packed_bytes(shape, bits)
+
+    def take(stream: Stream) -> Pixels:
+        raw = np.empty(size, np.uint8)
+        fill(raw, stream)
+        return np.asarray(imagecodecs.packints_decode(raw.tobytes(), np.uint16, bits))[:count].reshape(shape)
+
+    return take
+
+
+def packed_bytes(shape: tuple[int, int], bits: int) -> int:
+    """Bytes of the packed pixels of an image."""
+    return (shape[0] * shape[1] * bits + 7) // 8
