@@ -214,3 +214,41 @@ def test_the_stated_error_of_filled_nodes_is_their_error(size):
     steps = range(IN_TIME, 120 - IN_TIME, 9)
     stated = np.sqrt(np.mean([fill_error(holed[t - IN_TIME : t + IN_TIME + 1]) ** 2 for t in steps]))
     assert 0.7 < stated / error < 1.4
+
+
+@pytest.mark.parametrize(("fraction", "noise"), [(0.05, 0.0), (0.1, 5e-5), (0.2, 0.0)])
+def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum(fraction, noise):
+    seed = 70500 + int(100 * fraction)
+    sea = Sea(seed=seed, highest=3.5, noise=noise, shape=(160, 48, 64), waves=250, depth=0.7, slope=6)
+    whole = sea.cube(("z",)).z
+    missing = xr.DataArray(np.random.default_rng(seed).random(sea.shape) < fraction, dims=whole.dims)
+    holed = whole.where(~missing)
+    record = wv.find_record(holed)
+    assert record.shape == (48, 64)
+    assert record.runs == ((0, 160),)
+    assert record.holes == int(missing.sum())
+    spectra = [wv.E_omega(wv.komega(z, segment=80)) for z in (whole, holed)]
+    ratio = spectra[1].E / spectra[0].E
+    waves, floor = ((ratio.frequency > a) & (ratio.frequency < b) for a, b in ((1.2, 3.4), (5, 7)))
+    assert float(abs(ratio - 1).where(waves).max()) < 2e-3
+    assert float(ratio.where(floor).max()) < 2
+    assert bool(spectra[1].valid.where(waves, True).all())
+
+
+def test_lines_in_which_large_moving_holes_may_show_are_not_valid():
+    sea = Sea(seed=70600, highest=3.5, shape=(160, 70, 90), waves=200, depth=0.7, slope=6)
+    cube, missing = sea.cube(("z", "z_t", "u", "v", "w")), np.zeros(sea.shape, bool)
+    for first, step in (((5, 70), (1.3, -0.9)), ((50, 20), (-0.7, 1.6))):
+        for t in range(sea.shape[0]):
+            y, x = (int(a + b * t) % (n - 8) for a, b, n in zip(first, step, sea.shape[1:]))
+            missing[t, y : y + 8, x : x + 8] = True
+    holed = cube.where(~xr.DataArray(missing, dims=cube.z.dims))
+    whole, found = (wv.E_omega(wv.komega(c.z, segment=80)) for c in (cube, holed))
+    ratio = found.E / whole.E
+    assert float(ratio.where(found.frequency > 4).max()) > 5
+    assert float(ratio.where(found.valid).max()) < 2
+    assert bool(found.valid.where((found.frequency > 1.2) & (found.frequency < 3), True).all())
+    analysed = wv.analyze(holed, segment=80)
+    beyond = analysed["spectra"].frequency > 4.5
+    assert not bool(analysed["spectra"].valid_stereo.where(beyond, False).any())
+    assert "Lines with less than twice that are not valid" in analysed.attrs["notes"]

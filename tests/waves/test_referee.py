@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from waves_cases import GaussianSea, PeriodicSea, linear_cube, random_waves
+from waves_cases import GaussianSea, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
@@ -90,16 +90,6 @@ def test_leakage_of_the_peak_is_not_valid():
         valid = out[f"valid_{method}"]
         assert not bool(valid.where(out.frequency > 5.0, False).any()), method
     assert bool(out.valid_fusion.where((out.frequency > 1.2) & (out.frequency < 2.3), True).all())
-
-
-def test_a_few_holes_at_random_do_not_spoil_a_record():
-    cube = PeriodicSea(n=64).cube(200, 40, 48)[["z", "z_t", "w"]]
-    rng = np.random.default_rng(0)
-    holes = rng.random(cube.z.shape) < 0.005
-    record = wv.find_record(cube.where(~xr.DataArray(holes, dims=cube.z.dims)))
-    assert record.shape == (40, 48)
-    assert record.longest == 200
-    assert record.holes == holes.sum()
 
 
 def test_what_stands_still_is_no_wave():

@@ -29,6 +29,7 @@ GIVEN = {
     "pixel_size": "on the water, m, or None",
     "gain": "of the matching windows, or None",
     "probes": "wave probes, or None",
+    "filled": "what filled nodes add to E(omega) of z and w at most, by name",
     "fit": "how the current is fitted, as the user gave it",
     "map_frequencies": "of the maps E(ky, kx), Hz",
     "welch": "the record, its segments and rings",

@@ -33,7 +33,7 @@ from wavefield.waves.estimation import segments
 from wavefield.waves.estimation.inputs import described
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.record_limits import record_notes
-from wavefield.waves.estimation.wave_record import Each, Record, find_record
+from wavefield.waves.estimation.wave_record import Each, Record, filled_density, find_record
 from wavefield.waves.estimation.welch import Welch, with_velocity
 from wavefield.waves.estimation.window_gain import gain_of
 from wavefield.waves.onepass import FIELDS, Progress, one_pass
@@ -206,7 +206,8 @@ def _analyze(
     registered = products.registered()
     pairs = tuple(dict.fromkeys(pair for product in registered for pair in product.pairs))
     planes = tuple(dict.fromkeys(plane for product in registered for plane in product.planes))
-    values = {**given, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
+    filled = {name: filled_density(record, cube[name]) for name in ("z", "w")}
+    values = {**given, "filled": filled, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
     waiting = list(registered)
     notes = products.compute_ready(waiting, values, each)  # mistakes are found before the long pass
     values |= vars(one_pass(cube, welch, alike, Requested(NAMES, pairs, planes), progress, each))

@@ -3,13 +3,11 @@
 import numpy as np
 import xarray as xr
 
-from wavefield.waves.estimation.holes import IN_TIME, fill_error
-from wavefield.waves.estimation.wave_record import Record, piece
+from wavefield.waves.estimation.wave_record import Record, filled_error
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.products import Noted, Product, register
 
 FEW_SEGMENTS = 7  # with fewer, single cells of a spectrum are uncertain
-FILLED_STEPS = 12  # at which the error of filled nodes is found
 MIN_PERIODS = (
     10  # of the strongest wave: fewer do not separate it from its neighbours, nor its height from chance
 )
@@ -53,18 +51,13 @@ def _note_on_holes(record: Record, z: xr.DataArray) -> str:
     """How many nodes were filled, how well, and what that adds to the spectrum of the elevation."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
-    inside = [t for a, b in record.runs for t in range(a + IN_TIME, b - IN_TIME)]
-    chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, FILLED_STEPS).astype(int)} if inside else ()
-    area = slice(*record.y), slice(*record.x)
-    blocks = (np.asarray(piece(z, slice(t - IN_TIME, t + IN_TIME + 1), *area)) for t in sorted(chosen))
-    errors = np.array([fill_error(block) for block in blocks])
-    errors = errors[np.isfinite(errors)]
-    if not errors.size:
+    error = filled_error(record, z)
+    if not np.isfinite(error):
         return f"{text}."
-    variance = float(np.mean(errors**2))
     return (
-        f"{text}, with an error of {1e3 * np.sqrt(variance):.2g} mm (found on nodes that are there): it adds"
-        f" {2 * record.dt * share * variance:.1g} m2/Hz to the spectrum of the elevation, at all frequencies."
+        f"{text}, with an error of {1e3 * error:.2g} mm (found on nodes that are there): it adds up to"
+        f" {2 * record.dt * share * error**2:.1g} m2/Hz to the spectrum of the elevation. Lines with"
+        " less than twice that are not valid."
     )
 
 

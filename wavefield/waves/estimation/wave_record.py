@@ -9,19 +9,23 @@ from typing import Any
 import dask
 import numpy as np
 import xarray as xr
+from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
-from wavefield.waves.estimation.holes import fill_nodes
+from wavefield.waves.estimation.holes import IN_TIME, fill_error, fill_nodes
 
 # does work for every item, on workers, and gives the results in the order of the items
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
 
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
 STEPS_PER_READ = 256
-MIN_NODE_FRACTION = 0.9  # of the valid steps: a node of the rectangle has values in so many
-MIN_STEP_FRACTION = 0.95  # of the rectangle: a valid step has values at so many nodes
+HOLE_SIDE = 3  # nodes: smaller holes, such as rejected nodes leave, are isolated and filled well
+MIN_NODE_FRACTION = 0.9  # of the valid steps: a node of the rectangle is outside of holes in so many
+MIN_STEP_FRACTION = 0.95  # of the rectangle: a valid step has so many nodes outside of holes
+MIN_MEASURED = 0.5  # of the steps of a node, and of the nodes of a step, that isolated ones may lack
+FILLED_STEPS = 12  # at which the error of filled nodes is found
 MIN_NODES = 8  # along either side of the rectangle
 _FIELDS = ("z", "z_t", "u", "v", "w")
 
@@ -147,15 +151,33 @@ def all_finite(block: np.ndarray) -> bool:
     return bool(np.isfinite(block.sum(dtype=np.float64)))
 
 
+def outside_holes(finite: np.ndarray) -> np.ndarray:
+    """Nodes (steps, ny, nx) that are measured, or missing in less than `HOLE_SIDE` x `HOLE_SIDE` together.
+    Beyond an edge nodes count as missing, so that what is missing along an edge is a hole.
+    """
+    side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
+    holes = np.zeros_like(finite)
+    for axis in (1, 2):  # one pair of edges after the other: at a corner a single node would be a hole
+        pad = [(0, 0), (0, 0), (0, 0)]
+        pad[axis] = (HOLE_SIDE - 1, HOLE_SIDE - 1)
+        opened = ndimage.binary_opening(np.pad(~finite, pad, constant_values=True), side)
+        holes |= opened.take(range(HOLE_SIDE - 1, HOLE_SIDE - 1 + finite.shape[axis]), axis)
+    return np.asarray(~holes)
+
+
 def _finite(pieces: list[object]) -> np.ndarray | None:
-    """Packed mask of the nodes that have values in all variables; None where nothing is missing."""
+    """Packed masks of the nodes that have values in all variables, and of those that are outside of holes,
+    (2, steps, bytes); None where nothing is missing.
+    """
     mask = None
     for part in pieces:  # one at a time: memory
         block = np.asarray(part)
         if not all_finite(block):
             finite = np.isfinite(block)
             mask = finite if mask is None else mask & finite
-    return None if mask is None else np.packbits(mask.reshape(mask.shape[0], -1), axis=1)
+    if mask is None:
+        return None
+    return np.packbits(np.stack([mask, outside_holes(mask)]).reshape(2, mask.shape[0], -1), axis=2)
 
 
 def _runs(
@@ -223,30 +245,30 @@ def find_record(
     size, holes = (y[1] - y[0]) * (x[1] - x[0]), 0
     for steps_of, there in valid_nodes:
         if there is not None:
-            inside = there[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
-            valid_steps[steps_of] &= inside >= MIN_STEP_FRACTION * size
-            holes += int((size - inside)[valid_steps[steps_of]].sum())
+            measured, outside = there[:, :, y[0] : y[1], x[0] : x[1]].sum(axis=(2, 3))
+            valid_steps[steps_of] &= (outside >= MIN_STEP_FRACTION * size) & (measured >= MIN_MEASURED * size)
+            holes += int((size - measured)[valid_steps[steps_of]].sum())
     runs, bridged = _runs(valid_steps, longest_bridge, barred)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
 
 
 @dataclass(frozen=True)
 class _ValidNodes:
-    """Nodes that have values: of each piece of the steps a mask in bits, None where all have."""
+    """Nodes that have values, and those outside of holes: of each piece two masks in bits, None where all."""
 
     pieces: Sequence[tuple[int, int]]
     masks: Sequence[np.ndarray | None]
     shape: tuple[int, int]
 
     def __iter__(self) -> Iterator[tuple[slice, np.ndarray | None]]:
-        """Steps of each piece and, unless all nodes have values, (steps, ny, nx) bool."""
+        """Steps of each piece and, unless all nodes have values, the masks, (2, steps, ny, nx) bool."""
         ny, nx = self.shape
         for mask, (a, b) in zip(self.masks, self.pieces):
             if mask is None:
                 yield slice(a, b), None
             else:
-                bits = np.unpackbits(mask, axis=1, count=ny * nx)
-                yield slice(a, b), bits.reshape(b - a, ny, nx).astype(bool)
+                bits = np.unpackbits(mask, axis=2, count=ny * nx)
+                yield slice(a, b), bits.reshape(2, b - a, ny, nx).astype(bool)
 
 
 def _measured(cube: object, steps: int) -> np.ndarray:
@@ -263,7 +285,7 @@ def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
     count = np.full(measured.size, ny * nx)
     for steps, there in valid_nodes:
         if there is not None:
-            count[steps] = there.sum(axis=(1, 2))
+            count[steps] = there[0].sum(axis=(1, 2))
     not_empty = measured & (count > 0)
     if not not_empty.any():
         raise CubeError("no step of the cube holds a single value: run it first, or check its frame_status")
@@ -275,15 +297,17 @@ def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray | bool = True
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Largest rectangle of nodes, y and x, that have values in nearly all valid steps."""
-    times = np.zeros(valid_nodes.shape, int)
+    times = np.zeros((2, *valid_nodes.shape), int)  # measured, and outside of holes
     for steps, there in valid_nodes:
-        times += int(valid_steps[steps].sum()) if there is None else there[valid_steps[steps]].sum(axis=0)
-    y, x = largest_rectangle((times >= MIN_NODE_FRACTION * valid_steps.sum()) & open_water)
+        valid = valid_steps[steps]
+        times += int(valid.sum()) if there is None else there[:, valid].sum(axis=1)
+    least = np.array([MIN_MEASURED, MIN_NODE_FRACTION])[:, None, None] * valid_steps.sum()
+    y, x = largest_rectangle((times >= least).all(axis=0) & open_water)
     if min(y[1] - y[0], x[1] - x[0]) < MIN_NODES:
+        missing = 100 * (1 - times[0].mean() / valid_steps.sum())
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
-            f" (y, x), less than {MIN_NODES} x {MIN_NODES}: choose a grid inside the common field of all"
-            " cameras"
+            f" (y, x), less than {MIN_NODES} x {MIN_NODES} ({missing:.0f} % of the values are missing): choose a grid inside the common field of all cameras, or fill larger holes"
         )
     return y, x
 
@@ -342,6 +366,27 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
     dt, dy, dx = check_axes(array)
     steps, ny, nx = (array.sizes[name] for name in CUBE_DIMS)
     return Record((0, ny), (0, nx), ((0, steps),), (), steps, 0, dt, dy, dx)
+
+
+def filled_error(record: Record, field: xr.DataArray) -> float:
+    """Standard deviation of the error of a field at filled nodes, found on nodes that are there.
+    It is 0 without filled nodes, NaN where runs are too short to find it.
+    """
+    if not record.holes:
+        return 0.0
+    inside = [t for a, b in record.runs for t in range(a + IN_TIME, b - IN_TIME)]
+    chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, FILLED_STEPS).astype(int)} if inside else ()
+    area = slice(*record.y), slice(*record.x)
+    blocks = (np.asarray(piece(field, slice(t - IN_TIME, t + IN_TIME + 1), *area)) for t in sorted(chosen))
+    errors = np.array([fill_error(block) for block in blocks])
+    errors = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(errors**2))) if errors.size else np.nan
+
+
+def filled_density(record: Record, field: xr.DataArray) -> float:
+    """What filled nodes add to E(omega) of a field at most, per rad/s: their error, white up to Nyquist."""
+    share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
+    return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))
 
 
 def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ Coordinates = dict[str, tuple[str, Array]]
 LEAST_COUNT = 4  # segments
 VELOCITY = "velocity"  # attribute of a cube, or of its fields, that states what its velocities are
 MEANINGS = {"displacement": 2, "instantaneous": INSTANTANEOUS}  # over one step; and their frames
+MIN_OVER_FILLED = 2.0  # of what filled nodes may add to a spectrum: the rest is signal
 _NEAR = 3  # lines over which the spread over cells is averaged
 LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
 
@@ -125,6 +126,12 @@ class Welch:
         table = self.table
         in_k = (table.k > LOWEST * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
         return inner(self.omega.size)[:, None] & in_k
+
+    def over_filled(self, energy: Any, added: float) -> Any:
+        """Where E(k, omega), (omega, k), exceeds what filled nodes add; ``added`` to E(omega) at most."""
+        plane = 2 * np.pi * self.table.k * self.table.coverage
+        white = added * plane * self.record.dy * self.record.dx / (2 * np.pi) ** 2
+        return energy > MIN_OVER_FILLED * white
 
     def freedom(self, sums: Array) -> Array:
         """Degrees of freedom (rings, n // 2 + 1) of E(k, omega) from how energy is spread in a ring's cells.

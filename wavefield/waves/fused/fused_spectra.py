@@ -5,6 +5,7 @@ omega dt / 2, is the elevation at mid-time with noise n_w. Signal and noise are 
 still-water record.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,7 +32,7 @@ from wavefield.waves.estimation.transfer_functions import (
     path_factor,
 )
 from wavefield.waves.estimation.wave_record import Record
-from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
+from wavefield.waves.estimation.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import (
     MIN_POWER_GAIN,
     is_predicted,
@@ -527,8 +528,15 @@ def _fused(
 _BY_METHOD = [f"{name}_{method}" for method in METHODS for name in ("Ez", "dof", "low", "high", "valid")]
 
 
-def _elevation_spectra(fused: xr.Dataset) -> xr.Dataset:
-    return fused[_BY_METHOD]
+def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
+    """The spectra by method; lines in which filled nodes may show are not valid."""
+    out = fused[_BY_METHOD].copy()
+    step = float(ring["k"][1] - ring["k"][0])
+    z, w = (ring[f"E_{n}"].sum("k").values * step > MIN_OVER_FILLED * filled[n] for n in ("z", "w"))
+    for method, clear in (("stereo", z), ("w", w), ("cross", z & w), ("fusion", z | w)):
+        if any(filled.values()):
+            out[f"valid_{method}"] = out[f"valid_{method}"] & clear
+    return annotate(out, "spectra")
 
 
 def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
@@ -543,6 +551,6 @@ register(
         pairs=PAIRS,
         planes=PLANES,
     ),
-    Product("elevation_spectra", ("fused",), _elevation_spectra, group="spectra"),
+    Product("elevation_spectra", ("fused", "ring", "filled"), _elevation_spectra, group="spectra"),
     Product("fusion", ("fused",), _fusion_group, group="fusion"),
 )

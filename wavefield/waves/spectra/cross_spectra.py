@@ -196,8 +196,18 @@ def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[s
     return annotate(out, "spectra")
 
 
-def _spectra(ring: xr.Dataset, gain: xr.Dataset | None, plane_w: xr.DataArray) -> xr.Dataset:
-    return by_field(ring, None if gain is None else with_directions(gain, plane_w))
+def _spectra(
+    ring: xr.Dataset,
+    gain: xr.Dataset | None,
+    plane_w: xr.DataArray,
+    welch: Welch,
+    filled: Mapping[str, float],
+) -> xr.Dataset:
+    out = by_field(ring, None if gain is None else with_directions(gain, plane_w))
+    for name, added in filled.items():
+        if added:
+            out["valid_komega"] = out["valid_komega"] & welch.over_filled(ring[f"E_{name}"], added)
+    return annotate(out, "spectra")
 
 
 def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: Welch) -> xr.Dataset:
@@ -206,5 +216,5 @@ def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: We
 
 register(
     Product("ring", ("ring_sums", "pairs", "welch"), _ring),
-    Product("spectra", ("ring", "gain", "plane_w"), _spectra, group="spectra", cost=2),
+    Product("spectra", ("ring", "gain", "plane_w", "welch", "filled"), _spectra, group="spectra", cost=2),
 )

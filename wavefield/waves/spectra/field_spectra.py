@@ -21,8 +21,8 @@ from wavefield.waves.estimation.degrees_of_freedom import (
     with_interval,
 )
 from wavefield.waves.estimation.inputs import a_field, described, is_field, keep_water, takes
-from wavefield.waves.estimation.wave_record import Record
-from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
+from wavefield.waves.estimation.wave_record import Record, filled_density
+from wavefield.waves.estimation.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.windows import effective_duration, interval
 
 Array = NDArray[Any]
@@ -256,7 +256,10 @@ def komega(
     for axis, size in (("omega", welch.omega.size), ("k", table.k.size)):
         out[f"dof_{axis}"] = (axis, da.from_delayed(found[axis], (size,), np.float64))
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
-    out["valid"] = (("omega", "k"), welch.valid)
+    added = filled_density(welch.record, field)
+    valid = xr.DataArray(welch.valid, dims=("omega", "k"))
+    out["valid"] = valid & welch.over_filled(out["E"], added) if added else valid
+    out.attrs["filled_density"] = added
     out = annotate(out.assign_attrs(welch.attrs), "komega")
     out["E"].attrs = TABLE["komega/E"].of(
         _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
@@ -381,7 +384,10 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     theory = single * independent_cells(field["E"], field["dof"] / single, table)
     dof = field["dof_omega"].fillna(theory) if "dof_omega" in field else theory
     out = with_interval(energy, dof)
-    out["valid"] = ("omega", inner(out.sizes["omega"]))
+    added = float(field.attrs.get("filled_density", 0.0))
+    out["valid"] = xr.DataArray(inner(out.sizes["omega"]), dims="omega")
+    if added:
+        out["valid"] = out["valid"] & (energy > MIN_OVER_FILLED * added)
     out = annotate(out, "frequency")
     out["E"].attrs = TABLE["frequency/E"].of(
         _of_what(field), product((field["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
