@@ -251,4 +251,4 @@ def test_lines_in_which_large_moving_holes_may_show_are_not_valid():
     analysed = wv.analyze(holed, segment=80)
     beyond = analysed["spectra"].frequency > 4.5
     assert not bool(analysed["spectra"].valid_stereo.where(beyond, False).any())
-    assert "Lines with less than twice that are not valid" in analysed.attrs["notes"]
+    assert "less than four times that are not valid" in analysed.attrs["notes"]

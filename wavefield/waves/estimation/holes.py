@@ -80,17 +80,17 @@ def _agreement(field: Array, guess: Array) -> float:
 
 def most_probable(field: Array, hole: NDArray[np.bool_]) -> Array:
     """Values of the missing nodes (hole.sum(),) of a field (ny, nx): conditional mean of a Gaussian process.
-    Its spectrum S is that of the field with a thin plate in the holes, averaged over rings of wavenumber. With
-    G = 1 - min(S) / S the values are the solution of x_m = G_mm x_m + G_mo x_o, by conjugate gradients.
+    Its spectrum S is that of the field with a thin plate in the holes, averaged over rings of wavenumber.
+    With G = 1 - min(S) / S the values are the solution of x_m = G_mm x_m + G_mo x_o, by conjugate gradients.
     """
     plate = smoothest(field, hole)
     filled = np.where(hole, 0.0, field.astype(np.float64))
     filled[hole] = plate
     mean = filled.mean()
     filled -= mean
-    along = [np.arange(n) / n for n in hole.shape]  # cosines of half a period and more
-    ring = np.hypot(along[0][:, None], along[1])
-    ring = np.rint(ring * min(hole.shape)).astype(int)
+    ny, nx = hole.shape  # cosines of half a period and more
+    distance = np.hypot(np.linspace(0, 1, ny)[:, None], np.linspace(0, 1, nx))
+    ring = np.rint(distance * min(ny, nx)).astype(int)
     power = np.bincount(ring.ravel(), (fft.dctn(filled, norm="ortho") ** 2).ravel())
     power /= np.maximum(np.bincount(ring.ravel()), 1)
     least = max(power[power > 0].min(initial=np.inf), FLOOR * power.max())

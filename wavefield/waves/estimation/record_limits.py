@@ -57,7 +57,7 @@ def _note_on_holes(record: Record, z: xr.DataArray) -> str:
     return (
         f"{text}, with an error of {1e3 * error:.2g} mm (found on nodes that are there): it adds up to"
         f" {2 * record.dt * share * error**2:.1g} m2/Hz to the spectrum of the elevation. Lines with"
-        " less than twice that are not valid."
+        " less than four times that are not valid."
     )
 
 

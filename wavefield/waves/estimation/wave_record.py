@@ -307,7 +307,8 @@ def _rectangle(
         missing = 100 * (1 - times[0].mean() / valid_steps.sum())
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
-            f" (y, x), less than {MIN_NODES} x {MIN_NODES} ({missing:.0f} % of the values are missing): choose a grid inside the common field of all cameras, or fill larger holes"
+            f" (y, x), less than {MIN_NODES} x {MIN_NODES} ({missing:.0f} % of the values are missing):"
+            " choose a grid inside the common field of all cameras, or fill larger holes"
         )
     return y, x
 

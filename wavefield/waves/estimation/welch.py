@@ -23,7 +23,9 @@ Coordinates = dict[str, tuple[str, Array]]
 LEAST_COUNT = 4  # segments
 VELOCITY = "velocity"  # attribute of a cube, or of its fields, that states what its velocities are
 MEANINGS = {"displacement": 2, "instantaneous": INSTANTANEOUS}  # over one step; and their frames
-MIN_OVER_FILLED = 2.0  # of what filled nodes may add to a spectrum: the rest is signal
+# of what filled nodes add to a spectrum if their error is white: holes that stay for some steps add more to
+# the lower lines, up to twice as much
+MIN_OVER_FILLED = 4.0
 _NEAR = 3  # lines over which the spread over cells is averaged
 LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
 

@@ -215,9 +215,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
     # where windows leave too little to correct, they still leave some: noise is the energy off free waves
     # there
     free = dispersion(k, *water)
-    off = (
-        np.abs(omega[:, None] - free) > np.maximum(MAX_FREE_DISTANCE * free, 4 * omega[1]) + k * spectra.speed
-    )
+    apart = np.abs(omega[:, None] - free) - np.maximum(MAX_FREE_DISTANCE * free, 4 * omega[1])
+    off = apart > k * spectra.speed
     use = use[:, None] & (off | gains.both_usable)
     with np.errstate(divide="ignore", invalid="ignore"):
         eta = gains.elevation(spectra.zw)
@@ -226,7 +225,7 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
         white_dz = _white(noise_w * spectra.shape, use)
         fit_w = np.where(omega[:, None] > 0, white_dz / spectra.shape, np.inf)
     fit_z = np.broadcast_to(white_z, spectra.zz.shape)
-    known = bool(((off & (omega > 0)[:, None]).mean(axis=0) > 0.5).mean() > 0.5)
+    known = bool(((apart > 0).mean(axis=0) > 0.5).mean() > 0.5)
     tiny = _tiny(spectra)
     return _Noise(
         noise_z, noise_w, np.maximum(fit_z, tiny), np.maximum(fit_w, tiny), white_z, white_dz, known
