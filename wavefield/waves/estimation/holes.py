@@ -91,8 +91,8 @@ def most_probable(field: Array, hole: NDArray[np.bool_]) -> Array:
     ny, nx = hole.shape  # cosines of half a period and more
     distance = np.hypot(np.linspace(0, 1, ny)[:, None], np.linspace(0, 1, nx))
     ring = np.rint(distance * min(ny, nx)).astype(int)
-    power = np.bincount(ring.ravel(), (fft.dctn(filled, norm="ortho") ** 2).ravel())
-    power /= np.maximum(np.bincount(ring.ravel()), 1)
+    total = np.bincount(ring.ravel(), (fft.dctn(filled, norm="ortho") ** 2).ravel())
+    power = total / np.maximum(np.bincount(ring.ravel()), 1)
     least = max(power[power > 0].min(initial=np.inf), FLOOR * power.max())
     if not np.isfinite(least) or least == power.max():
         return plate
