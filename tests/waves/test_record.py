@@ -246,7 +246,7 @@ def test_lines_in_which_large_moving_holes_may_show_are_not_valid():
     whole, found = (wv.E_omega(wv.komega(c.z, segment=80)) for c in (cube, holed))
     ratio = found.E / whole.E
     assert float(ratio.where(found.frequency > 4).max()) > 5
-    assert float(ratio.where(found.valid).max()) < 2
+    assert float(ratio.where(found.valid & (found.frequency > 1)).max()) < 2
     assert bool(found.valid.where((found.frequency > 1.2) & (found.frequency < 3), True).all())
     analysed = wv.analyze(holed, segment=80)
     beyond = analysed["spectra"].frequency > 4.5
