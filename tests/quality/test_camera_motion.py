@@ -187,10 +187,10 @@ def test_a_mean_level_that_moves_faster_than_waves_is_vibration(seed):
     steps, pixel = np.arange(81.0), 1.8e-3
     cube = sea(seed, steps, 40.0, node=0.03).assign_attrs(frame_rate=40.0, pixel_size=pixel)
     assert level_motion(cube) < 0.02 * pixel
-    assert list(remark_on_level(cube, 0.02 * pixel)) == []
+    assert list(remark_on_level(level_motion(cube), 0.02 * pixel, pixel)) == []
     shaken = 0.3 * pixel * np.sqrt(2.0) * np.sin(2.0 * np.pi * 8.0 * steps[:-1] / 40.0)
     cube = cube.assign(z=cube.z + shaken.astype("float32")[:, None, None])
-    (remark,) = remark_on_level(cube, 0.02 * pixel)
+    (remark,) = remark_on_level(level_motion(cube), 0.02 * pixel, pixel)
     assert (remark.kind, remark.weight) == ("vibration", "remark")
     assert remark.values["px"] == pytest.approx(0.3, rel=0.25)
     assert np.isnan(level_motion(cube.isel(time=slice(0, 6)))), "not determined"

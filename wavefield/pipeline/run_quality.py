@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_thread
-from wavefield.measurement.error_budget import fast_waves, ripples
+from wavefield.measurement.error_budget import fast_waves, level_std, ripples
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
@@ -19,6 +18,7 @@ from wavefield.quality.cameras import CameraFaults, find_camera_faults
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.record import (
     COMPARED,
+    RiseRatios,
     remark_on_cleared_steps,
     remark_on_jitter,
     remark_on_kinematics,
@@ -43,7 +43,7 @@ from wavefield.series import Experiment, FrameSeries
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_cube
 from wavefield.store.verdict import Remark, Verdict
-from wavefield.store.write_cube import clear_steps
+from wavefield.store.write_cube import clear_steps, write_level_std
 from wavefield.variables import FrameStatus, Quality
 
 
@@ -115,14 +115,46 @@ def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
     return PatchMatcher(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
 
 
-def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
+@dataclass(frozen=True)
+class RecordCheck:
+    """What comparing all steps of a cube with their neighbours has shown."""
+
+    ratios: RiseRatios  # NaN at steps that were cleared
+    level_motion: float  # Rms of the mean level that no wave explains, m; 0 if it is not significant
+    z_std: float  # Typical standard uncertainty of z, m
+
+
+def check_record(prepared: PreparedRun, status: Status) -> RecordCheck | None:
+    """Compare the steps of a cube with each other, and put into a complete one what that shows.
+
+    Steps whose frames lie on both sides of a lost, doubled or late frame are cleared; the motion of the mean
+    level that no wave explains enters `z_level_std`. Done again, it gives the same. None for light sheets and
+    for records of few steps.
+    """
+    sheet = prepared.geometry.settings.sheet_thickness is not None
+    if sheet or status.done + status.faulty < LIMITS.steps_compared:
+        return None
+    cube = open_cube(status.store)
+    ratios, motion = rise_ratios(cube), camera_motion.level_motion(cube)
+    z_std = float(cube.z_std.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load().median())
+    motion = motion if motion > z_std else 0.0
+    found = steps_to_leave_out(ratios.discontinuous(), cube.sizes["time"])
+    before = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
+    cleared = np.union1d(found, before)
+    if status.complete and cleared.size:
+        clear_steps(status.store, cleared.tolist())
+    if status.complete and prepared.record is not None:
+        known = level_std(prepared.geometry, prepared.record)
+        write_level_std(status.store, float(np.hypot(known, motion)))
+    return RecordCheck(ratios.without(cleared), motion, z_std)
+
+
+def assess_run(prepared: PreparedRun, status: Status, checked: RecordCheck | None) -> Verdict:
     """The verdict on a cube whose run has ended."""
     experiment, series = prepared.experiment, prepared.series
     faults, cube = compare_cameras(prepared), open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
     sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
-    sheet = prepared.geometry.settings.sheet_thickness is not None
-    comparable = status.done + status.faulty >= LIMITS.steps_compared and not sheet
     grave = any(one.weight == "grave" for one in faults.remarks)
     remarks = [
         *faults.remarks,
@@ -132,7 +164,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
         *remark_on_probes(experiment, cube, record_span(experiment, series)),
         *remark_on_steps(status),
         *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
-        *(_stored_values(cube, sample) if comparable else ()),
+        *(_stored_values(cube, sample, checked) if checked else ()),
         *_short_waves(sample, prepared),
     ]
     return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
@@ -172,26 +204,6 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         )
 
 
-def leave_out_discontinuous_steps(path: Path) -> None:
-    """Clear the steps of a finished cube that lie on both sides of a lost, doubled or late frame.
-
-    Where a run is cut off meanwhile, the next one finds their status and does the rest.
-    """
-    cube = open_cube(path)
-    found = steps_to_leave_out(rise_ratios(cube).discontinuous(), cube.sizes["time"])
-    before = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
-    if steps := sorted({*found.tolist(), *before.tolist()}):
-        clear_steps(path, steps)
-
-
-def _stored_values(cube: xr.Dataset, sample: xr.Dataset) -> Iterator[Remark]:
-    yield from remark_on_kinematics(sample)
-    yield from remark_on_cleared_steps(cube)
-    yield from remark_on_jitter(rise_ratios(cube), sample)
-    yield from camera_motion.remark_on_level(cube, float(np.nanmedian(sample.z_std)))
-    yield from remark_on_mean_plane(cube)
-
-
 def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:
     """Remarks on the stored values of some steps."""
     if not np.isfinite(sample.z).any():
@@ -200,3 +212,12 @@ def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:
     yield from remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"])
     yield from remark_on_coverage(in_view)
     yield from remark_on_holes(fraction_measured(sample.quality.values))
+
+
+def _stored_values(cube: xr.Dataset, sample: xr.Dataset, checked: RecordCheck) -> Iterator[Remark]:
+    yield from remark_on_kinematics(sample)
+    yield from remark_on_cleared_steps(cube)
+    yield from remark_on_jitter(checked.ratios, sample)
+    pixel = float(cube.attrs["pixel_size"])
+    yield from camera_motion.remark_on_level(checked.level_motion, checked.z_std, pixel)
+    yield from remark_on_mean_plane(cube)

@@ -163,12 +163,12 @@ def process(
             ) from None
     with deferred_signals():  # what only the end needs comes when the rest is done
         from wavefield.pipeline.pair_statistics import store_pair_statistics
-        from wavefield.pipeline.run_quality import assess_run, leave_out_discontinuous_steps
+        from wavefield.pipeline.run_quality import assess_run, check_record
     found = status(path)
+    checked = check_record(prepared, found)
     if found.complete:
-        leave_out_discontinuous_steps(path)
         store_pair_statistics(prepared, path)
-    verdict = assess_run(prepared, found)
+    verdict = assess_run(prepared, found, checked)
     verdict.save(path)
     if found.complete:
         update_metadata(path, {FINISHED: True})

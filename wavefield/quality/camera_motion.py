@@ -226,9 +226,8 @@ def level_motion(cube: xr.Dataset) -> float:
     return float(np.sqrt(squares / freedom)) if freedom else np.nan
 
 
-def remark_on_level(cube: xr.Dataset, z_std: float) -> Iterator[Remark]:
-    """Report a mean level that moves faster than waves do; ``z_std`` is the typical uncertainty of z, m."""
-    motion, pixel = level_motion(cube), float(cube.attrs["pixel_size"])
+def remark_on_level(motion: float, z_std: float, pixel: float) -> Iterator[Remark]:
+    """Report a mean level that moves faster than waves do, rms, against the typical uncertainty of z, m."""
     if motion > z_std:
         yield Remark(
             "cameras",
@@ -237,7 +236,7 @@ def remark_on_level(cube: xr.Dataset, z_std: float) -> Iterator[Remark]:
             f"the mean level moves by {1e3 * motion:.2g} mm rms ({motion / pixel:.2f} px), faster than waves "
             "as long as the field",
             f"A camera vibrates along the parallax: all of z moves by {motion / z_std:.1f} of its standard "
-            "uncertainty, w accordingly",
+            "uncertainty, which `z_level_std` contains, and w accordingly",
             "Stiffen the mounts and keep carriages, pumps and people away",
             {"level_std_m": motion, "px": motion / pixel},
         )

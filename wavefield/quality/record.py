@@ -407,6 +407,12 @@ class RiseRatios:
     ratio: Array
     variance: Array  # of the ratio, from the parts of the field
 
+    def without(self, steps: NDArray[np.intp]) -> "RiseRatios":
+        """Without what is known of some steps."""
+        ratio = self.ratio.copy()
+        ratio[steps] = np.nan
+        return RiseRatios(ratio, self.variance)
+
     def discontinuous(self) -> NDArray[np.intp]:
         """Steps whose ratio departs from that of both neighbours by more than the limit, significantly."""
         log = np.log(np.maximum(self.ratio, MIN_RATIO))
