@@ -51,5 +51,5 @@ def count_frames(path: Path) -> int:
     columns, rows, depth, frames = (int(number) for number in _HEAD.unpack(head)[4:])
     sound = 0 < columns <= 65536 and 0 < rows <= 65536 and depth == 1 and 0 < frames <= 1000
     if not sound or columns * rows * frames > MAX_COMPRESSION * size:
-        raise FrameError(f"{path} is no image of DaVis, or its header is damaged; copy it again")
+        raise FrameError(f"{path} is not an image of DaVis, or its header is damaged; copy it again")
     return frames

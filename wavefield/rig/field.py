@@ -85,7 +85,7 @@ def common_field(
 
 
 def view_on_water(camera: Camera) -> NDArray[np.float64]:
-    """Places on z = 0 that bound what a camera sees, (n, 2), metres: its corners, or short of the horizon."""
+    """Points on z = 0, (n, 2), m, around the view of a camera: its corners, or a rim below the horizon."""
     corners = camera.corners()
     if np.isfinite(corners).all():
         return corners

@@ -69,7 +69,7 @@ class Rig:
 
     @property
     def lenses_alone(self) -> bool:
-        """Whether all of several cameras are at the origin: nothing states where they are."""
+        """Whether all cameras are at the origin, because only their lenses are known."""
         return len(self) > 1 and all(np.allclose(c.centre, 0.0, atol=1e-9) for c in self.cameras.values())
 
     def __repr__(self) -> str:

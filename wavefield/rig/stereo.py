@@ -130,7 +130,7 @@ def solve_displacement(
 
 
 def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
-    """How much further along x, y the second camera shows a point above still water, (2, ...), per height."""
+    """Parallax per height, (2, ...): difference of the sight-line coefficients of the two cameras."""
     first, second = (rig[name].sight_line(x, y) for name in pair)
     return np.subtract(first, second)
 

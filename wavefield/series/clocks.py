@@ -35,7 +35,7 @@ _ROUNDED = 1.05  # resolutions from the lowest to the highest departure that rou
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Times of a camera's images in its recordings, (n,), s; None where these hold none.
+    """Times of a camera's images in its recordings, (n,), s; None if the recordings contain no times.
 
     A video's times are those of the playback: its usual interval counts as that of the frame rate. Other
     recordings are refused if their time stamps contradict the frame rate.
@@ -85,7 +85,7 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
 
 
 def recorded_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times:
-    """As `own_times`, where the experiment file requires them: increasing times."""
+    """As `own_times`, but refuse recordings without increasing times."""
     if not recordings_of(images, camera, folder):
         raise ExperimentError(
             f"{camera}: `times: {RECORDED}` needs a recording, and {images} is none; name a file of times"
@@ -134,7 +134,7 @@ def read_time_stamps(path: Path, camera: str) -> Times:
 def place_by_time(
     numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
-    """Renumber frames by their time stamps, s, so that frames dropped by the camera leave gaps."""
+    """Renumber frames by their time stamps (s), so that dropped frames leave gaps."""
     if len(times) != len(numbered):
         raise ExperimentError(
             f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
@@ -152,7 +152,7 @@ def place_by_time(
 
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
-    """Renumber frames so that those the camera dropped leave gaps: by intervals, not by the clock's rate.
+    """Renumber frames by whole multiples of the median interval, so that dropped frames leave gaps.
 
     Examples
     --------
@@ -173,8 +173,10 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 
 def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Times | None:
-    """By how much later than at even intervals a record's frames were taken, (n,), intervals; None if even.
-    What the cameras' clocks share, less offset and drift: they are triggered together, the rest is noise.
+    """Delay of each frame behind even times, (n,), in frame intervals; None if the times are even.
+
+    The mean over the cameras' clocks, without offset and drift. Cameras are triggered together, so what
+    their clocks do not share is noise of the stamps.
     """
     each = [
         found
@@ -195,9 +197,9 @@ def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Ti
 
 
 def departures_by_clock(times: Times, frame_rate: float) -> Times | None:
-    """The same by one clock, from its times (n,), s; NaN where it has none.
+    """Delay of each frame by one clock, from its times (n,), s; NaN for frames without a time.
 
-    None where they do not fit even intervals at all.
+    None if the times are not near even intervals.
 
     Examples
     --------
@@ -228,7 +230,7 @@ def departures_by_clock(times: Times, frame_rate: float) -> Times | None:
 
 
 def _line(x: Times, y: Times) -> Times:
-    """Mean and slope of y(x); the slope as far as it is not jitter, with the error of a clock's rate."""
+    """Regression line of y(x); its slope is shrunk by the ratio of jitter to the rate error of a clock."""
     x = x - x.mean()
     mean, square = y.mean(), float(x @ x)
     rest = y - mean - x * float(x @ y) / square
@@ -237,7 +239,7 @@ def _line(x: Times, y: Times) -> Times:
 
 
 def _resolution(times: Times) -> float:
-    """Seconds to which times are rounded; 0 where they are not."""
+    """Seconds to which times are rounded; 0 if they are not."""
     for step in _RESOLUTIONS:
         if np.abs(times / step - np.rint(times / step)).max() < 1e-3:
             return step
@@ -291,20 +293,20 @@ def is_video(path: Path) -> bool:
 
 
 def _images(cameras: Mapping[str, object]) -> Iterator[tuple[str, object]]:
-    """Names of cameras, and the images of each as in the experiment file."""
+    """Names and images of the cameras, as in the experiment file."""
     for name, camera in cameras.items():
         yield str(name), camera.get("images") if isinstance(camera, Mapping) else camera
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
-    """The recordings that hold a camera's images, one after the other; none if any is of another kind."""
+    """Recordings with a camera's images, in order; empty if any of its files is not a recording."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(file_of, paths)) else []
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """The rate that all recordings or videos state; None if there are none."""
+    """The frame rate that all recordings or videos state; None without any."""
     if not rates:
         return None
     first = next(iter(rates))
@@ -318,7 +320,7 @@ def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
 
 
 def is_alike(one: float, other: float) -> bool:
-    """Whether two rates are the same but for rounding.
+    """Whether two rates agree within rounding.
 
     Examples
     --------

@@ -19,8 +19,8 @@ class CameraSection(ConfigSection):
     offset: int = Field(default=0, description="added to this camera's frame numbers")
     times: PathText | None = Field(
         default=None,
-        description="file of time stamps, one line per image, seconds; `recorded`: those in a recording, "
-        "where all cameras' clocks are one",
+        description="file of time stamps, s, one per image: a number a line, or a CSV with a column `time`; "
+        "`recorded`: those in a recording, where all cameras share one clock",
     )
     row_time: float = Field(
         default=0.0,
@@ -37,7 +37,7 @@ class CameraSection(ConfigSection):
 
 
 class FramesSection(ConfigSection):
-    """Range of frame numbers to use, both included."""
+    """Range of frame numbers to use, both included, as in `--frames FIRST:LAST`."""
 
     first: int | None = Field(default=None, examples=["0"])
     last: int | None = Field(default=None, examples=["11999"])

@@ -20,7 +20,7 @@ FRACTION_BITS = 6  # of a corner's coordinates, for OpenCV
 
 @dataclass(frozen=True)
 class CameraMask:
-    """Pixels of one camera that do not count."""
+    """Pixels of one camera that are masked."""
 
     shape: tuple[int, int]  # (rows, columns) of its images
     outlines: tuple[Outline, ...] = ()  # (column, row): Closed outlines, px; their inside is covered
@@ -29,7 +29,7 @@ class CameraMask:
     moving: Sequence[FrameEntry] = field(default=(), repr=False)
 
     def covered(self, index: int) -> NDArray[np.bool_]:
-        """Pixels that are covered in one frame, (row, column)."""
+        """Masked pixels of one frame, (row, column)."""
         still = _still(self.shape, self.outlines, self.images)
         if not self.moving:
             return still
@@ -59,7 +59,7 @@ def _still(
 
 @lru_cache(maxsize=1)
 def _covered_by(entry: FrameEntry, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Pixels, (row, column), that are not black in an image of a mask."""
+    """Pixels, (row, column), that are not black in a mask image."""
     image = read_entry(entry)
     if image.shape != shape:
         raise FrameError(
@@ -74,7 +74,7 @@ INTERLACED_RATIO = 1.05  # images of one moment: 0.73 to 1.0; interlaced: 1.02 t
 
 
 class Frame(NamedTuple):
-    """One image, or the reason why there is none.
+    """One image, or the reason why it is missing.
 
     Parameters
     ----------
@@ -170,19 +170,19 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Pixels that do not count, (row, column); None if none are covered, or the mask cannot be read."""
+        """Masked pixels, (row, column); None without a mask, or if the mask cannot be read."""
         try:
             return None if self.mask is None else self.mask.covered(index)
         except FrameError:
-            return None  # `read` gives no frame then, and the reason
+            return None  # `read` returns the reason
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
-        """The image, (row, column), with an even grey where it is covered; None for a bad frame."""
+        """The image, (row, column), with masked pixels set to the median grey; None for a bad frame."""
         image, covered = self.read(index).image, self.covered(index)
         return image if image is None or covered is None else made_even(image, covered)
 
     def window(self, start: int, stop: int) -> "FrameSeries":
-        """The frames of one chunk, as far as the series has them: small enough to send to a worker."""
+        """The frames of one chunk, as a smaller series to send to a worker."""
         start = max(start, 0)
         mask = None if self.mask is None else self.mask.window(start, stop)
         # the measurement of a chunk does not need times
@@ -215,12 +215,12 @@ def _structure_ratio(image: NDArray[Any]) -> float:
 
 
 def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
-    """An image less a background of its type, (row, column), not below 0."""
+    """An image minus a background of the same type, (row, column), at least 0."""
     return np.asarray(image - np.minimum(image, background))
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """A frame of an image, refused without any contrast, or with pixels that are not finite."""
+    """A frame from an image; blank ones and those with pixels that are not finite are faults."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

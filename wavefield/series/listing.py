@@ -39,7 +39,7 @@ _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
 def has_pattern(name: str) -> bool:
-    """Whether a name matches several files: with ``{frame}`` or wildcards."""
+    """Whether a name contains ``{frame}`` or wildcards."""
     return bool(_FRAME.search(name)) or any(c in name for c in "*?[")
 
 
@@ -61,7 +61,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 
 def _refuse_other_placeholders(name: str, folder: Path, camera: str) -> None:
-    """Refuse the numbers of frames as other programs write them: ``img_%05d.tif``, ``img_#####.tif``."""
+    """Refuse placeholders of other programs, ``img_%05d.tif`` or ``img_#####.tif``, and state ours."""
     file = name.rpartition("/")[2]
     found = _OTHER_PLACEHOLDER.search(file)
     if found is None or has_pattern(name) or (folder / name).exists():
@@ -251,7 +251,7 @@ def _marked(parts: Sequence[str], varying: Sequence[int], values: Sequence[int])
 def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
-    """Line up the cameras on a common range of frame numbers; reads one frame of each."""
+    """One series per camera over a common range of frame numbers; reads one frame of each camera."""
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
@@ -271,7 +271,7 @@ def _file_size(entry: FrameEntry) -> int:
 
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
-    """Shape and type of the frames of a camera, from one of the usual size that can be read."""
+    """Shape and type of a camera's frames, from a readable frame of median file size."""
     present = [entry for entry in entries if entry is not None]
     # any frame may be of another size than the record: the median of five comes first
     five = [present[int(k * (len(present) - 1) / 4)] for k in range(5)] if present else []

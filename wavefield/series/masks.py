@@ -113,7 +113,7 @@ def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
 
 
 def normalized(masks: object, cameras: Collection[str]) -> object:
-    """Write out the short forms of ``mask:`` and refuse what belongs to no camera."""
+    """Expand the short forms of ``mask:``, and refuse names that are not cameras."""
     if not isinstance(masks, Mapping):
         return masks
     out: dict[str, list[object]] = {}
@@ -142,7 +142,7 @@ def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
 
 
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:
-    """Outlines on the water, (x, y), m, of what covers nodes, whatever the cameras see."""
+    """Outlines on the water, (x, y), m, of masked nodes."""
     out: list[Outline] = []
     for shape in masks.get(WATER, ()):
         if shape.cylinder is not None:

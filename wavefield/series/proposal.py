@@ -63,7 +63,7 @@ def files_below(folder: Path) -> Iterator[Path]:
 def image_paths(folder: Path) -> list[str]:
     """Paths of the images in a folder and in those below, from that folder."""
     if not folder.is_dir():
-        raise ExperimentError(f"{folder} is no folder; name the one that contains the images")
+        raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     return sorted(
         path.relative_to(folder).as_posix()
         for path in files_below(folder)
@@ -132,7 +132,7 @@ def camera_names(patterns: Sequence[str]) -> list[str]:
 
 
 def _as_name(words: str) -> str:
-    """A word that YAML and file systems take for a name; empty if there is none."""
+    """A name that is safe in YAML and in paths; empty if none is left."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", words).strip("-")
     if name.isdecimal():
         return f"cam{name}"
@@ -140,7 +140,7 @@ def _as_name(words: str) -> str:
 
 
 def common_patterns(patterns: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """The patterns with ``{camera}`` for the camera that fit all of these names; none if some do not.
+    """Patterns with ``{camera}`` that fit all of these names; empty if some do not fit.
 
     Examples
     --------
@@ -259,7 +259,7 @@ def _calibration(of_targets: list[str], others: list[str], cameras: Sequence[str
 
 
 def _rig(folder: Path, cameras: Sequence[str], targets: bool) -> Iterator[str]:
-    """A file of the folder that is a rig of these cameras; without positions they are those of a platform."""
+    """A rig file of these cameras in the folder; lenses without positions mean a platform at sea."""
     for path in sorted(folder.glob("*.yaml"), key=lambda path: (path.name != "rig.yaml", path)):
         try:
             rig = load_rig(path)

@@ -61,7 +61,7 @@ def _no_common_step(numbered: Mapping[str, Numbered]) -> str:
 
 
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
-    """Refuse a range of numbers with hardly any frames, before it takes any memory."""
+    """Refuse a huge range of numbers with few frames, before memory is allocated for it."""
     lowest = min(min(frames) for frames in numbered)
     if first < min(lowest, 0):
         raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")
@@ -77,7 +77,7 @@ def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int,
 def _place_by_clocks(
     record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
-    """Frames at their places by the cameras' clocks, and the times of these, of cameras that have one."""
+    """Frames renumbered by the cameras' clocks, and the times of cameras that have a clock."""
     stamped = {
         name: _time_stamps(name, section, path, folder, record.frame_rate)
         for name, section in record.cameras.items()

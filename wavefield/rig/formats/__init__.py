@@ -133,7 +133,7 @@ def _imported(path: Path, options: ImportOptions) -> Rig | None:
     if "camera_matrix:" in text and "distortion_model:" in text:
         raise RigError(
             "it is ROS' camera_info, the lens of one camera without its place: write its numbers into a "
-            "rig.yaml, as docs/formats.md shows"
+            "rig.yaml, as the page on the rig file shows"
         )
     return load_dice_text(text, path, options) if is_dice_text(text) else None
 

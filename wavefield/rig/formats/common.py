@@ -192,7 +192,7 @@ def stated_unit(element: ET.Element) -> str:
 
 
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
-    """Refuse cameras that are far apart in metres, where nothing states that their lengths are metres."""
+    """Refuse cameras that would be far apart in metres, if the unit of length is not known."""
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     if not unit and apart > MAX_DISTANCE:

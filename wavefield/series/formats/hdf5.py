@@ -65,7 +65,7 @@ class _Dataset:
         return self._times[: self.count]
 
     def _in_file_order(self, index: int, out: Pixels) -> bool:
-        """Read the chunk that is the image; False where none was written, or filters were left out."""
+        """Read the chunk of an image; False if it was never written, or its filters were skipped."""
         try:
             skipped, _ = self._data.id.read_direct_chunk((index, 0, 0), out=out.reshape(-1).view(np.uint8))
         except (OSError, RuntimeError, ValueError):

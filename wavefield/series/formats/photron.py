@@ -81,7 +81,7 @@ def _read_text(path: Path) -> dict[str, str]:
 
 
 def _read_xml(path: Path) -> dict[str, str]:
-    """The XML between bytes that are none."""
+    """The XML part of a file that begins and ends with binary bytes."""
     data = path.read_bytes()
     xml = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
     if not xml:

@@ -49,7 +49,7 @@ def fill(out: Pixels, stream: Stream) -> None:
 
 
 def no_times() -> Times:
-    """The times in a file that holds none."""
+    """Times of a file that contains none: empty."""
     return np.empty(0)
 
 
@@ -129,14 +129,14 @@ def refuse_index(index: int, count: int, path: Path) -> None:
 
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
-    """Rows and columns, refused where they cannot be those of an image."""
+    """Rows and columns; implausible sizes are refused."""
     if not (0 < width <= 65536 and 0 < height <= 65536):
         raise FrameError(f"{path} has images of {width} x {height} px by its header, which is damaged")
     return height, width
 
 
 def complete_images(path: Path, count: int, start: Callable[[int], int], each: int) -> int:
-    """How many of the images announced are complete: a recording that was cut short keeps those before."""
+    """Number of complete images; a recording that was cut short keeps the images before the cut."""
     complete = bisect_right(range(count), path.stat().st_size, key=lambda index: start(index) + each)
     if not complete:
         raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
