@@ -22,8 +22,10 @@ from wavefield.explorer.place import COLOUR_MAPS, TABS, Place
 from wavefield.explorer.record import LookSession
 from wavefield.explorer.save import FILES, as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server, middle_node
+from wavefield.explorer.waves import log_density
 from wavefield.figures.display import DERIVED, display
 from wavefield.store.verdict import Remark, Verdict
+from wavefield.waves import analyze
 
 DT = 0.05
 
@@ -150,6 +152,21 @@ def test_what_is_missing_beside_a_cube_is_a_sentence(cube):
     page.redraw()
     assert "no waves yet" in page.waves().words.text
     assert "no images" in page.cameras().words.text
+
+
+def test_the_waves_of_the_analysis_are_shown_and_those_of_another_cube_refused(tmp_path):
+    for name, steps in (("cube", 120), ("other", 80)):
+        make_cube(tmp_path / name / f"{name}.zarr", steps=steps)
+    waves = analyze(tmp_path / "cube" / "cube.zarr", tmp_path / "cube" / "waves.zarr")
+    page, _ = build(tmp_path / "cube" / "cube.zarr", Place(tab="waves"))
+    energy = waves["spectra"]["E_komega_w"].transpose("omega", "k").values
+    drawn = page.waves().sources["image"].data["image"][0]
+    np.testing.assert_allclose(drawn, log_density(energy), atol=1e-5)
+    assert "Hs" in page.state.text
+    session = LookSession(tmp_path / "other" / "other.zarr", tmp_path / "cube" / "waves.zarr")
+    other, document = LookPage(session, Place(tab="waves")), Document()
+    other.attach(document)
+    assert "the waves of another cube" in other.waves().words.text
 
 
 def test_probes_are_marked_and_only_one_at_the_node_is_drawn_over_it(cube):

@@ -232,9 +232,11 @@ class LookSession:
 
         from wavefield.pipeline import Run
 
-        attrs = dict(self.record.group.attrs)
-        axes = xr.Dataset(coords={name: getattr(self.record, name) for name in CUBE_DIMS}, attrs=attrs)
-        return Run(axes, self.record.path, self.waves_path)
+        record = self.record
+        coords = {name: getattr(record, name) for name in CUBE_DIMS}
+        status = {"frame_status": ("time", record.ledger)}  # by which waves are those of this cube
+        axes = xr.Dataset(status, coords, dict(record.group.attrs))
+        return Run(axes, record.path, self.waves_path)
 
     def reopen(self) -> None:
         """Read the run again when it is next used: its files have changed."""
