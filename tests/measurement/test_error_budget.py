@@ -1,5 +1,7 @@
 """The terms of the standard uncertainty: each is the variance that it states."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from measurement_cases import RATE
@@ -10,6 +12,7 @@ from wavefield.measurement import GridGeometry, measure
 from wavefield.measurement.error_budget import (
     WaveRings,
     best_path_frames,
+    changed_waves,
     detected_waves,
     lost_by_elevation,
     lost_by_paths,
@@ -138,6 +141,39 @@ def test_smooth_paths_are_best_in_noise_and_exact_ones_where_waves_turn_fast():
     fast, slow = (rings(rate, [(0.1, 0.002, 0, 0)]) for rate in (15.0, 60.0))
     assert best_path_frames(fast, 1e-12) == EXACT_SIX
     assert best_path_frames(slow, 1e-7) == 6
+
+
+def test_waves_that_start_within_the_frames_are_stated_and_steady_ones_are_not():
+    """z by six frames departs from that by four by more than the spectrum foresees."""
+    waves, noise = rings(20.0, [(0.3, 0.01, 0, 0), (0.12, 0.002, 0, 0)]), 1e-10
+    now = np.linspace(0, 30, 400)[:, None]
+
+    def z(t, height):
+        return sum(
+            height(t) * np.sqrt(2 * variance) * np.cos(phase * (now + t) + n)
+            for n, (_, variance, phase) in enumerate(zip(*waves))
+        )
+
+    def stated(height):
+        frames = z(TIMES, height)
+        six, four = (frames @ np.array(w) for w in ((3, -25, 150, 150, -25, 3), (0, -1, 9, 9, -1, 0)))
+        departure = float(np.mean(np.square(six / 256 - four / 16)))
+        surface = SimpleNamespace(noise=np.full((1, 1), noise))
+        estimate = SimpleNamespace(mid_time=SimpleNamespace(departure=departure), nearest=(surface, surface))
+        error = six / 256 - z(np.zeros(1), height)[:, 0]
+        return changed_waves(estimate, waves, TIMES), float(np.sqrt(np.mean(np.square(error))))
+
+    assert stated(np.ones_like)[0] == 0.0
+    for start in (-4.0, -2.5, 0.0, 0.5):  # over 0.25 s
+
+        def height(t, start=start):
+            part = np.clip((t - start) / 5, 0, 1)
+            return part**2 * (3 - 2 * part)
+
+        change, error = stated(height)
+        std = np.sqrt(change + lost_by_elevation(waves, 6) + noise)
+        assert error < 5 * std
+        assert std < 10 * max(error, np.sqrt(noise))
 
 
 def of_height_1(length, rate):

@@ -40,6 +40,7 @@ Float = NDArray[Any]
 
 TERMS = "noise", "prior", "frames", "ripples", "setup"
 MARGIN = 1.25  # on the error of frame weights: the spectrum in a step differs from that of the sample steps
+CHANGE_RATIO = 2.0  # error of z over its departure where waves start within 0.25 s at 20 frames/s: 1 to 4
 CORRELATION_OF_DIRECTIONS = 0.75  # of two waves: 1/2 in all directions, 1 in one
 HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images: 0.17 to 0.20 when path-traced
 RELATIVE_HEIGHT_STD = 0.2  # of the visible part of a bead, which changes with light and view
@@ -108,7 +109,21 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
         code = max(path_frames, count) if count == 6 else count
         lost = lost_by_paths(waves, code, times) * WAVE_VARIANCES.astype(np.float32)
         out[1:] += np.where(estimate.motion.frames == count, lost[:, None, None], np.float32(0))
-    return np.float32(MARGIN**2) * out
+    change = changed_waves(estimate, waves, times)
+    return np.float32(MARGIN**2) * out + np.float32([change, *(change * WAVE_VARIANCES)])[:, None, None]
+
+
+def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
+    """Variance of z, m^2, by waves that start or stop within the six frames, which no spectrum foresees.
+
+    Then z by six frames departs from that by four by more than noise and waves explain,
+    noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, and is itself off by some times as much.
+    """
+    six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
+    apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
+    expected = waves.variance @ np.square(np.abs(apart))
+    expected += float(np.mean([one.noise.mean() for one in estimate.nearest])) * np.sum((six - four) ** 2)
+    return CHANGE_RATIO**2 * max(estimate.mid_time.departure - MARGIN**2 * float(expected), 0.0)
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:

@@ -27,6 +27,8 @@ class MidTime:
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
     frames: NDArray[np.uint8]  # (ny, nx): number of frames that z comes from
     measured: Mask  # (ny, nx): whether the nearest two measured the water that is at the node
+    # Mean square of z by six frames less that by four, by its median over the nodes, m^2; 0 without six
+    departure: float = 0.0
 
 
 @dataclass(frozen=True)

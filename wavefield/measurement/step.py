@@ -44,6 +44,7 @@ Series = Mapping[str, Sequence[NDArray[Any] | None]]
 Mask = NDArray[np.bool_]
 
 SEARCHED_STEPS = 2  # of those learned from: the ranges to search are found in them
+MEDIAN_SQUARE = 0.455  # of a standard normal variable
 MIN_MEASURED = 0.05  # of the nodes in view: a step with fewer counts as not measured
 
 
@@ -364,7 +365,14 @@ def _estimate(
         rise = np.zeros_like(z)
     else:
         rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
-    return StepEstimate(surfaces, motion, MidTime(z, rise, frames, measured))
+    return StepEstimate(surfaces, motion, MidTime(z, rise, frames, measured, _departure(orders, frames)))
+
+
+def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
+    """Mean square of z by six frames less that by four, m^2, where all six show the node; 0 where none."""
+    if len(orders) < 3 or not (frames == 6).any():
+        return 0.0
+    return float(np.median(np.square(orders[0] - orders[1])[frames == 6])) / MEDIAN_SQUARE
 
 
 def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
