@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -122,6 +123,20 @@ def test_work_of_a_worker_that_dies_is_done_again_but_not_for_ever(tmp_path):
     assert results[items[0]] == "xx"
     assert "3 workers ended while they worked on it" in str(results[items[1]])
     assert (items[1] / "times").read_text() == "xxx"
+
+
+def test_workers_that_do_not_start_are_started_again_but_not_for_ever(monkeypatch):
+    monkeypatch.setattr(cluster, "_START_SECONDS", -1.0)
+    scaled = []
+    watch = cluster._LocalWorkers(SimpleNamespace(scale=scaled.append), 2)
+    none, some = SimpleNamespace(nthreads=dict), SimpleNamespace(nthreads=lambda: {"tls://one": 1})
+    watch(some)
+    assert not scaled
+    for _ in range(3):
+        watch(none)
+    assert scaled == [0, 2] * 3
+    with pytest.raises(StoreError, match="do not start"):
+        watch(none)
 
 
 def take_memory(item):

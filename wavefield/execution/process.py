@@ -36,7 +36,8 @@ PRELOAD = "wavefield.execution.process"  # by workers
 SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": 2,  # a chunk is given up when a third worker ends over it
     "distributed.scheduler.worker-saturation": 1.0,  # or the chunks that wait for it would be blamed, too
-    "distributed.scheduler.worker-ttl": "60s",
+    # the scheduler shares the run's process, which compiles for a minute where it is new: workers wait for it
+    "distributed.scheduler.worker-ttl": "300s",
     "distributed.scheduler.active-memory-manager.start": False,
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
@@ -50,7 +51,7 @@ SETTINGS: dict[str, Any] = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.tick.limit": "60s",
     "distributed.admin.system-monitor.interval": "2s",
-    "distributed.comm.timeouts.connect": "60s",
+    "distributed.comm.timeouts.connect": "300s",
     "distributed.comm.timeouts.tcp": "60s",
 }
 
