@@ -1,4 +1,4 @@
-"""What the measurement reaches on simulated and path-traced images, against the exact answer.
+"""Errors of the measurement on simulated and path-traced images, against the exact answer.
 
     python -m benchmarks.measurement [--only ROW ...] [--seeds N ...] [--full] [--exact] [--set FILE.yaml]
 

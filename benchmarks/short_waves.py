@@ -1,4 +1,4 @@
-"""Seas without long waves, beside ordinary ones: does the learned spectrum find waves wherever they are?
+"""Seas without long waves and ordinary ones: does the learned spectrum find waves wherever they are?
 
     python -m benchmarks.short_waves [--only ROW ...] [--seeds N ...] [--crop 0.3] [--smooth]
 
@@ -101,7 +101,7 @@ def smoothed(case: Case, cube: dict[str, NDArray[Any]], depth: float) -> dict[st
 
 
 def lines(score: Score) -> list[str]:
-    """What a score has to show."""
+    """The results of a row, a line each."""
 
     def columns(values: Sequence[float], form: str) -> str:
         return " ".join(form.format(v) for v in values)

@@ -53,7 +53,7 @@ class FlowEstimate:
 
     waves: Float  # (2, my, mx): cosine coefficients of the displacement less its smooth part, px
     edges: Float = field(repr=False)  # (2, ny, nx): that smooth part (`Modes.split`), px
-    harmonics: Float = field(repr=False)  # (2, ny, nx): what it has beside these (`harmonics`), px
+    harmonics: Float = field(repr=False)  # (2, ny, nx): second harmonics, px (`harmonics`)
     each: Float = field(repr=False)  # (2, ny, nx): diagonal of every block's A, px^-2
     # Scores and reasons to reject blocks at the last evaluation
     found: matching.Displacement | matching.Evaluation = field(repr=False)
@@ -70,7 +70,7 @@ def filled(found: matching.Displacement) -> Float:
 
 
 def harmonics(midway: Float) -> Float:
-    """What a displacement (2, ny, nx), px, at places where water is first has beside that where it is midway.
+    """Second-harmonic correction (2, ny, nx), px, from midway to start-point coordinates.
     u(x) = D(x + u/2), so that the harmonics of a wave are u - D = (D . grad) D / 2, to first order. What all
     water moves alike displaces the waves without changing them, by however much, and is left out of D.
     """
@@ -88,7 +88,7 @@ def map_displacement(
     with_harmonics: bool = False,
 ) -> FlowEstimate:
     """Displacement by all blocks together, from what matching found.
-    The spectrum limits what it has beside its harmonics. While spectra and noise are learned these count as
+    The prior limits the displacement without harmonics. While spectra and noise are learned these count as
     waves: fields are open to noise then, whose harmonics would be learned.
     """
     found: matching.Displacement | matching.Evaluation = match

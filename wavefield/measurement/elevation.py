@@ -294,7 +294,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
         blocks = combine(matches)
         if blocks.valid.sum() >= least:
             return blocks, matches
-        # the reference may have a frame that shows nothing: the others may do without it
+        # the reference may have a blank frame: try the other cameras without it
         present = tuple(n for n in present if n != reference)
     return None
 

@@ -238,7 +238,7 @@ def bead_tilt(rise: Float, step: float, height: float) -> Float:
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN where nothing was learned."""
+    """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN without a learned record."""
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
         return 0.0  # that of z contains it

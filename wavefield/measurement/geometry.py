@@ -118,7 +118,7 @@ class RectifiedPlane:
 
 @dataclass(frozen=True)
 class RectifiedView:
-    """What one camera shows of the rectified plane z = 0."""
+    """Where and how one camera sees the rectified plane z = 0."""
 
     maps: tuple[Float, Float]  # (row, column): places in the camera's image (`sight_map`)
     visible: NDArray[np.bool_]  # (row, column): where the camera sees the plane
@@ -237,7 +237,7 @@ class GridGeometry:
     settings : Settings, optional
         The choices; defaults follow from the rig.
     covered : tuple of ((x, y), ...)
-        Outlines on the water, metres, of what is no water.
+        Outlines of objects in the water, metres.
 
     Attributes
     ----------
@@ -344,7 +344,7 @@ class GridGeometry:
 
     @cached_property
     def covered_nodes(self) -> NDArray[np.bool_]:
-        """Nodes inside or on the outlines of what is no water, (ny, nx)."""
+        """Nodes inside or on the outlines of objects in the water, (ny, nx)."""
         out = np.zeros(self.x.shape, bool)
         for outline in self.covered:
             line = np.array(outline, np.float32)

@@ -1,4 +1,4 @@
-"""What was learned of a record, laid out on the lattices of a geometry: the fields that are estimated."""
+"""The learned record, and the fields to estimate with it on the lattices of a geometry."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class Model:
     geometry : GridGeometry
         Its lattices.
     record : LearnedRecord
-        What sample frames gave (`learn`).
+        Spectra, noise and beads from sample frames (`learn`).
 
     Attributes
     ----------

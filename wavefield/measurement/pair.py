@@ -134,6 +134,6 @@ def matched_pixels(
     if not any(parts.values()):
         raise CalibrationError(
             f"none of the {len(frames)} frames tried is there, and of the rig's size, in all of "
-            f"{', '.join(parts)}: nothing to match"
+            f"{', '.join(parts)}: no points to match"
         )
     return {name: np.concatenate(pixels) for name, pixels in parts.items()}

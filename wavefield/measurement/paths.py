@@ -117,7 +117,8 @@ def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
     """Error of the elevation (ny, nx) and its offset from the node (2, ny, nx) by cameras' lateness; metres.
-    What camera n shows tau_n late is off by tau_n (d_xy - D_n d_z), D its sight line, d (3, ny, nx) a motion.
+    A point that camera n sees tau_n late is off by tau_n (d_xy - D_n d_z), with its sight line D_n and the
+    motion d (3, ny, nx).
     """
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)

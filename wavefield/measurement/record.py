@@ -1,4 +1,4 @@
-"""What sample frames show of a whole record, learned once before its first step.
+"""Beads, spectra and noise of a whole record, learned from sample frames once before its first step.
 
 In order: width of the beads, first spectra, noise, second spectra, ripples and the kind of paths. The result
 is one frozen `LearnedRecord`, stored in the recipe, so that all steps are weighted alike.
@@ -355,7 +355,7 @@ def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel
 
 @dataclass(frozen=True)
 class _Differences:
-    """What the differences between cameras show in one step, or in several."""
+    """Noise, waves and shared residuals from the differences between cameras, in one step or in several."""
 
     noise: float = 1.0  # over the priors'
     waves: float = 1.0  # fraction of the displacements' spectra that all cameras share

@@ -45,7 +45,7 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     geometry : GridGeometry
         Of the measurement.
     record : LearnedRecord
-        What was learned of its record.
+        Its learned record.
     kx, ky : ndarray
         Wavenumbers, rad/m.
 

@@ -29,7 +29,7 @@ class FirstGuess:
     tried: int
 
     def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Ranges to search along x and y, px; None where the usual one suffices or nothing was found."""
+        """Ranges to search along x and y, px; None if the usual one suffices or no patch was found."""
         if not self.found:
             return None
         if all(low >= usual[0] and high <= usual[1] for low, high in (self.x, self.y)):
@@ -83,8 +83,8 @@ def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
 
 def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, float]]:
     """Range of displacements that matching in time reaches, along x and along y, px."""
-    nothing = (-4.0, 4.0)  # without a search the pyramid reaches a few px
-    return settings.piv.search_x or nothing, settings.piv.search_y or nothing
+    reach = (-4.0, 4.0)  # of the pyramid without a search, px
+    return settings.piv.search_x or reach, settings.piv.search_y or reach
 
 
 def beyond(settings: Settings, moved: NDArray[np.float64]) -> bool:

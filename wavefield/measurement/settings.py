@@ -1,4 +1,4 @@
-"""What a user may choose about the measurement."""
+"""Settings of the measurement that a user may choose."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wavefield import matching
 from wavefield.config_files import CHECKED, make, place_of
 from wavefield.errors import ExperimentError
 
-# What differs from the defaults, which are for floating beads.
+# Differences from the defaults, which are for floating beads.
 _PRESETS: dict[str, dict[str, Any]] = {
     "floating": {"stereo": {}, "piv": {}},
     "sheet": {
@@ -52,7 +52,7 @@ _PIV = matching.MatchSettings(
 
 @dataclass(frozen=True)
 class Settings:
-    """How frames become z, u, v, w. Everything that is left out follows from the rig.
+    """Settings by which frames become z, u, v, w. Everything that is left out follows from the rig.
 
     Parameters
     ----------

@@ -1,4 +1,15 @@
-"""From frames to z, z_t, u, v, w and their uncertainties: one step from top to bottom."""
+"""From frames to z, z_t, u, v, w and their uncertainties: one step from top to bottom.
+
+images        remove the floor, compress, bin, rectify     `measure_instant`, images.py
+elevation     match the pairs, z of one instant            `surface`, pair.py and elevation.py
+displacement  match each camera in time                    `flows`, displacement.py
+mid-time      z from six instants, in moving water         `z_by_orders`, midtime.py
+paths         each camera's image velocity at the nodes    `displacements_at_nodes`, paths.py
+velocity      u, v, w by least squares over the cameras    `velocity`, velocity.py
+outliers      cameras that contradict the others           outliers.py, `estimate_step`
+budget        standard uncertainties                       `error_budget`, error_budget.py
+quality       why a node has no value                      `_quality`
+"""
 
 from __future__ import annotations
 
@@ -73,7 +84,7 @@ def measure(
     frame_rate : float
         Frames per second, Hz.
     model : Model, optional
-        What was learned of the record. If left out, it is learned from these frames, and another chunk of the
+        The learned record. If left out, it is learned from these frames, and another chunk of the
         record would be weighted slightly differently. Then the ranges of displacements and elevations that
         the settings do not state are found in these frames, too.
     masks : mapping of str to sequence of n + 5 (ndarray of bool or None), optional
@@ -192,14 +203,14 @@ def _fill_step(
     inside &= ~masked
     out_of_range = _out_of_range(estimate.surfaces[1:5], geometry)
     quality = _quality(estimate, out_of_range)
-    nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
-    out["quality"] |= np.where(inside, quality, nothing)
+    without_value = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
+    out["quality"] |= np.where(inside, quality, without_value)
     measured = inside & ((quality & Quality.FILLED) == 0)
     if measured.sum() < MIN_MEASURED * inside.sum():  # the step has no values
         out["quality"][measured] ^= np.uint16(Quality.MEASURED | Quality.FILLED)
         return
     fields = _fields(estimate, geometry, model, frame_rate, times)
-    for name in ("z", "u", "v", "w"):  # no water is there: the value is as uncertain as it is large
+    for name in ("z", "u", "v", "w"):  # implausible: the value is as uncertain as it is large
         fields[f"{name}_std"] = np.where(out_of_range, np.abs(fields[name]), fields[f"{name}_std"])
     for name, values in fields.items():
         if name in out:
@@ -308,7 +319,7 @@ def estimate_step(
     model: Model,
     times: Float,
 ) -> StepEstimate | None:
-    """Surfaces and motion of a step; None if nothing can be measured.
+    """Surfaces and motion of a step; None if the step cannot be measured.
     Times of the six frames are in intervals from mid-time.
     """
     surfaces: Surfaces = [instant.surface for instant in window]

@@ -131,7 +131,7 @@ def _add_rest(
 
 @njit
 def _recede(axis: Float, solution: tuple[Float, ...], bend: Float, chord: Float, out: Float) -> None:
-    """What moves away from a camera at a constant speed slows down in its image."""
+    """Correct the bend for recession: a point that moves away at constant speed slows down in the image."""
     x, y, z = solution
     for k in range(len(out)):
         away = axis[0] * x[k] + axis[1] * y[k] + axis[2] * z[k]
