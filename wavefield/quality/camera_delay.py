@@ -239,11 +239,16 @@ def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def row_time_difference(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """By how much the second camera's row time exceeds that of the first, in frames."""
+    """By how much the second camera's row time exceeds that of the first, in frames.
+
+    What both have in common acts by the difference of their rows and is fitted as well.
+    """
     other = [
-        replace(s, velocity=s.velocity * s.middle, low=np.column_stack([s.low, s.velocity]))
+        replace(
+            s, velocity=s.velocity * s.middle, low=np.column_stack([s.low, s.velocity, s.velocity * s.rows])
+        )
         for s in samples
-        if s.middle is not None
+        if s.middle is not None and s.rows is not None
     ]
     return regress(other)
 

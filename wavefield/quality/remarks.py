@@ -193,7 +193,7 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
             f"{'all' if everything else status.failed} of {status.steps} steps could not be measured, "
             f"from frame {spell_ranges(status.failed_steps, 3)}",
             "They are NaN",
-            "Check these frames: are they present, bright and seeded in all cameras?",
+            "Check these frames: are they present, bright and seeded in all cameras, which do not vibrate?",
             {"failed": status.failed, "steps": status.steps},
         )
     if status.faulty:
