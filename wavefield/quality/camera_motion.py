@@ -233,8 +233,8 @@ def remark_on_level(motion: float, z_std: float, pixel: float) -> Iterator[Remar
             "cameras",
             "vibration",
             "remark",
-            f"the mean level moves by at least {1e3 * motion:.2g} mm rms ({motion / pixel:.2f} px), faster than "
-            "waves as long as the field",
+            f"the mean level moves by at least {1e3 * motion:.2g} mm rms ({motion / pixel:.2f} px), faster "
+            "than waves as long as the field",
             f"A camera vibrates along the parallax: all of z moves by {motion / z_std:.1f} of its standard "
             "uncertainty, which `z_level_std` contains, and w accordingly",
             "Stiffen the mounts and keep carriages, pumps and people away",
