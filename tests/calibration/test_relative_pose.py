@@ -89,7 +89,8 @@ def test_the_command_places_and_levels_cameras_of_which_only_the_lenses_are_cali
     assert "of 4 instants" in capsys.readouterr().out
     levelled = Rig.load(folder / "rig.yaml")
     remark = remark_on_rest(Experiment.load(folder / "experiment.yaml"), levelled)
-    assert "mean surface of moving water: no horizon was found" in remark.sentence
+    assert "no horizon was found" in remark.found
+    assert remark.means == "z = 0 is the mean surface of moving water"
     assert levelled["right"].centre[2] == pytest.approx(cameras["right"].centre[2], abs=0.05)
 
 

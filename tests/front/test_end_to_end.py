@@ -141,7 +141,7 @@ def test_check_reports_where_cameras_are_not_of_the_same_moments(folder, tmp_pat
     assert main(["-q", "check", changed, "--workflow", workflow, "--json"]) == 3
     found = json.loads(capsys.readouterr().out)
     assert found["verdict"]["line"].startswith("not to be trusted: cam2 offset")
-    assert "add 1 to its `offset`" in found["verdict"]["remarks"][0]["remedy"]
+    assert "Add 1 to its `offset`" in found["verdict"]["remarks"][0]["remedy"]
 
 
 def test_probes_that_are_not_there_are_missed(folder, checked, tmp_path, capsys):

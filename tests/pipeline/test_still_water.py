@@ -71,7 +71,7 @@ def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
     rig, experiment = Rig.load(lab.with_name("rig.yaml")), Experiment.load(lab)
     named = remark_on_rest(experiment, rig)
     assert (named.kind, named.weight) == ("water level", "remark")
-    assert "run `wavefield calibrate experiment.yaml` again" in str(named)
+    assert "Run `wavefield calibrate experiment.yaml` again" in str(named)
     plain = tmp_path / "experiment.yaml"
     plain.write_text(lab.read_text().replace(REST, ""))
     absent = remark_on_rest(Experiment.load(plain), rig)
