@@ -17,11 +17,11 @@ from wavefield.explorer.record import LookSession, nearest
 from wavefield.figures.display import KINDS, quality_kind
 from wavefield.rig import Camera
 
-FRAMES = ("first frame", "second frame")  # of a step
+FRAMES = ("first frame", "second frame")  # the two frames of a step
 MAX_SCREEN_PX = 1100  # along the longer side
 _NODES = 34  # drawn along the longer side of the grid
-_GRID_LINES = 9  # in each direction
-_EXAGGERATION = 5.0  # of displacements
+_GRID_LINES = 9  # lines drawn in each direction
+_EXAGGERATION = 5.0  # factor by which displacements are drawn longer
 _MOTION = ("u", "v", "w")
 Fields = dict[str, NDArray[np.floating]]
 Image = NDArray[Any]

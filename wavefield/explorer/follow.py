@@ -33,7 +33,7 @@ History = Sequence[Mapping[tuple[str, str], State]]  # states of lights by name 
 
 
 def lights_table(lights: tuple[StatusLight, ...], history: History = ()) -> str:
-    """Lights as a table: a row per quantity, a column per camera; those of pairs and of the rig below."""
+    """Lights as an HTML table: a row per quantity, a column per camera; pairs and rig below."""
     past = {
         (light.name, light.camera): state_runs(
             [states.get((light.name, light.camera), "unknown") for states in history]
@@ -72,8 +72,8 @@ class FollowPage:
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
         self._follower = follower
-        self._count = -1  # of the sets that were published, when the page was drawn
-        self._shown: tuple[object, ...] = ()  # lights and words that are drawn, and of how many states
+        self._count = -1  # sets published when the page was last drawn
+        self._shown: tuple[object, ...] = ()  # lights and words drawn last
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights"}
         self.words = {key: parts.words_of(name, html=True) for key, name in names.items()}
         self.variable = Select(

@@ -19,11 +19,11 @@ from wavefield.variables import Quality
 State = Literal["good", "doubtful", "bad", "unknown"]
 Limits = tuple[float, float]  # for doubtful, for bad
 Array = NDArray[np.floating]
-_CELL_PX = 16  # each such cell should contain a bead
-_FULL_SCALES = (255, 1023, 4095, 16383, 65535)  # of 8, 10, 12, 14, 16 bits
+_CELL_PX = 16  # every cell of this size should contain a bead
+_FULL_SCALES = (255, 1023, 4095, 16383, 65535)  # largest grey levels of 8, 10, 12, 14 and 16 bits
 _BACKGROUND_PX = 31  # wider structures are not beads
 _BEAD_SIZE_PX = 1024  # size of the part in which the beads are measured
-_MIN_CELLS = 0.02  # with beads, for a bead size
+_MIN_CELLS = 0.02  # smallest fraction of cells with beads for which a bead size is found
 _BRIGHT = 5.5  # standard deviations of the noise above the background
 Image = NDArray[Any]
 T = TypeVar("T")
@@ -45,7 +45,7 @@ class LightLimits:
     eps_y: Limits = (0.5, 1.0)  # mismatch of sight lines, px
     matched: Limits = (0.5, 0.2)  # fraction of the visible blocks
     eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
-    # of the rise that the water's motion does not explain, over its standard uncertainty
+    # residual of the kinematic condition over its standard uncertainty
     kinematics: Limits = (RECORD_LIMITS.kinematic_misfit, RECORD_LIMITS.kinematic_misfit_grave)
     coverage: Limits = (0.6, 0.3)  # fraction of measured nodes
     range_used: Limits = (0.8, 0.95)  # largest elevation, as a fraction of the searched range
@@ -64,12 +64,12 @@ class RelativeLimits:
     coverage: Limits = (0.9, 0.7)
 
 
-ARRIVALS = ("arrival", "synchronisation")  # lights of what comes, not of what is in it
+ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames, not about their content
 LIMITS, RELATIVE = LightLimits(), RelativeLimits()
-INTERVALS = 5  # of the frames, without a new one, that do not count as silence
+INTERVALS = 5  # frame intervals without a new frame that are still normal
 MIN_STEPS_FOR_TILT = 20
-HISTORY_S = 300  # of the lights
-MIN_EPS_Y_PX = 0.15  # of the first steps, where the mismatch is compared with it
+HISTORY_S = 300  # length of the history, s
+MIN_EPS_Y_PX = 0.15  # smallest reference for the mismatch, px
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class FrameFeatures:
     background: float
     peak: float
     saturated: float  # fraction of pixels at the full scale
-    cells: float  # fraction of cells of 16 px with something bright
+    cells: float  # fraction of cells of 16 px that contain a bead
     bead_size: float  # standard deviation of the images of beads, px; NaN without beads
 
 
@@ -137,7 +137,7 @@ class StepSummary:
     slope_x: float  # of the plane through the water
     slope_y: float
     height: float  # of that plane at the origin, m
-    kinematic_misfit: float = np.nan  # of the rise with the water's motion, over its standard uncertainty
+    kinematic_misfit: float = np.nan  # residual of the kinematic condition over its standard uncertainty
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Baseline:
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add the numbers (a dataclass) of a camera or pair, as long as its first steps last."""
+        """Add the numbers (a dataclass) of a camera or pair while its first steps are collected."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
@@ -299,7 +299,7 @@ class LightHistory:
         self._added = -np.inf  # when the last was, s
 
     def add(self, lights: Sequence[StatusLight]) -> None:
-        """Add the present states, if the last were added a second ago."""
+        """Add the present states, at most once a second."""
         now = time.monotonic()
         if now - self._added >= 1.0:
             self._added = now

@@ -29,16 +29,16 @@ from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
-_STEPS_BACK = 3  # tried if the newest frames cannot be read yet
-_LISTED_FRAMES = 1000  # the newest ones: no camera that still sends is so many behind the others
-_MAX_DELAY_S = 1.0  # behind the newest frame of the others, of a camera that still sends
-_STEPS = 2  # the newest ones, that are learned from
-_MIN_PAUSE_S = 5.0  # from one learning to the next
-_PAUSE_PER_DURATION = 3.0  # of the learning, so that the measurement has the machine to itself
+_STEPS_BACK = 3  # older steps tried if the newest frames cannot be read yet
+_LISTED_FRAMES = 1000  # newest frames; a running camera is never so far behind the others
+_MAX_DELAY_S = 1.0  # a camera further behind the others counts as stopped
+_STEPS = 2  # the newest steps, from which the record is learned
+_MIN_PAUSE_S = 5.0  # between two learnings
+_PAUSE_PER_DURATION = 3.0  # pause over the duration of the learning, which slows the measurement
 Fields = dict[str, NDArray[Any]]
 Frames = Mapping[str, NDArray[Any] | None]
 Masks = Mapping[str, NDArray[np.bool_]]
-_TILT_STEPS = 200  # over which the tilt is averaged
+_TILT_STEPS = 200  # steps over which the tilt is averaged
 _PAUSE_S = 0.15  # between polls of the folders
 
 
@@ -81,7 +81,7 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """For how long no new frame of each camera had come at the last poll, s, by this clock."""
+        """Time since the newest frame of each camera was noticed, at the last poll, s."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
@@ -177,7 +177,7 @@ class LiveMeasurement:
         return out
 
     def _bare(self, name: str, image: NDArray[Any]) -> NDArray[Any]:
-        """An image of a camera less its background, as a run reads it."""
+        """An image of a camera with its background subtracted, as in a run."""
         background = self._backgrounds.get(name)
         return image if background is None else subtracted(image, background)
 
@@ -267,7 +267,7 @@ class LiveMasks:
             for name, one in series.items()
             if one.mask is not None or name in self._moving
         }
-        self.absent = ""  # a sentence on the mask that is absent, after `of`
+        self.absent = ""  # which mask image is missing, set by `of`
 
     def of(self, number: int) -> tuple[Masks, Masks]:
         """What is masked (row, column) in a frame and in the next one, by camera."""
@@ -310,7 +310,7 @@ class Follower:
     def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
         self.experiment = experiment
         self.latest: FollowedSet | None = None
-        self.count = 0  # of the sets that were published
+        self.count = 0  # number of sets published
         self.history = lights.LightHistory()
         self.watch = FolderWatch(experiment)
         self._measurer = LiveMeasurement(experiment, rig)
@@ -334,7 +334,7 @@ class Follower:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; a step that is being measured is finished first."""
+        """Stop after the step that is being measured."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(20)

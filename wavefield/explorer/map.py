@@ -30,7 +30,7 @@ from wavefield.figures.display import KINDS, display, drawn_kind, limit
 Field = NDArray[np.floating]
 _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
 _ARROWS = 24  # along the longer side of the grid
-_HEAD = 0.32  # of an arrow's length
+_HEAD = 0.32  # length of an arrow's head over that of the arrow
 _RELIEF = 80  # nodes of the surface along the longer side
 INITIAL_VIEW = {"turn": [-0.7], "tilt": [0.62]}  # radians
 _LIFT = 0.1  # height of the highest water, in diagonals of the grid

@@ -92,10 +92,10 @@ class LookPage:
         self._make_head()
         self._listen()
         self._document: Document | None = None
-        self._scheduled: set[str] = set()  # names of drawings that are due
+        self._scheduled: set[str] = set()  # names of the drawings to be done
         self._chunks_shown = -1  # of the preview
-        self._status_shown = -1  # of the step of the map
-        self._setting_limits = False  # by the program
+        self._status_shown = -1  # ledger entry of the step on the map
+        self._setting_limits = False  # True while the program, not the reader, sets them
 
     # -- what is on the page ---------------------------------------------------------------------------
 
@@ -137,7 +137,7 @@ class LookPage:
 
     def _make_head(self) -> None:
         self.trouble = ""  # why something of the experiment is not shown
-        self._error = ""  # of the last drawing, as HTML
+        self._error = ""  # error of the last drawing, as HTML
         self.state = parts.words_of("state_words", html=True)
         self.verdict = parts.words_of("verdict_words", html=True)
         for words in (self.state, self.verdict):
@@ -283,7 +283,7 @@ class LookPage:
     # -- drawing ---------------------------------------------------------------------------------------
 
     def _soon(self, draw: Callable[[], None]) -> None:
-        """Draw once, however many changes come together."""
+        """Draw at the next tick, once for all changes until then."""
         name = draw.__name__
         if self._document is None or name in self._scheduled:
             return
@@ -296,7 +296,7 @@ class LookPage:
         self._document.add_next_tick_callback(run)
 
     def _guarded(self, draw: Callable[[], None]) -> None:
-        """Draw; an error becomes a sentence, and the page goes on."""
+        """Draw, and show an error as a sentence instead of ending the page."""
         try:
             draw()
         except WavefieldError as error:

@@ -37,7 +37,7 @@ from wavefield.variables import TABLE
 
 INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
 SKY, YELLOW = "#56B4E9", "#F0E442"
-MOST_POINTS = 1000  # of one line: two per pixel of half a page
+MOST_POINTS = 1000  # points of a line: two per pixel of half a page
 IMAGE = "image x y dw dh"  # columns of a source of an image
 _PALETTES = {
     "RdBu_r": palettes.RdBu11, "cividis": palettes.Cividis256, "viridis": palettes.Viridis256,
@@ -210,7 +210,7 @@ def words_of(name: str, text: str = "", html: bool = False) -> Div:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with so many digits and a typographic minus sign."""
+    """A number with significant digits and a typographic minus sign."""
     return f"{value:.{digits}g}".replace("-", "\u2212")
 
 

@@ -164,7 +164,7 @@ class Preview:
         """Read the chunks that are not in memory, and write those that the stored preview lacks."""
         with self._lock:
             measured = self.measured
-            self.loaded &= measured  # the others are measured again
+            self.loaded &= measured  # chunks that are being measured again are read again
             chunks = np.flatnonzero(measured & ~self.loaded)
             if chunks.size:
                 self._load(chunks, progress)
@@ -234,7 +234,7 @@ class LookSession:
 
         record = self.record
         coords = {name: getattr(record, name) for name in CUBE_DIMS}
-        status = {"frame_status": ("time", record.ledger)}  # by which waves are those of this cube
+        status = {"frame_status": ("time", record.ledger)}  # the waves are checked against it
         axes = xr.Dataset(status, coords, dict(record.group.attrs))
         return Run(axes, record.path, self.waves_path)
 

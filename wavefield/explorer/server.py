@@ -43,7 +43,7 @@ class SaveHandler(RequestHandler):
         self.session = session
 
     async def get(self, name: str) -> None:
-        """Make a file of what is shown; a sentence where that is not possible."""
+        """Send a file of the current view, or a sentence that says why there is none."""
         from wavefield.explorer.save import FILES  # with matplotlib, which the page does not need
 
         if name not in FILES:
@@ -80,10 +80,10 @@ def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
 
 
 class Refused(RequestHandler):
-    """Answers what the guard does not let through."""
+    """Refuses requests without the token or from elsewhere."""
 
     def prepare(self) -> None:
-        """End the request, whatever it asks for."""
+        """Answer with status 403."""
         self.set_status(403)
         self.finish(
             "Open the whole address that the program printed: it holds a token, and works for localhost."

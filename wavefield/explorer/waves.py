@@ -15,10 +15,10 @@ from wavefield.explorer.place import Place
 from wavefield.explorer.record import LookSession
 from wavefield.figures.display import POSITIVE
 
-DECADES = 6.0  # of the colour scale, below the largest density
+DECADES = 6.0  # decades of the colour scale below the largest density
 _PLANE_PX = 340  # height of the map of (kx, ky)
 DEEP_WATER_M = 5.0  # in place of an unknown depth
-_SPECTRUM, _MAP = "E_komega_", "E_kxky_"  # before the name of a variable
+_SPECTRUM, _MAP = "E_komega_", "E_kxky_"  # prefixes of variables in the wave store
 _WRAP = {"flex-wrap": "wrap"}
 # coherence of z_t with ...: column, variable, label, colour, dash
 _CURVES = (

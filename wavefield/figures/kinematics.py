@@ -189,7 +189,7 @@ def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
 
 
 def balance_history(kinematics: xr.Dataset) -> Figure:
-    """Course of the rms of the terms of the kinematic condition.
+    """Rms of the terms of the kinematic condition over time.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def coverage_map(cube: xr.Dataset) -> Figure:
 
 
 def fault_history(cube: xr.Dataset) -> Figure:
-    """Course of the measured and rejected shares of the nodes in view, and the status of the steps.
+    """Fractions of the nodes in view that were measured and rejected over time, and the status of each step.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
 
 
 def _median_in_time(field: xr.DataArray) -> xr.DataArray:
-    stride = -(-field.sizes["time"] // 200)  # 200 steps give the median to a few percent
+    stride = -(-field.sizes["time"] // 200)  # the median of 200 steps is good to a few percent
     part = field.isel(time=slice(None, None, stride)).load()
     values = np.ma.filled(
         np.ma.median(np.ma.masked_invalid(part.values), axis=part.get_axis_num("time")), np.nan

@@ -40,7 +40,7 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     x0, y0 = np.mean(grid.x), np.mean(grid.y)
     outline = _rectangle(grid.x, grid.y)
     corners = np.concatenate([outline, *(camera.corners(0.0) for camera in rig.cameras.values())])
-    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)  # a name inside would be crossed
+    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)  # lines would cross a name inside
     side.plot(grid.x, [0, 0], color="0.2", linewidth=3)
     above.plot(*outline.T, color="0.2", linewidth=2, label="grid on the water at rest")
     for style, (name, camera) in zip(LINES[1:] * len(rig), rig.cameras.items(), strict=False):

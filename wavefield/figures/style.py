@@ -213,7 +213,7 @@ def frequency_axis(axes: Axes) -> None:
 
 
 def round_down(value: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten below a value."""
+    """The largest of 1, 2, 5 times a power of ten that does not exceed a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 

@@ -63,7 +63,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
 
 def _relief(z: np.ndarray) -> np.ndarray:
-    """Factors from 0.72 to 1, as of light from one side."""
+    """Brightness factors from 0.72 to 1 that mimic light from one side."""
     slope = np.nan_to_num(np.gradient(z, axis=1) - np.gradient(z, axis=0))
     return np.asarray(0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1))
 

@@ -31,12 +31,12 @@ _METHODS = {
     "Ez_cross": "cross-spectrum of z and w",
     "Ez_fusion": "fusion of z and w",
 }
-_STEPS_DRAWN = 300  # of probes: waves of a longer record are too narrow to compare
-_LOWEST_COLOUR = "#440154"  # of viridis: values below the scale are not missing
+_STEPS_DRAWN = 300  # steps drawn of probes; in longer records waves are too narrow to compare
+_LOWEST_COLOUR = "#440154"  # lowest colour of viridis: values below the scale are not missing
 
 
 def _units(name: str) -> str:
-    """Of E(k, omega): of the variable squared, per wavenumber and frequency."""
+    """Units of E(k, omega): the variable squared per wavenumber and frequency."""
     return f"{'m²' if name == 'z' else 'm² s⁻²'} (rad/m)⁻¹ (rad/s)⁻¹"
 
 
@@ -76,7 +76,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
         deep = np.sqrt(GRAVITY * dispersion.k.values) / (2 * np.pi)
         ax.plot(k, deep, color="white", linewidth=1.0, linestyle="--", label="ω = √(gk)")
         ax.legend(loc="lower right", fontsize=9, framealpha=0.9, facecolor="0.6")
-        # beyond, waves are too fast for the frames
+        # faster waves are aliased
         fastest = np.interp(2 * np.pi * frequency[-1], omega, dispersion.k.values)
         right = min(right, 1.25 * float(fastest) / (2 * np.pi))
     ax.set(xlabel=CYCLES, ylabel=HERTZ, xlim=(0, right), ylim=(0, edges(frequency)[-1]))

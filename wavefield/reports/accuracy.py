@@ -155,7 +155,7 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, str, str, str]]:
 
 
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
-    """Densities of some errors, in a unit of which there are `factor` per metre or pixel."""
+    """Draw the densities of some errors; `factor` converts metres or pixels to the displayed unit."""
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
     for k in range(errors.sizes["error"]):

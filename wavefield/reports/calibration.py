@@ -244,7 +244,7 @@ def _models(content: Content) -> list[Item]:
 
 
 def model_words(model: str) -> str:
-    """A camera model by its terms, where its name says nothing to a stranger.
+    """The terms of a camera model.
 
     Examples
     --------
@@ -275,7 +275,7 @@ def _lens(content: Content) -> Table:
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """How far the cameras are from the target, and what they see of the water.
+    """Sentences on the distance of the cameras from the target and their common field on the water.
 
     Examples
     --------

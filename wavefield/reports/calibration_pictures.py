@@ -23,7 +23,7 @@ from wavefield.rig.lens import Array
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # distinct for all eyes
 GREY, PALE = "#555555", "#dddddd"
 _POSE_COLOURS = (*COLOURS, GREY, "#000000")
-_MIN_POINTS_PER_CELL = 4  # for an arrow of the mean residual
+_MIN_POINTS_PER_CELL = 4  # points per cell for an arrow of the mean residual
 
 
 def _figure(width: float, height: float) -> Figure:

@@ -21,7 +21,7 @@ from wavefield.variables import FrameStatus
 
 MAX_STEPS = 1500  # compared with probes, in the middle of the record
 MAX_PROBES = 3  # drawn
-_MAX_FAULTS = 500  # listed
+_MAX_FAULTS = 500  # faulty steps that are listed
 _MARKERS = "os^Dv*"
 # numbers of cameras and of pairs that are drawn over time: name, factor, label
 _HISTORIES = (
@@ -52,7 +52,7 @@ def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
 
 
 def distribution_picture(part: xr.Dataset, rate: float) -> Picture:
-    """Distributions of z, u, v, w (time, y, x) measured so many times per second."""
+    """Distributions of z, u, v, w (time, y, x) at a frame rate in Hz."""
     stds = [f"z {100 * float(part.z.std()):.3g} cm"]
     stds += [f"d{axis} {100 / rate * float(part[n].std()):.3g} cm" for axis, n in zip("xyz", "uvw")]
     return Picture(

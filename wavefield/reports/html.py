@@ -19,18 +19,18 @@ from wavefield.figures.style import file_of
 from wavefield.store.verdict import Remark
 
 _DPI = 120  # two panels of 5.2 inches fill the width of the page
-_COLOURS = 128  # of a picture's palette: a third of the bytes, and no visible difference
+_COLOURS = 128  # palette size; a third of the bytes without a visible difference
 WIDE_PX = 1000  # a wider PNG holds several panels: on a phone a tap enlarges it
-SENTENCE_LETTERS = 60  # a longer cell is a sentence: on a phone such rows are stacked
+SENTENCE_LETTERS = 60  # a longer cell is read as a sentence; phones stack such rows
 MAX_OPEN_ROWS = 20  # a longer table in a folded section is folded itself
 
 
 class Item:
-    """A part of a section, by whose kind the template shows it."""
+    """A part of a section."""
 
     @property
     def kind(self) -> str:
-        """Name of its class, as the template has it."""
+        """Class name in small letters, by which the template chooses the markup."""
         return type(self).__name__.lower()
 
 
@@ -136,8 +136,8 @@ class ReportSection:
 
     title: str
     items: list[Item] = field(default_factory=list)
-    folded: bool = False  # shown when its title is clicked
-    gist: str = ""  # beside the title of a folded section: what it contains, in one line
+    folded: bool = False  # whether its content is hidden until the title is clicked
+    gist: str = ""  # one line on its content, beside the title of a folded section
     # result: the first item wide, the second narrow; beside: as many as fit in a row
     layout: Literal["", "result", "beside"] = ""
 
@@ -154,7 +154,7 @@ class Head:
     title: str
     lines: Sequence[str] = ()  # a paragraph each; empty ones are left out
     verdict: str = ""  # whether the results can be used, in one line; no verdict if empty
-    weight: str = "note"  # of the verdict: its colour and its sign
+    weight: str = "note"  # weight of the verdict: sets its colour and sign
 
 
 def with_code(words: str) -> Markup:

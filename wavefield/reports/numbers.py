@@ -34,7 +34,7 @@ def median_of(values: object) -> float:
 
 
 def number(value: float, unit: str = "", digits: int = 3) -> str:
-    """A value with its unit, to so many digits; a dash where there is none."""
+    """A value with its unit to significant digits; a dash if it is not finite."""
     if not np.isfinite(value):
         return "–"
     return f"{value:.{digits}g}{' ' + unit if unit else ''}"
@@ -55,7 +55,7 @@ def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> s
 
 
 def small(value: float, unit: str) -> str:
-    """A length or an angle to two digits, without exponents: less than a thousandth is named as such.
+    """A length or an angle to two digits without an exponent.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def small(value: float, unit: str) -> str:
 
 
 def without_folders(value: object, folder: str = "") -> Any:
-    """Names of files without the folders of the machine that holds them: a page is for others to read.
+    """File names without the folders of this machine, since pages are passed on to others.
 
     Examples
     --------
@@ -137,7 +137,7 @@ def dates_of(run: Run) -> list[str]:
 
 
 def _span(files: Iterable[Path]) -> str:
-    """From when to when files were written, to the minute; empty if there are none."""
+    """First and last modification time of files, to the minute; empty without files."""
     times = sorted(file.stat().st_mtime for file in files if file.exists())
     if not times:
         return ""
@@ -165,7 +165,7 @@ class RunNumbers:
 
     @cached_property
     def n_in_view(self) -> int:
-        """How many values are of nodes in view; at least 1."""
+        """Number of values at nodes in view; at least 1."""
         quality = self.part.quality
         seen = (quality != 0) & ((quality & np.uint16(Quality.OUTSIDE | Quality.MASKED)) == 0)
         return max(int(seen.sum()), 1)

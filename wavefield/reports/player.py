@@ -12,7 +12,7 @@ from wavefield.figures.display import SIGNED, limit
 from wavefield.reports.html import Picture, Player
 
 MAX_NODES = 8_000  # per field: a screen shows no more
-MAX_BYTES = 1_500_000  # of the fields before they are compressed, to a half or less
+MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at least
 _ARROWS = 24  # along the longer side
 
 
@@ -57,7 +57,7 @@ def pack(cube: xr.Dataset) -> dict[str, str]:
         "x": [float(part.x[0]), float(part.x[-1])],
         "y": [float(part.y[0]), float(part.y[-1])],
         "time": [round(float(t), 6) for t in part.time.values],
-        "ends": ends,  # of the scales of z, cm, and w, cm/s
+        "ends": ends,  # ends of the colour scales of z (cm) and w (cm/s)
         "arrows": {
             "x": arrows.x.values.tolist(),
             "y": arrows.y.values.tolist(),

@@ -1,4 +1,4 @@
-"""From a run to the file of its report."""
+"""Compose the report of a run and write it as one HTML file."""
 
 from collections.abc import Callable
 from datetime import datetime

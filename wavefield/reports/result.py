@@ -30,9 +30,9 @@ from wavefield.text import spell_time
 from wavefield.variables import Quality, frames_of_path
 
 _UNITS = {"frame_rate": "Hz", "measured_frame_rate": "Hz", "pixel_size": "m", "water_depth": "m"}
-_LONG = 300  # letters: longer attributes are not in the table of metadata
+_LONG = 300  # characters; longer attributes are left out of the table
 _HEIGHT, _PERIOD = "Significant wave height Hs", "Peak period"
-_NO_PEAK = "No spectral peak"  # how the note of the analysis begins that gives the reason
+_NO_PEAK = "No spectral peak"  # first words of the note that gives the reason
 
 
 def result(numbers: RunNumbers) -> ReportSection:
@@ -72,7 +72,7 @@ def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
 
 
 def _percent(share: float) -> str:
-    """A fraction in percent, never rounded to all of it: 99.99 %."""
+    """A fraction in percent; only 1 is written as 100 %."""
     if share == 1:
         return "100 %"
     return f"{min(100 * share, 99.99):.{4 if share > 0.99 else 3}g} %"
@@ -153,7 +153,7 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
-    """A row on the cameras without which nodes were measured, and how many; empty if there are none."""
+    """Fraction of the nodes measured without each camera, as a table row; empty if there are none."""
     shares = []
     for index, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(index) & ~Quality.FEWER_CAMERAS)
@@ -184,7 +184,7 @@ def recipe(run: Run) -> ReportSection:
 
 
 def _in_words(name: str, value: object) -> str:
-    """An attribute as text: lists with commas, numbers that have a unit to four digits and with it."""
+    """An attribute as text: lists with commas, numbers with a known unit to four digits."""
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     try:
