@@ -15,6 +15,7 @@ from wavefield.images import decode_image, grey, read_image
 from wavefield.images.tiff import ENDINGS as TIFF_ENDINGS
 from wavefield.images.tiff import TiffImages
 from wavefield.series.formats import file_of, open_recording
+from wavefield.series.formats.arrays import ZarrImages
 from wavefield.text import one_line
 
 MAX_OPEN_FILES = 8  # per process; files with many frames stay open between reads
@@ -77,8 +78,6 @@ def _open(path: str) -> _Images:
         return open_recording(path)
     if path.lower().endswith(TIFF_ENDINGS):
         return TiffImages(path, path)
-    from wavefield.series.formats.zarr_array import ZarrImages  # Zarr takes long to import
-
     return ZarrImages(path)
 
 

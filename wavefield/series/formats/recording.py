@@ -17,8 +17,6 @@ Pixels = NDArray[Any]
 Times = NDArray[np.float64]
 Stream = FileIO | BytesIO
 
-BYTES_AT_A_TIME = 1 << 18  # of an image upside down
-
 
 class Recording(Protocol):
     """A file of many images (row, column), of which any one can be read without its neighbours."""
@@ -109,14 +107,8 @@ def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> C
 
     def take(stream: Stream) -> Pixels:
         out = np.empty(shape, dtype)
-        if upside_down:
-            rows = np.empty((max(1, BYTES_AT_A_TIME // out[0].nbytes), shape[1]), dtype)
-            for last in range(shape[0], 0, -len(rows)):
-                part = rows[: min(len(rows), last)]
-                fill(part, stream)
-                out[last - len(part) : last] = part[::-1]
-        else:
-            fill(out, stream)
+        fill(out, stream)
+        out = np.ascontiguousarray(out[::-1]) if upside_down else out
         return out.astype(out.dtype.newbyteorder("="), copy=False)
 
     return take

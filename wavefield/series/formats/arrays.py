@@ -1,10 +1,10 @@
-"""Images in HDF5 (and netCDF 4): a dataset of three dimensions, time, row, column."""
+"""Images in HDF5, netCDF 4 and Zarr: arrays of three dimensions, time, row, column."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_
 if TYPE_CHECKING:
     import h5py  # 12 MB in every worker, for the few who have such images
 
+_METADATA = ("zarr.json", ".zarray", ".zgroup", ".zmetadata")  # of a Zarr array or group
 _ENDINGS = (".h5", ".hdf5", ".nc")
 _SECONDS = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
@@ -29,7 +30,6 @@ class _Dataset:
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
         self.path, self._file, self._data = path, file, data
         self.count, self.shape = int(data.shape[0]), (int(data.shape[1]), int(data.shape[2]))
-        self._plain = _is_plain(data)
         self._times = _times(data)
         rate = data.attrs.get("frame_rate", file.attrs.get("frame_rate"))
         self.rate = _rate(self._times) if rate is None else float(np.ravel(rate)[0])
@@ -40,12 +40,10 @@ class _Dataset:
         """Read one image."""
         refuse_index(index, self.count, self.path)
         try:
-            out = np.empty(self.shape, self._data.dtype)
-            if not (self._plain and self._in_file_order(index, out)):
-                self._data.read_direct(out, np.s_[index])
-            return out.astype(out.dtype.newbyteorder("="), copy=False)
+            image = np.asarray(self._data[index])
         except (OSError, RuntimeError) as error:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
+        return image.astype(image.dtype.newbyteorder("="), copy=False)
 
     def _filled(self) -> int:
         """Images before those at the end that were preallocated and never written, all of one value."""
@@ -63,14 +61,6 @@ class _Dataset:
     def times(self) -> Times:
         """Times of the images, s; empty where the file does not hold them."""
         return self._times[: self.count]
-
-    def _in_file_order(self, index: int, out: Pixels) -> bool:
-        """Read the chunk of an image; False if it was never written, or its filters were skipped."""
-        try:
-            skipped, _ = self._data.id.read_direct_chunk((index, 0, 0), out=out.reshape(-1).view(np.uint8))
-        except (OSError, RuntimeError, ValueError):
-            return False
-        return bool(skipped == 0)
 
     def close(self) -> None:
         """Close the file."""
@@ -93,12 +83,6 @@ def _rate(times: Times) -> float | None:
     """Images per second, by the usual interval."""
     usual = usual_interval(times)
     return float(f"{1 / usual:.6g}") if usual > 0 else None
-
-
-def _is_plain(data: h5py.Dataset) -> bool:
-    """Whether each image is a chunk without filters, which can be read past HDF5's own buffers."""
-    filters = data.id.get_create_plist().get_nfilters()
-    return bool(data.chunks == (1, *data.shape[1:]) and filters == 0)
 
 
 def open_hdf5(path: Path) -> Recording:
@@ -144,3 +128,42 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
             + (f": name one, as {some}" if series else "")
         )
     return file[series[0]]
+
+
+class ZarrImages:
+    """An array of images in Zarr, on a disk or in an object store."""
+
+    def __init__(self, path: str) -> None:
+        self.path, self._array = path, _open_zarr(path)
+        self.count = int(self._array.shape[0])
+
+    def read(self, index: int) -> Pixels:
+        """Read one image, (row, column)."""
+        try:
+            return np.asarray(self._array[index])
+        except Exception as error:
+            raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def _open_zarr(path: str) -> Any:
+    import zarr  # takes long, for the few who have such images
+
+    folder = Path(path)
+    if folder.is_dir() and not any((folder / name).exists() for name in _METADATA):
+        raise FrameError(f"{path} is a folder and no Zarr array; name its images, as in {path}/{{frame}}.tif")
+    try:
+        opened = zarr.open(path, mode="r")
+    except Exception as error:
+        raise FrameError(f"{path} is not a Zarr array: {error}") from None
+    if isinstance(opened, zarr.Group):  # as xarray writes it
+        if "image" not in opened:
+            raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
+        opened = opened["image"]
+    if isinstance(opened, zarr.Group):
+        raise FrameError(f"{path} holds a group where an array should be; name the array itself")
+    if len(opened.shape) != 3:
+        raise FrameError(f"{path} has {len(opened.shape)} dimensions, images need three: time, row, column")
+    return opened
