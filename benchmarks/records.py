@@ -49,7 +49,7 @@ def measured(case: Case) -> tuple[GridGeometry, LearnedRecord, dict[str, NDArray
     geometry = GridGeometry(case.rig, case.grid, Settings())
     steps = sample_steps(len(next(iter(case.frames.values()))) - 1)
     pairs = [tuple({n: f[k + i] for n, f in case.frames.items()} for i in (0, 1)) for k in steps]
-    record = learn(pairs, geometry)
+    record = learn(pairs, geometry, frame_rate=case.frame_rate)
     if record is None:
         raise SystemExit("these frames cannot be measured")
     return geometry, record, measure(case.frames, geometry, case.frame_rate, Model(geometry, record))

@@ -106,6 +106,9 @@ def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_se
 ):
     again = LearnedRecord.from_dict(json.loads(json.dumps(model.record.to_dict())))
     assert again == model.record
+    old = {name: part for name, part in model.record.to_dict().items() if name != "ripples"}
+    with pytest.raises(ExperimentError, match="another version"):
+        LearnedRecord.from_dict(old)
     alone = measure(series.block(steps=3), GridGeometry(series.rig, series.grid), RATE)
     assert rms((alone["u"] - cube["u"])[:, series.inside]) < 0.01 * PIXEL * RATE
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.errors import ExperimentError
 from wavefield.matching import Modes, PosteriorVariance, Prior
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.regrid import local_coefficients, thin_plate
@@ -77,16 +78,27 @@ class LearnedRecord:
         Returns
         -------
         LearnedRecord
+
+        Raises
+        ------
+        ExperimentError
+            If it is that of another version of the measurement.
         """
-        rise, wavelength = map(float, data["ripples"])
-        return cls(
-            tuple((str(name), float(width)) for name, width in data["beads"].items()),
-            Prior.from_dict(data["elevation"]),
-            tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
-            tuple((str(name), float(variance)) for name, variance in data["motion"].items()),
-            int(data["path_frames"]),
-            (rise, wavelength),
-        )
+        try:
+            rise, wavelength = map(float, data["ripples"])
+            return cls(
+                tuple((str(name), float(width)) for name, width in data["beads"].items()),
+                Prior.from_dict(data["elevation"]),
+                tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
+                tuple((str(name), float(variance)) for name, variance in data["motion"].items()),
+                int(data["path_frames"]),
+                (rise, wavelength),
+            )
+        except KeyError as missing:
+            raise ExperimentError(
+                f"the learned record lacks {missing}: another version of wavefield made it; leave it out to "
+                "learn the record again"
+            ) from None
 
 
 class FieldModel:
