@@ -5,8 +5,7 @@ Run: python -m benchmarks.formats [--frames N] [--folder FOLDER]
 Recordings are sparse files of full-size frames (2432 x 1728), so they need little room; frames that are read
 hold noise. CPU time, the median of some tries, a frame and its bytes (read into an array) in turn; files
 just written come from memory, not from a disk, which would add the same to a file and to its bytes.
-Where pixels are compressed, the last columns are what reading the bytes and the library's decoder on bytes in
-memory cost by themselves. Packed pixels fill 1.33 and 1.6 times as many bytes in memory as in the file.
+Packed pixels fill 1.33 and 1.6 times as many bytes in memory as in the file.
 """
 
 import struct
@@ -18,7 +17,6 @@ from pathlib import Path
 
 import cv2
 import h5py
-import numcodecs
 import numpy as np
 import tifffile
 import zarr
@@ -170,36 +168,12 @@ FORMATS: dict[str, Callable[[Path, int], tuple[str, int]]] = {
 }
 
 
-def of_memory(image: np.ndarray, *options: int, ending: str = ".tif") -> Callable[[], object]:
-    data = cv2.imencode(ending, image, list(options))[1]
-    return lambda: cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-
-
-def of_codec(codec: object) -> Callable[[], object]:
-    data = codec.encode(NOISE.tobytes())  # type: ignore[attr-defined]
-    return lambda: codec.decode(data)  # type: ignore[attr-defined]
-
-
-DECODERS: dict[str, Callable[[], Callable[[], object]]] = {
-    "TIFF, LZW, a file each": lambda: of_memory(NOISE, cv2.IMWRITE_TIFF_COMPRESSION, 5),
-    "PNG, 8 bits, a file each": lambda: of_memory((NOISE >> 4).astype("u1"), ending=".png"),
-    "HDF5, gzip": lambda: of_codec(numcodecs.Zlib(4)),
-    "Zarr, zstd": lambda: of_codec(numcodecs.Zstd(0)),
-    "AVI, motion JPEG (200 frames)": lambda: of_memory(
-        cv2.cvtColor((NOISE >> 4).astype("u1"), cv2.COLOR_GRAY2BGR), ending=".jpg"
-    ),
-}
-
-
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--frames", type=int, default=12000)
     parser.add_argument("--folder", type=Path, help="where to write, and take away again (some 100 MB)")
     options = parser.parse_args()
-    print(
-        f"{'':32s} {'open, s':>8s} {'a frame, ms':>12s} {'its bytes, ms':>14s} {'ratio':>6s} "
-        f"{'decoded, ms':>12s} {'ratio':>6s}"
-    )
+    print(f"{'':32s} {'open, s':>8s} {'a frame, ms':>12s} {'its bytes, ms':>14s} {'ratio':>6s}")
     for name, write in FORMATS.items():
         with tempfile.TemporaryDirectory(dir=options.folder) as place:
             folder = Path(place)
@@ -215,12 +189,9 @@ def main() -> None:
                 lambda e=entries: read_entry(next(e)),  # type: ignore[misc]
                 lambda p=plain: np.fromfile(p, np.uint8),  # type: ignore[misc]
             ]
-            frame, bare, *decoded = in_turn([*works, DECODERS[name]()] if name in DECODERS else works)
+            frame, bare = in_turn(works)
             close_files()
             line = f"{name:32s} {opening:8.3f} {1e3 * frame:12.2f} {1e3 * bare:14.2f} {frame / bare:6.1f}"
-            if decoded:
-                whole = bare + decoded[0]
-                line += f" {1e3 * whole:12.2f} {frame / whole:6.1f}"
             print(line, flush=True)
 
 
