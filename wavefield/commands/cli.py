@@ -25,6 +25,7 @@ from wavefield.commands import (
     wave_commands,
 )
 from wavefield.errors import WavefieldError
+from wavefield.execution.process import stop_signals
 
 _EPILOG = """\b
 A first look:   wavefield demo
@@ -121,9 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:
-        with warnings.catch_warnings():
+        with stop_signals(), warnings.catch_warnings():
             warnings.showwarning = _one_line_warning
             result = cli.main(words, prog_name="wavefield", standalone_mode=False)
+            sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except click.ClickException as error:
         error.show()
@@ -133,6 +135,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe has gone: nothing more to print, not even at exit
+        return 1
+    except OSError as error:
+        if debug:
+            traceback.print_exc()
+        print(f"wavefield: {error.filename or 'the output'}: {error.strerror or error}", file=sys.stderr)
+        if error.filename is None:
+            sys.stdout = None  # what is left of it cannot be printed at exit either
         return 1
     except Exception as error:
         if debug:

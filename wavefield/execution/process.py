@@ -142,7 +142,7 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
-    """Let SIGTERM, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""
+    """Let SIGTERM, SIGHUP, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""
     if not _in_main_thread():
         yield
         return
@@ -151,7 +151,9 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
         name = signal.Signals(number).name
         raise Stopped("its time limit" if name == "SIGALRM" else name)
 
-    before = {number: signal.signal(number, stop) for number in _numbers("SIGTERM", "SIGUSR1", "SIGALRM")}
+    numbers = _numbers("SIGTERM", "SIGHUP", "SIGUSR1", "SIGALRM")
+    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]  # as by nohup
+    before = {number: signal.signal(number, stop) for number in heard}
     timed = time_limit and hasattr(signal, "setitimer")
     if timed:
         signal.setitimer(signal.ITIMER_REAL, float(time_limit or 0.0))

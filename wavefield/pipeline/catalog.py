@@ -15,14 +15,19 @@ import errno
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlparse
 
 import yaml
+from filelock import FileLock
+from ruamel.yaml import YAML
+from ruamel.yaml.scalarstring import SingleQuotedScalarString
 
-from wavefield.atomic_write import write_text
+from wavefield.atomic_write import write_text, writing
 from wavefield.config_files import read_yaml, safe_name
 from wavefield.errors import ExperimentError, StoreError
 
@@ -71,34 +76,61 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
     found = Experiment.load(experiment)
     run = name or found.name
     _refuse_names(catalog, [run])
-    data = read_yaml(catalog) if catalog.exists() else new_catalog(catalog.stem)
+    with _editing(catalog) as data:
+        options = _options(catalog, data, "run")
+        place = catalog.with_suffix("") / run / "experiment.yaml"
+        if place.exists() and Experiment.load(place).path.resolve() != found.path.resolve():
+            raise ExperimentError(
+                f"{catalog} has another run {run!r} already; give this one a name of its own"
+            )
+        if not place.exists():
+            target = os.path.relpath(found.path, place.parent)
+            text = "# refers to the experiment file it names\n" + yaml.safe_dump({"experiment": target})
+            write_text(place, text)
+        if run not in options:
+            options.append(_quoted(run))
+            data["user_parameters"]["run"]["default"] = options[0]
+        _add_cube(catalog, data, place.parent, found.resolve("cube.zarr"))
+    return run
+
+
+def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
+    """Link the folder of a cube that was measured already as that of its recipe, which becomes the latest."""
+    from wavefield.store.read import is_cube, open_group
+
+    if not is_cube(cube) or "recipe" not in data["user_parameters"]:
+        return
+    short = str(open_group(cube).attrs["recipe_hash"])[:8]
+    folder = place / short
+    if not os.path.lexists(folder):
+        folder.symlink_to(os.path.relpath(cube.parent, place), target_is_directory=True)
+        _link_latest(folder)
+    options = _options(catalog, data, "recipe")
+    if short not in options:
+        options.append(_quoted(short))
+
+
+def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str]:
+    """Options of a parameter of a catalog, to be changed in place."""
     try:
-        options = data["user_parameters"]["run"]["options"]
+        options: list[str] = data["user_parameters"][parameter]["options"]
+        return options
     except (KeyError, TypeError):
         raise ExperimentError(
-            f"{catalog} has no parameter `run` with options; let `wavefield catalog add` make a new catalog"
+            f"{catalog} has no parameter `{parameter}` with options; let `wavefield catalog add` make a new "
+            "catalog"
         ) from None
-    place = catalog.with_suffix("") / run / "experiment.yaml"
-    if place.exists() and Experiment.load(place).path.resolve() != found.path.resolve():
-        raise ExperimentError(f"{catalog} has another run {run!r} already; give this one a name of its own")
-    if not place.exists():
-        target = os.path.relpath(found.path, place.parent)
-        write_text(
-            place,
-            "# refers to the experiment file it names\n" + yaml.safe_dump({"experiment": target}),
-        )
-    if run not in options:
-        options.append(run)
-        data["user_parameters"]["run"]["default"] = options[0]
-        _save(catalog, data)
-    return run
 
 
 def new_catalog(stem: str) -> dict[str, Any]:
     """An intake catalog without runs."""
-    template = Path(__file__).with_name("new_catalog.yaml").read_text(encoding="utf-8")
-    data: dict[str, Any] = yaml.safe_load(template.replace("STEM", json.dumps(stem)[1:-1]))
+    data: dict[str, Any] = yaml.safe_load(_template(stem))
     return data
+
+
+def _template(stem: str) -> str:
+    text = Path(__file__).with_name("new_catalog.yaml").read_text(encoding="utf-8")
+    return text.partition("\n")[2].replace("STEM", json.dumps(stem)[1:-1])  # without its first comment
 
 
 def is_catalog(path: str | Path) -> bool:
@@ -185,8 +217,8 @@ def run_catalog(
             open_cluster(prepared.workflow, jobs_folder(store), MEASURING) as mapped,
         ):
             done.append(process(prepared, lock, mapped, _named(progress, f"{run} ({number} of {len(runs)})")))
-        if out is None:
-            _link_latest(store, prepared)
+        if out is None and store.parent.name == prepared.recipe.hash[:8]:
+            _link_latest(store.parent)
     return done
 
 
@@ -230,6 +262,12 @@ def check_drivers(catalog: Path, part: object) -> None:
     """Refuse a part of a catalog that would have intake import anything but its own drivers."""
     if isinstance(part, str) and re.match(r"{?(import|func|pickle64)[(]", part.strip()):
         raise ExperimentError(f"{catalog}: {part!r} would run code; a catalog can only name intake's drivers")
+    if isinstance(part, str):
+        for field in re.findall(r"{([^{}]*)}", part):
+            if not re.fullmatch(r"(data\()?[A-Za-z_]\w*(?(1)\))", field):
+                raise ExperimentError(
+                    f"{catalog}: {{{field}}} in {part!r} is not the name of a parameter, such as {{run}}"
+                )
     if isinstance(part, list):
         for value in part:
             check_drivers(catalog, value)
@@ -286,13 +324,12 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 def store_of(catalog: Path, chosen: Mapping[str, str], prepared: "PreparedRun") -> Path:
     """Path that a catalog gives to the cube of a run; its recipe joins the catalog's options."""
-    data = read_yaml(catalog)
-    recipe = data.get("user_parameters", {}).get("recipe")
-    if recipe is not None:
+    if "recipe" in read_yaml(catalog).get("user_parameters", {}):
         short = prepared.recipe.hash[:8]
-        if "options" in recipe and short not in recipe["options"]:
-            recipe["options"].append(short)
-            _save(catalog, data)
+        with _editing(catalog) as data:
+            options = data["user_parameters"]["recipe"].get("options")
+            if options is not None and short not in options:
+                options.append(_quoted(short))
         chosen = {**chosen, "recipe": short}
     return cube_of(catalog, chosen)
 
@@ -304,11 +341,8 @@ def _local(url: str) -> str:
     return unquote(parts.path) if parts.scheme else url
 
 
-def _link_latest(store: Path, prepared: "PreparedRun") -> None:
-    """Let the link `latest` next to the recipe's folder point to it."""
-    folder = store.parent
-    if folder.name != prepared.recipe.hash[:8]:
-        return
+def _link_latest(folder: Path) -> None:
+    """Let the link `latest` next to a recipe's folder point to it."""
     temporary = folder.with_name(f".latest.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
@@ -325,27 +359,32 @@ def _link_latest(store: Path, prepared: "PreparedRun") -> None:
         ) from None
 
 
-def _save(catalog: Path, data: Mapping[str, object]) -> None:
-    """Write the catalog, keeping the comment at its head."""
-    head = []
-    if catalog.exists():
-        for line in catalog.read_text().splitlines():
-            if line and not line.startswith("#"):
-                break
-            head.append(line + "\n")
-    text = yaml.dump(dict(data), Dumper=_Dumper, sort_keys=False, width=110)
-    write_text(catalog, "".join(head) + text, replace=True)
+@contextmanager
+def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
+    """The content of a catalog, which nobody else changes meanwhile; comments are kept."""
+    editor = YAML()
+    editor.preserve_quotes, editor.width = True, 110
+    folder = catalog.with_suffix("")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / ".lock"):
+        before = ""
+        if catalog.exists():
+            read_yaml(catalog)  # refuses what is not a catalog, with its line
+            before = catalog.read_text(encoding="utf-8")
+        data = editor.load(before or _template(catalog.stem))
+        yield data
+        text = StringIO()
+        editor.dump(data, text)
+        if text.getvalue() != before:
+            write_text(catalog, text.getvalue(), replace=True)
 
 
-class _Dumper(yaml.SafeDumper):
-    """Quotes texts that some reader takes for numbers, such as the recipe 795126e3."""
-
-    def represent_text(self, text: str) -> yaml.Node:
-        try:
-            float(text)
-        except ValueError:
-            return self.represent_str(text)
-        return self.represent_scalar("tag:yaml.org,2002:str", text, style="'")
-
-
-_Dumper.add_representer(str, _Dumper.represent_text)
+def _quoted(text: str) -> str:
+    """A text that no reader of YAML takes for a number or a truth value, as it would the recipe 795126e3."""
+    quoted: str = SingleQuotedScalarString(text)
+    try:
+        float(text)
+    except ValueError:
+        return text if re.fullmatch(r"[A-Za-z][\w.-]*", text) and yaml.safe_load(text) == text else quoted
+    return quoted

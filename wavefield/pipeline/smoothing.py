@@ -23,7 +23,7 @@ def write_smoothed(
     cube = open_cube(store)
     product = Product("smoothed fields", source_of(cube))
     check_writable(output, product, inputs=[store])
-    found = smooth(cube).drop_encoding()
+    found = smooth(cube).chunk(time=cube.chunks["time"][0]).drop_encoding()
     found = found.drop_vars([name for name in found.coords if name not in CUBE_DIMS])
     found.attrs |= {"title": f"smoothed fields of {store.name}", "cube": state_of(cube)}
     steps, at_a_time = found.sizes["time"], found.chunks["time"][0] * (os.cpu_count() or 1)

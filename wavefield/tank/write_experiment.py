@@ -15,7 +15,7 @@ import xarray as xr
 import yaml
 import zarr
 
-from wavefield.atomic_write import write_text
+from wavefield.atomic_write import write_text, writing
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.rig import Rig
@@ -75,9 +75,10 @@ def simulate(
     ('experiment.yaml', ['img_00000.tif', 'img_00001.tif'])
     """
     directory = Path(directory)
-    if os.path.lexists(directory) and (not directory.is_dir() or any(directory.iterdir())):
-        raise ExperimentError(f"{directory} is not empty; give another folder or remove it")
-    (directory / "truth").mkdir(parents=True, exist_ok=True)
+    with writing(directory):
+        if os.path.lexists(directory) and (not directory.is_dir() or any(directory.iterdir())):
+            raise ExperimentError(f"{directory} is not empty; give another folder or remove it")
+        (directory / "truth").mkdir(parents=True, exist_ok=True)
     tank = Tank(scene)
     steps, names = scene.frames - 1, list(tank.rig)
     total = len(names) * (scene.frames + len(tank.target_poses)) + steps

@@ -169,7 +169,8 @@ def save_opencv(rig: Rig, path: str | Path) -> None:
     """Write a rig as OpenCV's YAML: M1, D1, M2, D2, ..., and R, T of the second camera from the first.
     Added: poses in the physical frame ``world_R1``, ``world_T1`` (metres), ``fisheye_model1`` of a fisheye.
     """
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    # in memory: OpenCV does not report a file that it could not write in full
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     try:
         for n, (name, camera) in enumerate(rig.cameras.items(), 1):
             storage.write(f"name{n}", name)
@@ -187,4 +188,5 @@ def save_opencv(rig: Rig, path: str | Path) -> None:
             storage.write("R", R)
             storage.write("T", (b.T - R @ a.T)[:, None])
     finally:
-        storage.release()
+        text = storage.releaseAndGetString()
+    Path(path).write_text(text, encoding="utf-8")

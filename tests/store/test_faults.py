@@ -1,0 +1,345 @@
+"""Faults that destroyed data or were believed once, each with the smallest case that shows it."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+import yaml
+
+import wavefield as wf
+from wavefield.commands.cli import main
+from wavefield.errors import StoreError
+from wavefield.images import read_image, write_image
+from wavefield.pipeline.catalog import catalog_add, find_cube
+from wavefield.rig import Rig
+
+CATALOG = "catalog.yaml"
+
+
+@pytest.fixture
+def lab(measured, tmp_path, monkeypatch):
+    """A copy of the measured experiment, in which the command line is used."""
+    shutil.copytree(measured, tmp_path / "lab")
+    monkeypatch.chdir(tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+def command(*words):
+    return main(["-q", *map(str, words)])
+
+
+def refused(capsys, *words):
+    """The sentence with which a command is refused."""
+    assert command(*words) == 1
+    printed = capsys.readouterr().err
+    assert "did not foresee" not in printed
+    assert "Traceback" not in printed
+    return printed
+
+
+def start(lab, *words, **how):
+    """A command in a process of its own."""
+    line = [sys.executable, "-m", "wavefield", "-q", *map(str, words)]
+    return subprocess.run(line, cwd=lab, capture_output=True, text=True, timeout=100, **how)
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_background_leaves_recordings_and_backgrounds_of_others(lab, capsys):
+    (lab / "background").mkdir()
+    mine = lab / "background/cam1.tif"
+    shutil.copy(lab / "cam1/img_00000.tif", mine)
+    before = mine.read_bytes()
+    assert "cam1.tif exists and was not written by" in refused(capsys, "background", "experiment.yaml")
+    assert mine.read_bytes() == before
+    mine.unlink()
+    assert command("background", "experiment.yaml") == 0
+    assert command("background", "experiment.yaml") == 0, "its own is replaced"
+    edit(lab / "experiment.yaml", "name: small-tank", "name: another")
+    assert "is a background of something else" in refused(capsys, "background", "experiment.yaml")
+    write_image(mine, read_image(mine) + 1)
+    edit(lab / "experiment.yaml", "name: another", "name: small-tank")
+    assert "was not written by wavefield, or was changed" in refused(capsys, "background", "experiment.yaml")
+
+
+def test_calibrate_leaves_the_rig_of_another_experiment(lab, capsys):
+    with (lab / "experiment.yaml").open("a") as note:
+        note.write("calibration: {target: {kind: strings, mesh: 0.05}, flat: f.tif, tilted: t.tif}\n")
+    rig = lab / "rig.yaml"
+    Rig.load(rig).save(lab / "other.yaml", source="0123456789abcdef")
+    rig.write_text((lab / "other.yaml").read_text())
+    before = rig.read_text()
+    assert "is a rig of something else" in refused(capsys, "calibrate", "experiment.yaml")
+    rig.write_text("# levelled by hand on 12 May, do not touch\n" + before)
+    assert "was changed since" in refused(capsys, "calibrate", "experiment.yaml")
+    assert "do not touch" in rig.read_text()
+
+
+def test_comments_in_a_catalog_stay(lab, capsys):
+    assert command("catalog", "add", CATALOG, "experiment.yaml") == 0
+    edit(lab / CATALOG, "\nuser_parameters:", "\n# camera 2 moved before run 3\nuser_parameters:")
+    edit(lab / "experiment.yaml", "name: small-tank", "name: second")
+    shutil.copy("experiment.yaml", "second.yaml")
+    assert command("catalog", "add", CATALOG, "second.yaml") == 0, capsys.readouterr().err
+    assert "# camera 2 moved before run 3\nuser_parameters:" in (lab / CATALOG).read_text()
+
+
+def test_runs_that_are_added_at_once_are_all_registered(lab):
+    text = (lab / "experiment.yaml").read_text()
+    names = [f"run{number}" for number in range(8)]
+    for name in names:
+        (lab / f"{name}.yaml").write_text(text.replace("name: small-tank", f"name: {name}"))
+    code = (
+        "import sys; from wavefield.pipeline.catalog import catalog_add\n"
+        "for name in sys.argv[1:]: catalog_add('catalog.yaml', name + '.yaml')"
+    )
+    jobs = [subprocess.Popen([sys.executable, "-c", code, *names[k::2]], cwd=lab) for k in range(2)]
+    assert [job.wait() for job in jobs] == [0, 0]
+    options = yaml.safe_load((lab / CATALOG).read_text())["user_parameters"]["run"]["options"]
+    assert sorted(options) == names
+
+
+def test_a_catalog_sees_a_cube_that_was_measured_before(lab):
+    catalog_add(CATALOG, "experiment.yaml")
+    assert find_cube(CATALOG).resolve() == (lab / "cube.zarr").resolve()
+    assert command("status", CATALOG) in (0, 3)
+
+
+@pytest.mark.parametrize("address", ["{run.__class__}", "{env(SECRET)}", "{run!r}"])
+def test_addresses_of_a_catalog_are_not_format_strings(lab, monkeypatch, capsys, address):
+    monkeypatch.setenv("SECRET", "password")
+    catalog_add(CATALOG, "experiment.yaml")
+    edit(lab / CATALOG, "{run}/{recipe}/cube.zarr", f"{address}/cube.zarr")
+    printed = refused(capsys, "status", CATALOG)
+    assert "is not the name of a parameter" in printed
+    assert "password" not in printed
+
+
+def test_a_full_disk_ends_an_export_with_a_sentence_and_no_file(lab):
+    def limit():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    for ending in ("nc", "mat"):
+        found = start(lab, "export", "cube.zarr", f"x.{ending}", preexec_fn=limit)
+        assert found.returncode == 1, found
+        assert "is full, or a quota is used up" in found.stderr
+        assert "Traceback" not in found.stderr
+        assert "Wrote" not in found.stdout
+    assert not list(lab.glob("x.*"))
+    assert not list(lab.glob(".wavefield-*"))
+
+
+def test_a_truncated_file_of_another_program_is_not_called_written(lab):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (256, 256))
+
+    for program in ("dice", "opencv", "vic3d", "wavefield"):
+        found = start(lab, "rig", "convert", "rig.yaml", "--to", program, "-o", "o.txt", preexec_fn=limit)
+        assert found.returncode == 1, (program, found)
+        assert "Wrote" not in found.stdout
+        assert "did not foresee" not in found.stderr
+        assert not (lab / "o.txt").exists()
+
+
+def test_dated_backups_beside_an_output_stay(lab):
+    backups = [lab / f".{name}.20261101.old" for name in ("cube.nc", "waves.zarr", "smooth.zarr")]
+    for backup in backups:
+        backup.mkdir()
+        (backup / "thesis.txt").write_text("years")
+    (lab / ".wavefield-20261101").mkdir()
+    (lab / ".wavefield-20261101/note").write_text("mine")
+    assert command("export", "cube.zarr", "cube.nc") == 0
+    assert command("analyze", "cube.zarr", "--segment", "8") == 0
+    assert all((backup / "thesis.txt").read_text() == "years" for backup in backups)
+    assert (lab / ".wavefield-20261101/note").read_text() == "mine"
+
+
+WRITER = """
+import sys, time
+from wavefield.atomic_write import atomic
+with atomic(sys.argv[1]) as draft:
+    draft.write_text("half")
+    print("begun", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL])
+def test_a_killed_writer_leaves_nothing_after_the_next_command(lab, number):
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, "x.nc"], cwd=lab, stdout=subprocess.PIPE)
+    assert writer.stdout.readline() == b"begun\n"
+    assert len(list(lab.glob(".wavefield-*"))) == 1
+    assert command("export", "cube.zarr", "y.nc") == 0
+    assert len(list(lab.glob(".wavefield-*"))) == 1, "of a writer that is at work"
+    writer.send_signal(number)
+    writer.wait()
+    writer.stdout.close()
+    assert command("export", "cube.zarr", "z.nc") == 0
+    assert not list(lab.glob(".wavefield-*"))
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_command_that_is_ended_by_a_signal_removes_what_it_began(lab, name):
+    line = [sys.executable, "-m", "wavefield", "-q", "smooth", "cube.zarr"]
+    job = subprocess.Popen(line, cwd=lab, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 60
+    while not list(lab.glob(".wavefield-*")) and job.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    job.send_signal(getattr(signal, name))
+    job.communicate(timeout=60)
+    assert not list(lab.glob(".wavefield-*"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["export", "cube.zarr", "x.nc"],
+        ["report", "cube.zarr", "-o", "x.nc"],
+        ["rig", "convert", "rig.yaml", "-o", "x.nc"],
+        ["rig", "convert", "rig.yaml", "--to", "opencv", "-o", "x.nc"],
+        ["paper", "cube.zarr", "-o", "x.nc"],
+    ],
+)
+@pytest.mark.parametrize("target", ["pipe", "device"])
+def test_pipes_and_devices_are_refused_before_they_are_opened(lab, capsys, words, target):
+    if target == "pipe":
+        os.mkfifo("x.nc")
+    elif words[0] == "export":
+        return  # its ending names the format
+    words = [("/dev/zero" if target == "device" and word == "x.nc" else word) for word in words]
+    assert "is a pipe or a device" in refused(capsys, *words)
+
+
+def test_smoothed_fields_and_waves_are_verified(lab, capsys):
+    assert command("smooth", "cube.zarr") == 0
+    assert command("verify", "smooth.zarr") == 0
+    next(file for file in (lab / "smooth.zarr/z/c").rglob("*") if file.is_file()).unlink()
+    assert command("verify", "smooth.zarr") == 1
+    assert "not as it was written" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["simulate", "demo", "x" * 256],
+        ["simulate", "demo", "file/d"],
+        ["smooth", "cube.zarr", "-o", "x" * 250 + ".zarr"],
+        ["export", "cube.zarr", "file/x.nc"],
+        ["export", "cube.zarr", "x" * 255 + ".nc"],
+        ["export", "cube.zarr", "cube.zarr/x.nc"],
+        ["report", "cube.zarr", "-o", "cube.zarr/x.html"],
+        ["smooth", "cube.zarr", "-o", "cube.zarr/smooth.zarr"],
+        ["run", "experiment.yaml", "-o", "."],
+    ],
+)
+def test_impossible_outputs_are_one_sentence(lab, capsys, words):
+    (lab / "file").write_text("")
+    assert len(refused(capsys, *words).strip().splitlines()) == 1
+    assert not (lab / "cube.zarr/x.nc").exists()
+
+
+def test_a_rig_goes_into_a_folder_that_is_made(lab):
+    assert command("rig", "convert", "rig.yaml", "--to", "opencv", "-o", "nodir/r.yml") == 0
+    assert (
+        len(wf.load_rig(lab / "nodir/r.yml") if hasattr(wf, "load_rig") else Rig.load(lab / "rig.yaml")) == 3
+    )
+
+
+def test_what_a_user_added_to_a_product_is_kept(lab, capsys):
+    assert command("export", "cube.zarr", "cube.nc") == 0
+    assert command("export", "cube.zarr", "cube.nc") == 0, "unchanged, it is replaced"
+    fit = xr.Dataset({"fit": ("a", np.arange(5.0))})
+    fit.to_zarr("waves.zarr", group="my_fit", mode="a", consolidated=False)
+    with h5py.File("cube.nc", "a") as file:
+        file["my_result"] = np.arange(5.0)
+    assert "was changed since" in refused(capsys, "analyze", "cube.zarr", "--segment", "8")
+    assert "was changed since" in refused(capsys, "export", "cube.zarr", "cube.nc")
+    assert (lab / "waves.zarr/my_fit").is_dir()
+    with h5py.File("cube.nc") as file:
+        assert "my_result" in file
+
+
+def test_waves_of_another_cube_are_refused(lab, capsys):
+    other = wf.open_cube("cube.zarr").load().assign_attrs(recipe_hash="0123456789abcdef")
+    shutil.rmtree("waves.zarr")
+    wf.analyze(other, "waves.zarr", segment=8)
+    for words in ([], ["--waves", "waves.zarr"]):
+        assert "are the waves of another cube" in refused(capsys, "report", "cube.zarr", *words)
+    assert "is not as `wavefield analyze` wrote it" in refused(
+        capsys, "report", "cube.zarr", "--waves", "cube.zarr"
+    )
+
+
+def test_waves_of_an_earlier_state_of_a_cube_are_left_out(lab):
+    assert wf.open_run("cube.zarr").waves is not None
+    from wavefield.store.write_cube import reset_chunks
+
+    reset_chunks(lab / "cube.zarr", [4])
+    found = wf.open_run("cube.zarr")
+    assert found.waves is None
+    assert "has changed since" in found.reason("waves")
+
+
+def test_an_archive_in_a_cube_writes_nothing(lab, tmp_path):
+    mine = tmp_path / "my_bashrc"
+    mine.write_text("mine")
+    (lab / "cube.zarr/checksum").mkdir()
+    with zipfile.ZipFile(lab / "cube.zarr/checksum/metadata.zip", "w") as archive:
+        archive.writestr(str(mine), "not mine any more")
+    wf.status("cube.zarr")
+    wf.run("experiment.yaml", workflow=wf.Workflow(cluster="none"))
+    assert mine.read_text() == "mine"
+
+
+def test_a_verdict_without_its_checksum_is_not_believed(lab):
+    data = json.loads((lab / "verdict.json").read_text())
+    del data["checksum"]
+    (lab / "verdict.json").write_text(json.dumps(data))
+    with pytest.raises(StoreError, match="is not a verdict as wavefield wrote it"):
+        wf.status("cube.zarr")
+
+
+def test_no_message_advises_to_remove_a_cube(lab):
+    (lab / "cube.zarr/zarr.json").write_text("{")
+    for read in (wf.open_cube, wf.open_run, wf.status, wf.verify):
+        with pytest.raises(StoreError) as error:
+            read(lab)
+        assert "remove" not in str(error.value)
+
+
+def test_stdout_on_a_full_disk_is_a_sentence(lab):
+    with open("/dev/full", "w") as full:
+        line = [sys.executable, "-m", "wavefield", "status", "cube.zarr"]
+        found = subprocess.run(line, cwd=lab, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert found.returncode == 1
+    assert "Traceback" not in found.stderr
+    assert "did not foresee" not in found.stderr
+
+
+def test_frame_rates_beyond_all_cameras_and_twin_cameras_are_one_sentence(lab, capsys):
+    text = (lab / "experiment.yaml").read_text()
+    rate = next(line for line in text.splitlines() if "frame_rate" in line)
+    (lab / "experiment.yaml").write_text(text.replace(rate, "frame_rate: 1.0e-300"))
+    assert "frame_rate" in refused(capsys, "check", "experiment.yaml")
+    (lab / "experiment.yaml").write_text(text)
+    data = yaml.safe_load((lab / "rig.yaml").read_text())
+    data["cameras"]["cam3"] = data["cameras"]["cam1"]
+    (lab / "rig.yaml").write_text(yaml.safe_dump(data))
+    (lab / "experiment.yaml").write_text(text.replace("cam3/img", "cam1/img"))
+    assert command("check", "experiment.yaml") == 1
+    assert "cam1 and cam3 are in one place" in capsys.readouterr().out
