@@ -16,8 +16,8 @@ from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.running import run
 from wavefield.pipeline.uncertainty_terms import uncertainty_terms
+from wavefield.reports.compose import report
 from wavefield.reports.paper import paper
-from wavefield.reports.report import report
 from wavefield.rig.camera import Camera
 from wavefield.rig.formats import load_rig
 from wavefield.rig.rig import Rig

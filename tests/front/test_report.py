@@ -19,11 +19,11 @@ from wavefield.measurement import GridGeometry
 from wavefield.pipeline import Run
 from wavefield.reports import write_report
 from wavefield.reports.calibration import with_std
+from wavefield.reports.compose import builders_of, head_of
 from wavefield.reports.fields import at_probe
 from wavefield.reports.html import Head, Picture, ReportSection, Table, render
 from wavefield.reports.numbers import RunNumbers, median_of, number, snapshot
 from wavefield.reports.player import pack
-from wavefield.reports.report import builders_of, head_of
 from wavefield.reports.result import facts, without_cameras
 from wavefield.tank import paper_rig
 from wavefield.variables import CUBE_FIELDS, Quality

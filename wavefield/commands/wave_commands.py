@@ -130,7 +130,7 @@ def report(
 
     For a catalog: the report of every run, and next to the catalog (or as -o) one page that compares them.
     """
-    from wavefield.reports.report import report as write
+    from wavefield.reports.compose import report as write
 
     def work(cube: Path, page: Path | None = None) -> int:
         page = page or beside(cube, "report", ".html")

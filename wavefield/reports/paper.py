@@ -12,10 +12,10 @@ from wavefield.atomic_write import Product, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run
 from wavefield.reports.accuracy import pair_items
+from wavefield.reports.compose import build_all, experiment_name, measured_run, page_of
 from wavefield.reports.fields import distribution_picture, elevation_pictures, setup, snapshot_pictures
 from wavefield.reports.html import Head, Item, Picture, ReportSection, Table, Text, render
 from wavefield.reports.numbers import number, rms_of, snapshot, thinned
-from wavefield.reports.report import build_all, experiment_name, measured_run, page_of
 from wavefield.reports.waves import (
     coherence_picture,
     kinematics_picture,
