@@ -1,4 +1,4 @@
-"""Real pairs of particle images, matched without settings, beside OpenPIV and pivtools.
+"""Real pairs of particle images, matched with default settings, beside OpenPIV and pivtools.
 
     python -m benchmarks.real_pairs FOLDER [--python PATH]
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from benchmarks.matching import WEAK_PARTICLES
 from benchmarks.options import parser_of
 from benchmarks.peers import OPENPIV, PIVTOOLS
 from wavefield.images import read_image
@@ -93,7 +94,7 @@ def main(words: Sequence[str]) -> int:
     print("|---|---|" + "---|" * len(PROGRAMS))
     for name, files in PAIRS.items():
         a, b = (read_image(options.folder / file) for file in files)
-        ours = match(a, b)
+        ours = match(a, b, WEAK_PARTICLES if name == "Milestone" else None)
         cells = []
         with tempfile.TemporaryDirectory() as place:
             np.savez(Path(place) / "pair.npz", a=a, b=b)

@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-import wavefield
 from benchmarks.options import parser_of
 from benchmarks.results import RESULTS, Result, save_result
 from benchmarks.scenes import draw, scene
@@ -111,13 +110,13 @@ def main(words: Sequence[str]) -> int:
         cost = [step.cost() for _ in range(options.repeats)][-1]
         times = f"{1e3 * step.seconds:.0f} ms; two runs of DIS {1e3 * step.least[2]:.0f} ms"
         print(f"a step, {size}: {cost:.2f} of two runs of DIS ({times})", flush=True)
-        rows.append((size, f"{cost:.2f}", f"{step.seconds:.2f} s", str(SEED), wavefield.__version__))
+        rows.append((size, f"{cost:.2f}", f"{step.seconds:.2f} s", str(SEED)))
         if options.profile:
             profile = cProfile.Profile()
             profile.runcall(step.long)
             pstats.Stats(profile).sort_stats("tottime").print_stats(45)
     if options.save:
-        save_result("step", ("size", "over two runs of DIS", "CPU time", "seed", "version"), rows)
+        save_result("step", ("size", "over two runs of DIS", "CPU time", "seed"), rows)
     return 0
 
 

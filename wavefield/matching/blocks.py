@@ -131,7 +131,7 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Subtract, in place, what slopes of the displacement add to sums (2, ny, nx) of images without strain.
+    """Remove from the scores (2, ny, nx), in place, the contribution of strain that the images do not have.
     Moments (8, ny, nx) of `strain_moments`; returns c and s^2 of `reevaluate`, by least squares of the sums.
     """
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)

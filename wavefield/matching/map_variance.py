@@ -20,13 +20,14 @@ from wavefield.matching.spectrum import Prior, wavenumbers
 Float = NDArray[Any]
 F = np.float32
 
-INFORMATION_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information over the typical one
-KERNEL_CUTOFF = 1e-3  # of a kernel's transform is left out
-HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
-HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
-EVERY = 4  # blocks whose variance is computed: it is even over the reach of a block's response
-MIN_WAVE_FRACTION = 1e-3  # of a spectrum
-MEASURED_RIM_WIDTH = 10  # blocks around a hole whose field is given
+# information over the typical one at which variances are tabulated: from three times to a thousandth
+INFORMATION_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)
+KERNEL_CUTOFF = 1e-3  # smaller values of a kernel's transform are left out
+HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # blocks: radii of tabulated holes
+HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # tabulated fractions of the way from a hole's rim to its middle
+EVERY = 4  # blocks: the variance is computed on every fourth, because it varies slowly, and interpolated
+MIN_WAVE_FRACTION = 1e-3  # of a spectrum: keeps logarithms finite
+MEASURED_RIM_WIDTH = 10  # blocks around a hole that are taken as measured: farther ones hardly count
 
 
 class PosteriorVariance:
@@ -41,10 +42,10 @@ class PosteriorVariance:
 
     Notes
     -----
-    For an even information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
+    For a uniform information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
     and 1/S / (F^2 A + 1/S)^2 the missing part of the waves. Where information differs from place to place the
-    level of A is taken that equals the information around, weighed by the squared impulse response of its own
-    level. What a hole adds, given its surroundings, is tabulated for round ones by radius and depth.
+    level of A is taken that equals the information around, weighted by the squared impulse response of its
+    own level. The additional variance inside holes is tabulated for round ones by radius and depth.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -58,7 +59,7 @@ class PosteriorVariance:
         noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, precision)]
         missing = [np.mean(waves * inverse / c**2, axis=(1, 2)) for c in precision]
         self._log = np.log(levels).astype(np.float32)
-        # (2 c, levels): noise of every component, then what is missing of it
+        # (2 c, levels): noise of every component, then its missing waves
         self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
             np.float32
         )
@@ -87,13 +88,13 @@ class PosteriorVariance:
         noise, missing = np.array([self._to_full_lattice(f) for f in log_variances]).reshape(
             2, -1, *self.shape
         )
-        # holes are emptier than the rest of their own frame: one that is darker than usual has none for that
+        # a frame that is darker than usual has less information everywhere, which is not a hole
         bare = information[information > 0]
         own = float(bare.mean()) if bare.size else np.inf
         hole = hole_mask(information, min(self.typical_information, own))
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
-            # less information around has counted a part of it already
+            # the lower information around the hole has added a part of this already
             more = self._typical + _in_holes(~hole, self._holes) - noise - missing
             missing += np.maximum(more, np.float32(0)) * hole
         return noise, missing
@@ -141,7 +142,7 @@ def _squared_response(gain: Float) -> Float:
 
 @cache
 def _around_hole(radius: float) -> tuple[Float, Float, Float, Float]:
-    """Blocks in and around a round hole, of which one of two or four stands for all away from the rim.
+    """Blocks in and around a round hole, thinned to one of two or four away from the rim.
     Their squared distances from each other, distances from the hole's depths, shares, and which are outside.
     """
     reach = radius + MEASURED_RIM_WIDTH
@@ -159,7 +160,7 @@ def _around_hole(radius: float) -> tuple[Float, Float, Float, Float]:
 
 
 def hole_variance(spectrum: Float, noise: float) -> Float:
-    """What round holes with measured rims add to the variance of a field of a spectrum (ny, nx).
+    """Additional variance inside round holes with measured rims, for a field with a spectrum (ny, nx).
     (radii, depths): the variance less that where the inside is measured as well.
     """
     covariance = _impulse(spectrum)

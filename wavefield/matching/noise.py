@@ -12,11 +12,12 @@ Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 F = np.float32
-CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
+CLUSTER = 5  # blocks: closer neighbours share beads (25 px), and so have correlated noise
 SMOOTHING_RADIUS = 6.0  # blocks over which noise is averaged
 HOLE_INFORMATION = 0.15  # of the typical information, mean of 7 x 7 blocks: below is a hole
-MAX_MISFIT = 30.0  # of a cluster's squared score, over the square that is expected of those around it
-LEAST_NOISE = 0.3  # of the median: no less is expected anywhere
+# a cluster's squared score over that expected from its surroundings; an exponential exceeds it once in 10^13
+MAX_MISFIT = 30.0
+LEAST_NOISE = 0.3  # of the median noise: lower bound of the noise expected from the surroundings
 RIM_WIDTH, RIM_SIGMA = 6, 2.0  # blocks: reach of the surroundings of a hole, and smoothing of their edge
 
 
@@ -79,14 +80,14 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
     Returns
     -------
     ndarray of float32, (ny, nx)
-        Above 0, at most 1. Where it is small, what moved is not the field: the edge of an object, or beads
-        that enter or leave the image.
+        Above 0, at most 1. It is small at the edges of objects and where beads enter or leave the image.
     """
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
     ratio = square / np.maximum(information, F(1e-20))
-    # medians of 5 x 5 clusters side by side: an object does not raise them; such squares are exponential
+    # medians over 5 x 5 disjoint clusters: an object does not raise them; their squares are exponential
+    # with a median of log 2 times the mean.
     apart, known = (field[:: CLUSTER - 1, :: CLUSTER - 1] for field in (ratio, information > least))
     typical = np.median(apart[known]) if known.any() else F(0)
     around = cv2.medianBlur(np.where(known, apart, typical).astype(np.float32), CLUSTER) / F(np.log(2))
@@ -97,7 +98,7 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Mask (ny, nx) of blocks whose surroundings have nearly no information (ny, nx)."""
+    """Mask (ny, nx) of blocks in holes, from the information (ny, nx) around them."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

@@ -180,7 +180,7 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
-    """Write the normalised image inside its border; return the mask without what is not usable in it."""
+    """Write the normalised image inside its border; return the mask less its invalid and saturated pixels."""
     width = settings.normalization or FILL_SIGMA
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -360,7 +360,7 @@ class NormalizationCells:
             mean /= share
             square /= share
         std = np.sqrt(np.maximum(square - mean * mean, 0))
-        # neighbouring cells hardly differ: one of four suffices
+        # one cell of four is enough for the median
         every_second = std[::2, ::2]
         if share is not None:
             every_second = every_second[share[::2, ::2] > 0.5]

@@ -39,7 +39,7 @@ from wavefield.matching.settings import Displacement, Evaluation, MatchSettings,
 from wavefield.matching.spectrum import RESTORED_VARIANCE, displacement_area
 from wavefield.parabola import parabola_vertex
 
-# of the mean trace of the windowed Hessians: keeps steps small where images have little contrast
+# ridge over the mean trace of the windowed Hessians: keeps steps small where images have little contrast
 RIDGE_FRACTION = 0.01
 MAX_STEP = 1.5  # px
 _TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE  # px^2: slopes within blocks depend little on it

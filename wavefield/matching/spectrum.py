@@ -31,7 +31,9 @@ NOISE_RINGS = 5  # over which the level of noise is averaged
 
 SECTOR_ANGLES = (np.arange(SECTORS) + 0.5) * np.pi / (2 * SECTORS)  # middle of every sector, rad
 FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value represents in the elevation by two cameras
-RESTORED_VARIANCE = 1.2  # px^2: more than blocks average displacements over, against what priors suppress
+# px^2: empirical widening of the footprint that offsets the damping of short waves by the prior; tuned on
+# random and steep simulated seas
+RESTORED_VARIANCE = 1.2
 OPEN_SIGNAL_TO_NOISE = 1.0  # least of every wave while a spectrum is learned
 FIRST_SIGNAL_TO_NOISE = 6.0  # the same in the first round, whose noise is several times too small
 
@@ -235,7 +237,7 @@ class WavenumberRings:
         contiguous = np.arange(RINGS) < self.count_until_false(
             (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
         )
-        # waves beyond the first ring without any have to exceed the noise by more, with both neighbours
+        # beyond the first ring without waves, a ring and both its neighbours have to exceed the noise by more
         beyond_gap = self.exceeds(ratio, MIN_RING_SIGNAL_TO_NOISE, samples) & (self.count > 0)
         beyond_gap &= ratio > DETECTED_SIGNAL_TO_NOISE
         beyond_gap &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
@@ -326,7 +328,7 @@ def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIAN
 
 
 def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
-    """Fields (c, ny, nx) averaged over the area of such a variance, px^2, that a block's value represents."""
+    """Average fields (c, ny, nx) over the footprint of a block, given the variance of its area, px^2."""
     side = 0.5 * variance / BLOCK**2
     kernel = np.array([side, 1.0 - 2.0 * side, side])
     return np.stack(
