@@ -116,7 +116,7 @@ def check_replaceable(path: Path, product: Product | None = None, replace: bool 
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
         return
-    except NotADirectoryError as error:
+    except OSError as error:  # a folder that is a file, a name that is too long
         raise write_error(path, error) from None
     if stat.S_ISLNK(mode):
         raise StoreError(
@@ -146,7 +146,7 @@ def refuse_input(path: Path, *inputs: object) -> None:
         if not isinstance(one, str | Path):
             continue
         read = Path(one).absolute()
-        if read.exists() and path.exists() and path.samefile(read):
+        if os.path.exists(read) and os.path.exists(path) and path.samefile(read):
             raise StoreError(f"{path} is read by this command and not overwritten; choose another name")
         if read.is_dir() and (read / "zarr.json").is_file() and read.resolve() in path.resolve().parents:
             raise StoreError(f"{path} is inside {read}, which this command reads; choose another place")

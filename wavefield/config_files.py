@@ -43,6 +43,7 @@ CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 _RESERVED_NAMES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # of devices, on Windows
 _NOT_IN_NAMES = re.compile(r"[/\\:*?\"<>|{}\[\]\x00-\x1f]")
+MAX_NAME_BYTES = 255  # of a file or folder, on Linux, macOS and Windows
 
 
 def safe_name(name: str) -> str:
@@ -54,7 +55,9 @@ def safe_name(name: str) -> str:
 
 
 def portable_path(path: str) -> str:
-    """A path as it is read on any system: with / between folders."""
+    """A path as it is read on any system: with / between folders, and names that file systems allow."""
+    if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
+        raise ValueError(f"{path[:40]!r}... has a name of more than {MAX_NAME_BYTES} characters; shorten it")
     if "\\" in path and os.sep == "/" and not Path(path).exists():
         raise ValueError(f"{path!r} has \\ between folders; write /, which is read on Windows as well")
     return path

@@ -165,3 +165,11 @@ def test_passwords_in_addresses_of_images_stay_out_of_attributes(tmp_path):
     address = "https://user:secret@host/cam1/img_{frame:03d}.tif?token=hidden"
     experiment = Experiment.load(note(tmp_path, f"a: '{address}'", "frame_rate: 20\n"))
     assert image_names(experiment, "a")[0] == "https://host/cam1/img_{frame:03d}.tif"
+
+
+def test_names_that_no_file_system_takes_are_refused(tmp_path):
+    for key, text in (("images", f"a: {'x' * 300}.h5"), ("images", f"a: '{'x' * 300}/*.tif'")):
+        with pytest.raises(ExperimentError, match=f"{key}.*a name of more than 255 characters"):
+            Experiment.load(note(tmp_path, text, "frame_rate: 20\n"))
+    with pytest.raises(ExperimentError, match="frame_rate is missing"):
+        Experiment.load(note(tmp_path, f"a: {'x' * 300}.h5"))

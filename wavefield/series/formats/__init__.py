@@ -40,7 +40,11 @@ def open_recording(path: str | Path) -> Recording:
     file = file_of(path)
     if file is None:
         raise FrameError(f"{path} is not a recording: its name must end in one of {', '.join(ENDINGS)}")
-    if not file.is_file():
+    try:
+        there = file.is_file()
+    except OSError as error:  # a name that is too long
+        raise FrameError(f"{file}: {error.strerror}") from None
+    if not there:
         raise FrameError(f"{file}: no such recording")
     try:
         return _OPENERS[file.suffix.lower()](path)
