@@ -120,7 +120,7 @@ def test_work_of_a_worker_that_dies_is_done_again_but_not_for_ever(tmp_path):
         item.mkdir()
     with open_cluster(TWO) as map_unordered:
         results = dict(map_unordered(die, items))
-    assert results[items[0]] == "xx"
+    assert results[items[0]].startswith("xx")  # once more where its result went with a worker
     assert "3 workers ended while they worked on it" in str(results[items[1]])
     assert (items[1] / "times").read_text() == "xxx"
 
