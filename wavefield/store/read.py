@@ -10,6 +10,7 @@ import numpy as np
 import zarr
 from zarr.storage import LocalStore
 
+from wavefield.atomic_write import MARK_ATTRIBUTE
 from wavefield.errors import StoreError
 from wavefield.store.layout import CHUNKED, PACKING, CubeGroup, StoreLayout, chunk_path
 from wavefield.store.metadata import CHECKSUM, FINISHED, read_metadata
@@ -94,9 +95,10 @@ def cubes_in(folder: Path) -> list[Path]:
 
 
 def is_cube(path: Path) -> bool:
-    """Whether a store is a cube, by its attributes: waves and truths are none."""
+    """Whether a store is a cube, by its attributes: waves, smoothed fields and truths are none."""
     try:
-        return "recipe" in json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
+        attributes = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
+        return "recipe" in attributes and MARK_ATTRIBUTE not in attributes
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
