@@ -27,10 +27,7 @@ TASKS = {
         "store.",
         "waves.estimation.",
     ),
-    "Spectra": ("waves.spectra.", "waves.wave_analysis", "pipeline.analysis"),
-    "Dispersion, current, directions": ("waves.dispersion_relation.", "waves.fused."),
-    "Bound waves and interactions": ("waves.nonlinear.",),
-    "Statistics of the surface": ("waves.surface.", "waves.probes."),
+    "Waves": ("waves.", "pipeline.analysis"),
     "See and report": ("explorer.", "reports.", "figures."),
 }
 OTHER = "Other"

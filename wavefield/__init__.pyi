@@ -32,17 +32,17 @@ from wavefield.store.wave_store import open_waves
 from wavefield.tank.plan import plan
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate
-from wavefield.waves.dispersion_relation.direction import directions
-from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
-from wavefield.waves.estimation.cube_of_fields import cube
-from wavefield.waves.nonlinear.coherence import coherence
-from wavefield.waves.nonlinear.kinematics import kinematics
-from wavefield.waves.spectra.field_spectra import E_k, E_omega, komega, spectrum
-from wavefield.waves.surface.crests import crest_statistics
-from wavefield.waves.surface.increments import structure_functions
-from wavefield.waves.surface.phase_average import phase_average
-from wavefield.waves.surface.smooth import smooth
-from wavefield.waves.surface.statistics import statistics
+from wavefield.waves.estimation.inputs import cube
+from wavefield.waves.estimators.coherence import coherence
+from wavefield.waves.estimators.crests import crest_statistics
+from wavefield.waves.estimators.direction import directions
+from wavefield.waves.estimators.dispersion_fit import fit_dispersion
+from wavefield.waves.estimators.field_spectra import E_k, E_omega, komega, spectrum
+from wavefield.waves.estimators.increments import structure_functions
+from wavefield.waves.estimators.kinematics import kinematics
+from wavefield.waves.estimators.phase_average import phase_average
+from wavefield.waves.estimators.smooth import smooth
+from wavefield.waves.estimators.statistics import statistics
 from wavefield.waves.wave_analysis import analyze
 
 __version__: str

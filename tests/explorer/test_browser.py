@@ -118,7 +118,7 @@ def test_any_variable_is_shown_in_its_unit(page, fields, name, factor):
 
 def test_derived_variables_are_those_of_the_analysis(page, whole):
     from wavefield.pipeline import open_cube
-    from wavefield.waves.nonlinear.kinematics import kinematic_fields
+    from wavefield.waves.estimators.kinematics import kinematic_fields
 
     expected = kinematic_fields(open_cube(whole[0]).isel(time=slice(STEP - 1, STEP + 2)).load())
     for name, factor in (("vorticity", 1), ("divergence", 1), ("residual", 100)):

@@ -10,9 +10,9 @@ from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.waves.estimation.degrees_of_freedom import samples_in_time
-from wavefield.waves.estimation.windows import effective_duration, hann
+from wavefield.waves.estimation.segments import effective_duration, hann
 
-coherence_module = importlib.import_module("wavefield.waves.nonlinear.coherence")
+coherence_module = importlib.import_module("wavefield.waves.estimators.coherence")
 NAMES, PAIRS = ("rise", "w", "nl"), (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 

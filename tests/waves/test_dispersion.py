@@ -9,9 +9,7 @@ from waves_cases import GAMMA, GaussianSea, PeriodicSea, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.dispersion_relation.current_scan import scan_current
-from wavefield.waves.dispersion_relation.plane_spectrum import PlaneSpectrum
-from wavefield.waves.dispersion_relation.shell_contrast import explained
+from wavefield.waves.estimators.dispersion_points import PlaneSpectrum, explained, scan_current
 
 CURRENT = (0.04, -0.02)
 

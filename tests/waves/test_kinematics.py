@@ -6,7 +6,7 @@ from waves_cases import Waves, axes, cube, linear_cube, random_waves, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.nonlinear.kinematics import finite_residual_on_grid, frame_elevations, slopes
+from wavefield.waves.estimators.kinematics import finite_residual_on_grid, frame_elevations, slopes
 
 
 def displaced(waves, now, dt, gx, gy, rounds=8):

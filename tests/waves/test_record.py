@@ -11,9 +11,8 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import FrameStatus, Quality
-from wavefield.waves.estimation.holes import IN_TIME, fill_error
+from wavefield.waves.estimation.record import IN_TIME, fill, fill_error
 from wavefield.waves.estimation.segments import Reader
-from wavefield.waves.estimation.wave_record import fill
 
 
 @pytest.fixture(scope="module")

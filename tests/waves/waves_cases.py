@@ -205,7 +205,7 @@ class PeriodicSea:
 
 def seen(lines, true, n, step):
     """Density on each line from a wave of variance 1 at each true k or omega, through a Hann window."""
-    from wavefield.waves.estimation.windows import hann
+    from wavefield.waves.estimation.segments import hann
 
     turned = np.exp(-1j * np.subtract.outer(lines, true)[..., None] * step * np.arange(n))
     return np.abs(turned @ hann(n)) ** 2 / (hann(n) ** 2).sum() * step / (2 * np.pi)

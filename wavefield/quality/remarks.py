@@ -24,7 +24,7 @@ from wavefield.text import spell_ranges, spell_uncertain
 from wavefield.variables import Quality
 
 if TYPE_CHECKING:
-    from wavefield.waves.probes.probe_fit import ProbeFit
+    from wavefield.waves.estimators.probe_fit import ProbeFit
 
 # What each kind of remark means and what to do: the text of `wavefield explain`
 EXPLANATIONS: dict[str, str] = yaml.safe_load(
@@ -383,7 +383,7 @@ def compare_probes(experiment: Experiment, cube: xr.Dataset) -> "tuple[list[Prob
 
     Of a long record the middle is compared, thinned in space.
     """
-    from wavefield.waves.probes.probe_fit import fit_probes  # imports all of the analysis
+    from wavefield.waves.estimators.probe_fit import fit_probes  # imports all of the analysis
 
     every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_PROBE_NODES))))
     first = max(0, (len(cube.z) - MAX_PROBE_STEPS) // 2)

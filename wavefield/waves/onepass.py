@@ -14,11 +14,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.waves.estimation import segments
-from wavefield.waves.estimation.wave_record import Each
+from wavefield.waves.estimation.record import Each
 from wavefield.waves.estimation.welch import Welch
-from wavefield.waves.nonlinear import kinematics
-from wavefield.waves.spectra.segment_sums import Requested, add_segment, empty_sums, transforms
-from wavefield.waves.surface import statistics
+from wavefield.waves.estimators import kinematics, statistics
+from wavefield.waves.estimators.cross_spectra import Requested, add_segment, empty_sums, transforms
 
 Array = NDArray[Any]
 

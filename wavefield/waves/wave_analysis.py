@@ -30,14 +30,14 @@ from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import products
 from wavefield.waves.estimation import segments
+from wavefield.waves.estimation.current import delayed_current
 from wavefield.waves.estimation.inputs import described
-from wavefield.waves.estimation.mean_current import delayed_current
+from wavefield.waves.estimation.record import Each, Record, filled_density, find_record
 from wavefield.waves.estimation.record_limits import record_notes
-from wavefield.waves.estimation.wave_record import Each, Record, filled_density, find_record
 from wavefield.waves.estimation.welch import Welch, with_velocity
 from wavefield.waves.estimation.window_gain import gain_of
+from wavefield.waves.estimators.cross_spectra import NAMES, Requested
 from wavefield.waves.onepass import FIELDS, Progress, one_pass
-from wavefield.waves.spectra.segment_sums import NAMES, Requested
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 

@@ -1,14 +1,25 @@
-"""Degrees of freedom of spectra, and the intervals that follow from them."""
+"""Variance of ring sums between segments: degrees of freedom without assumptions on the waves.
 
+Waves that stay in a cell longer than a segment lasts correlate segments, and a dispersion relation thinner
+than a cell correlates cells: both show in how the power of a ring varies from segment to segment, and how
+long it keeps its value.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from wavefield.variables import annotate
+from wavefield.water import dispersion, group_velocity
 from wavefield.waves.estimation import rings
-from wavefield.waves.estimation.windows import interval
+from wavefield.waves.estimation.segments import hann_power, interval, richardson_lucy
+from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -71,3 +82,369 @@ def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray |
     step = float(energy["omega"][1] - energy["omega"][0])
     squares = (energy**2 / cells).sum("omega")
     return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * squares.where(squares > 0))
+
+
+FREQUENCIES_PER_LINE = 2
+REACH = 4.0  # lines to either side that respond to a wave
+ROUNDS = 4
+FLOOR = 1e-12  # of the strongest line
+
+
+def expected_segment_correlation(power: Array, count: int, furthest: int = 2) -> Array:
+    """Variance of a mean of segments over that of independent segments, from their power (n, lines).
+    1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, (n, lines).
+    """
+    lines = np.arange(power.shape[1])
+    fine = np.arange(FREQUENCIES_PER_LINE * (lines.size - 1) + 1) / FREQUENCIES_PER_LINE
+    distance = np.abs(lines[:, None] - fine)
+    response = np.where(distance <= REACH, hann_power(distance), 0.0)
+    measured = np.maximum(power, max(FLOOR * float(power.max()), 1e-300))
+    # S, sharpened in four rounds, is the spectrum, W^2 the window's power about the line, T the length of a
+    # segment; waves that keep their phase for longer than a window resolves correlate segments more
+    sharp = richardson_lucy(
+        measured,
+        np.exp([np.interp(fine, lines, np.log(spectrum)) for spectrum in measured]),
+        lambda estimate: estimate @ response.T,
+        lambda estimate, ratio: estimate * (ratio @ response / response.sum(axis=0)),
+        ROUNDS,
+    )
+    total = sharp @ response.T
+    out = np.ones(power.shape)
+    for lag in range(1, furthest + 1):
+        shifted = (sharp * np.exp(1j * np.pi * lag * fine)) @ response.T
+        out += 2 * max(1 - lag / count, 0.0) * np.abs(shifted) ** 2 / total**2
+    return out
+
+
+HEADINGS = 17  # of the waves, from along the current to against it
+LAGS = 41  # at which the windows in time and space are joined
+MOST_SEGMENTS = 40  # that may be correlated
+STILL = 1e-6  # m/s, of a current
+NOISE_LINES = 0.75  # of the Nyquist frequency: what is above counts as noise
+
+
+def hann_autocorrelation(lag: Array) -> Array:
+    """Autocorrelation of a Hann window of length 1.
+
+    Examples
+    --------
+    >>> hann_autocorrelation(np.array([0.0, 0.5, 0.75])).round(3).tolist()
+    [1.0, 0.167, 0.008]
+    """
+    x = np.minimum(np.abs(lag), 1.0)
+    return np.asarray(((1 - x) * (2 + np.cos(2 * np.pi * x)) + 1.5 / np.pi * np.sin(2 * np.pi * x)) / 3)
+
+
+def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
+    """Variance of a mean of segments over that of independent ones, of packets of velocities (x and y), m/s.
+    1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, T the duration, s; the window is lengths, m, along x and y.
+    """
+    s = np.linspace(-1, 1, LAGS)
+    in_time = hann_autocorrelation(s)
+    out, alone = np.ones_like(velocity[0]), np.ones(())
+    for lag in range(min(count, MOST_SEGMENTS)):
+        apart = (lag / 2 - s) * duration
+        in_space = [
+            hann_autocorrelation(v[..., None] * apart / length) for v, length in zip(velocity, lengths)
+        ]
+        # c(dt) = int a(s / T) a(v (dt - s) / L) ds for lines dt apart, a the autocorrelation of the Hann
+        # window: a cell holds a packet while it is within the windows in space and in time
+        power = (in_space[0] * in_space[1] * in_time).sum(axis=-1) ** 2
+        if lag:
+            out += 2 * (1 - lag / count) * power / alone
+        else:
+            alone = power
+    return out
+
+
+def crossing_correlation(welch: Welch) -> Array:
+    """Variance of a mean of segments over that of independent segments, of free waves, (rings, lines).
+    That of `correlation_at` of packets with v = c_g + U; the direction follows from omega = sigma(k) + k . U.
+    """
+    record, table = welch.record, welch.table
+    duration = welch.segment * record.dt
+    lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
+    group, still = group_velocity(table.k, welch.depth), dispersion(table.k, welch.depth)
+    speed, towards = np.hypot(*welch.current), np.arctan2(welch.current[1], welch.current[0])
+    turn = np.linspace(0, np.pi, HEADINGS)
+    out = np.zeros((table.k.size, HEADINGS))
+    for side in (1, -1):
+        velocity = [
+            group[:, None] * part(towards + side * turn) + along
+            for part, along in zip((np.cos, np.sin), welch.current)
+        ]
+        out += correlation_at(velocity, duration, lengths, welch.count) / 2
+    lines = welch.omega.size
+    if speed < STILL:
+        return np.repeat(out.mean(axis=1, keepdims=True), lines, axis=1)
+    along = (welch.omega - still[:, None]) / (table.k * speed)[:, None]
+    place = np.arccos(along.clip(-1, 1)) * (HEADINGS - 1) / np.pi
+    first = np.minimum(place.astype(int), HEADINGS - 2)
+    values = [np.take_along_axis(out, first + i, axis=1) for i in (0, 1)]
+    return np.asarray(values[0] + (place - first) * (values[1] - values[0]))
+
+
+def wave_share(power: Array) -> Array:
+    """Share of waves in powers (rings, lines), noise being that of each ring's highest lines."""
+    first = int(NOISE_LINES * (power.shape[1] - 1))
+    noise = power[:, first:-1].mean(axis=1, keepdims=True) if first < power.shape[1] - 1 else 0.0
+    return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
+
+
+VARIANCE_REACH = 2, 5  # rings and lines to both sides over which the variance is averaged
+CORRELATION_SIZE = (
+    21,
+    11,
+)  # rings and lines over which the correlation is averaged: it changes from line to line
+# segments of products and of Gaussian waves: with fewer the variance is averaged over more cells
+ENOUGH_FOR_REACH = 28, 56
+SUM_SIZE = 11  # lines, or rings, where the other axis is summed
+MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
+PRODUCTS_APART = 2, 3  # independent values among those averaged, of products of waves: of cells, of sums
+PRODUCT_RINGS = 5  # over which the variance of a cross spectrum of k with such a product is averaged
+# times stronger neighbours, after and before a line, leak more into it than it has of its own
+LEAKED = {1: 1.25, -1: 3.0}
+MAX_LAG = 2  # segments that may be correlated
+MIN_SEGMENTS_FOR_VARIANCE = 8  # of Gaussian lines
+MIN_SEGMENTS_FOR_CORRELATION = 12
+MAX_RATIO = (
+    4.0  # of degrees of freedom to those expected from cells and energy, or for Gaussian lines its inverse
+)
+
+
+def take_in(sums: dict[str, Array], name: str, powers: Array, first: int) -> None:
+    """Add the powers (2, rings, lines) of the segment from step ``first`` to ``sums``, and hold its power."""
+    sums[name] += powers
+    sums[f"{name} from {first:012d}"] = powers[0].astype(np.float32)
+
+
+def keep_product(sums: dict[str, Array], pair: str, product: Array, first: int) -> None:
+    """Hold the product (2, rings, lines) of two fields in the segment from step ``first``."""
+    sums[f"{pair} from {first:012d}"] = (product[0] + 1j * product[1]).astype(np.complex64)
+
+
+def keep_lines(power: Array, first: int) -> dict[str, Array]:
+    """What `cell_freedom` needs of the power (cells, n) of a segment that begins at step ``first``."""
+    total = power.sum(axis=0, dtype=float)
+    half = total.size // 2
+    folded = np.concatenate([total[:1], total[1:half] + total[:half:-1], total[half : half + 1]])
+    return {f"f from {first:012d}": folded[None]}
+
+
+def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
+    """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of a segments' mean.
+    By cells (`Welch.freedom`) and correlation (`correlation_of`), over the measured ratio of variances.
+    """
+    cells = welch.freedom(sums[name])
+    if welch.count < LEAST_COUNT:
+        rings, lines = cells.shape
+        return {"both": cells, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
+    power = sums[name][0]
+    independent = cells * (1 + (1 - 1 / welch.count) / 18)  # of segments that are
+    starts, powers = _series(sums, name)
+    between, together = _variances(powers, starts, welch)
+    correlation, of_sums = correlation_of(power, welch)
+    if welch.count >= MIN_SEGMENTS_FOR_CORRELATION:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            alone = _about_true_mean(between, correlation, welch.count) * correlation
+            more = _smooth(together * independent, CORRELATION_SIZE) / _smooth(
+                alone * independent, CORRELATION_SIZE
+            )
+        correlation = correlation * np.nan_to_num(more, nan=1.0).clip(1, None)
+    between = _about_true_mean(between, correlation, welch.count)
+    # the ratio is averaged over 5 rings and 11 lines, over more of both if K is small; products of waves make
+    # cells rise and fall as one: of these, two values are independent in E(k, omega), three in sums
+    ratio, near = np.ones_like(cells), _variance_size(welch.count, ENOUGH_FOR_REACH[gaussian])
+    if not gaussian:
+        ratio = _smooth(between * independent / 2, near) * _student(
+            PRODUCTS_APART[0] * welch.count / correlation
+        )
+        ratio = ratio.clip(1 / MAX_RATIO, None)
+    elif welch.count >= MIN_SEGMENTS_FOR_VARIANCE:
+        ratio = _smooth(between * independent / 2, near).clip(1 / MAX_RATIO, MAX_RATIO)
+    out = {"both": (independent / correlation / ratio).clip(1, None)}
+    # correlation of the cells of a sum, in proportion to their share of its variance
+    variance = power**2 / independent
+    for axis, over in (("omega", 0), ("k", 1)):
+        mean = (of_sums * variance).sum(axis=over) / np.maximum(variance.sum(axis=over), 1e-300)
+        expected = freedom_of_sums(power, independent, welch)[axis]
+        of_sum = _of_sum(powers.sum(axis=1 + over), starts, welch, expected, mean, gaussian)
+        # lines and rings beyond the ends of a sea have what leaks into them
+        out[axis] = of_leakage(power.sum(axis=over), of_sum)
+    return out
+
+
+def of_leakage(power: Array, dof: Array) -> Array:
+    """Degrees of freedom (n,) of a sum where lines that hold what leaks into them have those of its source.
+
+    A line weaker than its neighbour towards the strongest one by more than a sea falls off with frequency
+    (before the strongest line, by more than chance) holds mostly what the windows spread of that: the same
+    few waves in all of its cells, however many these are.
+
+    Examples
+    --------
+    >>> of_leakage(np.array([0.1, 1.0, 8.0, 6.0, 4.0, 0.2]), np.array([90.0, 80.0, 30.0, 40.0, 50.0, 20.0]))
+    array([30., 30., 30., 40., 50., 20.])
+    """
+    out, peak = dof.copy(), int(np.argmax(power))
+    for towards, lines in zip((1, -1), (range(peak - 1, -1, -1), range(peak + 1, power.size))):
+        for i in lines:
+            if LEAKED[towards] * power[i] < power[i + towards]:
+                out[i] = min(out[i], out[i + towards])
+    return np.asarray(out)
+
+
+def samples(
+    sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
+) -> dict[str, Array]:
+    """Independent samples of the cross spectra of two fields, of (k, omega) and of k.
+
+    Without relation between the fields the cross spectrum has a squared modulus of the product of both powers
+    over this number: few where both have their energy in the same cells, more where in others. Of the mean
+    product of the powers of a cell, 1 / (1 + gamma^2) is the product of their means. Over k half the degrees
+    of freedom of both E(k), ``dof_k``, count: what correlates powers correlates products alike.
+
+    With a product of waves, which shares no ridge with them, the variance of the cross spectrum between
+    segments over what follows from the cells is undone, as an average over 5 rings and 11 lines of 28
+    segments or more (as many more cells as segments are missing), for k over 5 rings, times Student's
+    variance as in `freedom`. Such a product keeps no phase: only the overlap of half of the windows, 1 / 6,
+    correlates its segments.
+    """
+    product = sums[first][0] * sums[second][0]
+    power, there = np.sqrt(product), product > 0
+    real, imaginary = sums[f"{first}*{second}"]
+    coherence = np.divide(real**2 + imaginary**2, product, out=np.zeros_like(power), where=there)
+    squares = 2 * sums[f"squares {first}*{second}"] / (1 + coherence)
+    cells = np.divide(product, welch.count * squares, out=np.ones_like(power), where=squares > 0).clip(1)
+    of_both = zip(correlation_of(sums[first][0], welch), correlation_of(sums[second][0], welch))
+    correlation, of_sums = (np.sqrt(one * other) for one, other in of_both)
+    product_of_k = sums[first][0].sum(axis=1) * sums[second][0].sum(axis=1)
+    apart = np.divide(
+        product_of_k, power.sum(axis=1) ** 2, out=np.ones_like(product_of_k), where=product_of_k > 0
+    )
+    if "nl" not in (first, second):
+        both = welch.count * cells / correlation
+        of_k = apart * np.sqrt(dof_k[0] * dof_k[1]) / 2
+        if welch.count < LEAST_COUNT:
+            of_k = apart * freedom_of_sums(power, 2 * welch.count * cells / of_sums, welch)["k"] / 2
+        return {"both": both.clip(1, None), "k": of_k.clip(1, None)}
+    correlation = np.minimum(correlation, 1 + (1 - 1 / welch.count) / 3)
+    # of segments that are independent, and of those of a sum in proportion to their share of its variance
+    both, of_k = welch.count * cells, apart * freedom_of_sums(power, 2 * welch.count * cells, welch)["k"] / 2
+    variance = product / cells
+    of_sum = (variance * correlation).sum(axis=1) / np.maximum(variance.sum(axis=1), 1e-300)
+    if welch.count >= LEAST_COUNT:
+        _, segments = _series(sums, f"{first}*{second}")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.nan_to_num(welch.count * segments.var(axis=0, ddof=1) / squares, posinf=0.0)
+            over_k = np.nan_to_num(welch.count * segments.sum(axis=2).var(axis=0, ddof=1) / product_of_k)
+        size = _variance_size(welch.count, ENOUGH_FOR_REACH[False])
+        ratio = _about_true_mean(_smooth(ratio, size), correlation, welch.count)
+        student = _student(PRODUCTS_APART[0] * welch.count / correlation)
+        both = both / (ratio * student).clip(1 / MAX_RATIO, MAX_RATIO)
+        expected = _smooth(1 / of_k, PRODUCT_RINGS)
+        over_k = _about_true_mean(_smooth(over_k, PRODUCT_RINGS), of_sum, welch.count)
+        student = _student(PRODUCTS_APART[1] * welch.count / of_sum)
+        of_k = of_k * expected / np.maximum(over_k * student, 1e-2 * expected)
+    return {"both": (both / correlation).clip(1, None), "k": (of_k / of_sum).clip(1, None)}
+
+
+def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
+    """Degrees of freedom of the sums over k and over omega of powers (rings, lines).
+    The ridge of a line is thinner than the rings: powers have the correlation of amplitudes of even energy.
+    """
+    overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
+    return {
+        "omega": sum_freedom(power, dof, np.sqrt(overlap * np.outer(own, own))),
+        "k": sum_freedom(power.T, dof.T, hann_correlation(power.shape[1])),
+    }
+
+
+def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
+    """Variance of a mean of segments over that of independent ones, of powers (rings, lines); of their sums.
+    The larger of `expected_segment_correlation` and, for waves, `crossing_correlation`; in sums both.
+    """
+    white = 1 + (1 - 1 / welch.count) / 18
+    line = expected_segment_correlation(power, welch.count, MAX_LAG)
+    crossing = white + (crossing_correlation(welch) - white).clip(0, None) * wave_share(power) ** 2
+    return np.maximum(crossing, line), crossing * line / white
+
+
+def cell_freedom(name: str, sums: Mapping[str, object], welch: Welch) -> float:
+    """Degrees of freedom of a single cell of the strongest lines: twice the independent segments."""
+    if welch.count < MIN_SEGMENTS_FOR_CORRELATION:
+        return welch.dof
+    starts, powers = _series(sums, name)
+    lines = powers.sum(axis=1)
+    mean = lines.mean(axis=0)
+    strong = mean > 1e-2 * mean.max()
+    independent, actual = (variance[strong].sum() for variance in _variances(lines, starts, welch))
+    return float(np.clip(2 * welch.count * independent / actual, 2.0, welch.dof)) if actual > 0 else welch.dof
+
+
+def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
+    """First steps of the segments, and their powers (segments, rings, lines)."""
+    start = f"{name} from "
+    names = sorted(key for key in sums if key.startswith(start))
+    steps = np.array([int(key.removeprefix(start)) for key in names])
+    series = np.array([sums[key] for key in names])
+    return steps, series.astype(np.result_type(series, float))
+
+
+def _student(number: Array) -> Array:
+    """Variance of a deviation scaled by a variance from so many values over that of a normal one."""
+    number = np.maximum(number, LEAST_COUNT)
+    return np.asarray((number - 1) / (number - 3))
+
+
+def _about_true_mean(between: Array, correlation: Array, count: int) -> Array:
+    """Variance between segments, of which those that are correlated vary less about their own mean."""
+    return np.asarray(between * (count - 1) / np.maximum(count - correlation, 1.0))
+
+
+def _of_sum(
+    powers: Array, starts: Array, welch: Welch, expected: Array, correlation: Array, gaussian: bool
+) -> Array:
+    """Degrees of freedom of sums (segments, n), from those expected if segments were independent."""
+    between, _ = _variances(powers, starts, welch)
+    between = _about_true_mean(between, correlation, welch.count)
+    ratio = _smooth(between * expected / 2, SUM_SIZE).clip(1e-9 * expected, None)
+    single = expected / (welch.count * ratio)  # of one segment's sum
+    apart = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0) if gaussian else PRODUCTS_APART[1]
+    student = _student(welch.count / correlation * apart / (1 + 6 / single))
+    return np.asarray((expected / correlation / (np.maximum(ratio, MIN_SUM_RATIO) * student)).clip(1, None))
+
+
+def _variance_size(count: int, enough: int) -> tuple[int, int]:
+    factor = max(1.0, np.sqrt(enough / count))
+    rings, lines = (2 * round(factor * reach) + 1 for reach in VARIANCE_REACH)
+    return rings, lines
+
+
+def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array]:
+    """Variance of the mean of the segments over its square, if they were independent, and as they are."""
+    count = welch.count
+    mean = powers.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        deviation = np.where(mean > 0, powers / mean - 1, 0.0)
+    place = (starts - starts[0]) // welch.half
+    independent = (deviation**2).mean(axis=0)
+    actual, terms = independent, 1.0
+    for lag in range(1, min(max(1, count // 4), MAX_LAG) + 1):
+        pairs = np.flatnonzero(place[lag:] - place[:-lag] == lag)
+        if pairs.size:
+            weight = 2 * (1 - lag / count)
+            actual = actual + weight * (deviation[pairs + lag] * deviation[pairs]).mean(axis=0)
+            terms += weight
+    return independent / (count - 1), actual / (count - terms)
+
+
+def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
+    """Mean of the values other than zero over a neighbourhood."""
+    valid = values != 0
+    weight = ndimage.uniform_filter(valid.astype(float), size, mode="nearest")
+    mean = ndimage.uniform_filter(np.where(valid, values, 0.0), size, mode="nearest")
+    return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
+
+
+register(Product("cell_dof", ("ring_sums", "welch"), partial(cell_freedom, "w")))

@@ -1,21 +1,25 @@
-"""What estimators are given: one rule for all, applied before anything is computed.
+"""What estimators are given: one rule for all, applied before anything is computed; cubes of fields.
 
 Estimators of one field take that field, (time, y, x). Estimators of the surface take a cube. Estimators of
-the dispersion relation take a spectrum E(omega, ky, kx), or a cube or a field that they make it of
-(`wavefield.waves.spectra.plane_input`). Depth, surface tension and degrees of freedom that are not given are
-those that the input states: a cube in its attributes, a field or a spectrum of it in its coordinates.
+the dispersion relation take a spectrum E(omega, ky, kx), or a cube or a field of which they compute it.
+Depth, surface tension and degrees of freedom that are not given are read from the input: from the attributes
+of a cube, from the coordinates of a field or a spectrum.
 """
 
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
+import numpy as np
 import xarray as xr
+from scipy.interpolate import make_interp_spline
 
 from wavefield.errors import CubeError
-from wavefield.variables import CUBE_DIMS
+from wavefield.variables import CUBE_DIMS, annotate, validate
 from wavefield.water import WATER, water_coordinates, water_of
+from wavefield.waves.estimation.record import check_axes
+from wavefield.waves.estimation.welch import VELOCITY, frames_of_meaning
 
 Estimator = TypeVar("Estimator", bound=Callable[..., Any])
 # of what an estimator is given: what it works on, and the parameters that the input states
@@ -95,3 +99,140 @@ def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
             f" got {described(given)}"
         )
     return given, {}
+
+
+SPLINE_DEGREE = 7  # of the rate of rise: true to 0.3 % at four steps a period
+
+
+def cube(
+    z: xr.DataArray,
+    u: xr.DataArray | None = None,
+    v: xr.DataArray | None = None,
+    w: xr.DataArray | None = None,
+    *,
+    velocity: Literal["instantaneous", "displacement"],
+    z_t: xr.DataArray | None = None,
+    depth: float | None = None,
+    **attrs: object,
+) -> xr.Dataset:
+    """Make a cube of labelled fields, of another program or a model, for every estimator of this package.
+
+    Parameters
+    ----------
+    z : DataArray, (time, y, x)
+        Elevation, m, at regular steps; ``time`` in seconds (or dates), ``x`` and ``y`` in metres. Units other
+        than these are converted where the attribute ``units`` states them.
+    u, v, w : DataArray, (time, y, x), optional
+        Velocity of the water at the surface, m/s, at the same nodes and times.
+    velocity : {"instantaneous", "displacement"}
+        What the velocities are: those at an instant, as a model has them, or displacements over one step,
+        centred on its middle and divided by it, as a correlation of two frames gives them.
+    z_t : DataArray, (time, y, x), optional
+        Rate of rise at a fixed node, m/s. By default, for instantaneous velocities, the derivative of z.
+    depth : float, optional
+        Depth of the water, m; deep water if not given.
+    **attrs
+        Further attributes, such as ``experiment`` or ``surface_tension_over_density``.
+
+    Returns
+    -------
+    Dataset
+        The fields with their units, ``path_frames`` (1 of instantaneous velocities, 2 of displacements), and
+        the attributes ``velocity``, ``frame_rate``, Hz, and ``water_depth``, m, which is a coordinate as
+        well: ``cube.w`` keeps it. Lazy where the fields are.
+
+    Raises
+    ------
+    CubeError
+        If a field is of other dimensions, nodes, times or units, steps are unequal, or `z_t` is missing and
+        cannot be derived from z.
+
+    Notes
+    -----
+    A displacement over dt holds sin(b) / b of the velocity of a wave, b = omega dt / 2, 18 % less energy at
+    5 Hz in 20 frames/s, which spectra undo; nothing is undone for instantaneous velocities. The derivative of
+    z is that of a spline of seventh degree through all steps.
+
+    Examples
+    --------
+    A deep-water wave of 10 mm in still water.
+
+    >>> t, y, x = np.arange(100) * 0.05, np.arange(16) * 0.05, np.arange(20) * 0.05
+    >>> phase = 12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None]
+    >>> axes, dims = {"time": t, "y": y, "x": x}, ("time", "y", "x")
+    >>> z = xr.DataArray(10 * np.cos(phase), axes, dims, attrs={"units": "mm"})
+    >>> w = xr.DataArray(0.1098 * np.sin(phase), axes, dims, attrs={"units": "m/s"})
+    >>> found = cube(z, w=w, velocity="instantaneous", depth=0.7)
+    >>> round(float(found.z.max()), 4), bool(abs(found.z_t - found.w).max() < 1e-2)
+    (0.01, True)
+    """
+    given = {"z": z, "u": u, "v": v, "w": w, "z_t": z_t}
+    fields = {name: _seconds(name, field) for name, field in given.items() if field is not None}
+    first = fields["z"]
+    for name, field in fields.items():
+        check_axes(field)
+        for dim in CUBE_DIMS:
+            same = field.sizes[dim] == first.sizes[dim]
+            if not same or not np.allclose(field[dim].values, first[dim].values, rtol=0, atol=1e-6):
+                raise CubeError(f"{name!r} and 'z' differ in {dim!r}: give the same nodes and times")
+    bare = {
+        name: field.drop_vars([c for c in field.coords if c not in CUBE_DIMS]).assign_coords(
+            {dim: first[dim] for dim in CUBE_DIMS}
+        )
+        for name, field in fields.items()
+    }
+    frames = frames_of_meaning(velocity)
+    out = validate(xr.Dataset(bare), *bare)
+    dt = check_axes(out)[0]
+    if z_t is None:
+        if velocity == "displacement":
+            raise CubeError(
+                "displacements go with the rise over the same step: give z_t, the difference of the"
+                " elevations of two frames over the time between them"
+            )
+        out["z_t"] = _rate(out["z"])
+    stated = {VELOCITY: velocity, "frame_rate": 1 / dt} | attrs
+    if depth is not None and np.isfinite(depth):
+        stated["water_depth"] = float(depth)
+    coords: dict[str, Any] = {"path_frames": np.uint8(frames), **water_coordinates(stated)}
+    return annotate(out.assign_coords(coords)).assign_attrs(stated)
+
+
+def _seconds(name: str, field: object) -> xr.DataArray:
+    """A field whose time is in seconds; of dates, since the first."""
+    if not isinstance(field, xr.DataArray):
+        raise CubeError(f"{name!r} is a {type(field).__name__}: give a DataArray over time, y and x")
+    if "time" in field.coords and field["time"].dtype.kind in "mM":
+        since = (field["time"] - field["time"][0]).values / np.timedelta64(1, "s")
+        field = field.assign_coords(time=("time", since, {"units": "s"}))
+    out: xr.DataArray = field
+    return out
+
+
+def _rate(z: xr.DataArray) -> xr.DataArray:
+    """Derivative of z in time, m/s; NaN at nodes that are never measured."""
+    t = z["time"].values.astype(float)
+
+    def derive(values: np.ndarray) -> Any:
+        flat = values.reshape(-1, t.size).T
+        out = np.full(flat.shape, np.nan, values.dtype)
+        there = np.isfinite(flat)
+        complete = there.all(axis=0)
+        if (there.any(axis=0) & ~complete).any():
+            raise CubeError("z has gaps, across which its rate of rise is not known: give z_t, or fill them")
+        degree = min(SPLINE_DEGREE, (t.size - 1) | 1)
+        if complete.any():
+            out[:, complete] = make_interp_spline(t, flat[:, complete], degree).derivative()(t)
+        return out.T.reshape(values.shape)
+
+    whole = z if z.chunks is None else z.chunk(time=-1)
+    rate: xr.DataArray = xr.apply_ufunc(
+        derive,
+        whole,
+        input_core_dims=[["time"]],
+        output_core_dims=[["time"]],
+        dask="parallelized",
+        output_dtypes=[z.dtype],
+    )
+    out: xr.DataArray = rate.transpose(*CUBE_DIMS)
+    return out

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from wavefield.waves.estimation.wave_record import Record, filled_error
+from wavefield.waves.estimation.record import Record, filled_error
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.products import Noted, Product, register
 

@@ -14,8 +14,8 @@ from wavefield.errors import CubeError
 from wavefield.variables import INSTANTANEOUS, frames_of_path
 from wavefield.water import water_of
 from wavefield.waves.estimation import rings, segments
-from wavefield.waves.estimation.wave_record import Record, find_record
-from wavefield.waves.estimation.windows import degrees_of_freedom, effective_duration
+from wavefield.waves.estimation.record import Record, find_record
+from wavefield.waves.estimation.segments import degrees_of_freedom, effective_duration
 
 Array = NDArray[np.float64]
 Coordinates = dict[str, tuple[str, Array]]

@@ -17,8 +17,8 @@ from wavefield.errors import CubeError, StoreError
 from wavefield.variables import CUBE_DIMS, annotate, validate
 from wavefield.water import dispersion, water_of
 from wavefield.waves.estimation import rings, segments
+from wavefield.waves.estimation.record import Record
 from wavefield.waves.estimation.transfer_functions import path_factor
-from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, frames_of, k_coords
 
 Array = NDArray[Any]

@@ -11,9 +11,9 @@ from scipy import fft, special
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
+from wavefield.waves.estimation.segments import hann, segment_count
 from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
-from wavefield.waves.estimation.windows import hann, segment_count
-from wavefield.waves.nonlinear.coherence import significance_level
+from wavefield.waves.estimators.coherence import significance_level
 from wavefield.waves.products import Noted, Product, register
 
 APART = 2  # lines: nearer ones share waves under a Hann window

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.waves.estimation.inputs import a_field, takes
+from wavefield.waves.estimation.record import Record, find_record
 from wavefield.waves.estimation.segments import Reader
-from wavefield.waves.estimation.wave_record import Record, find_record
 
 Array = NDArray[Any]
 

@@ -10,8 +10,8 @@ from scipy import fft, ndimage
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
+from wavefield.waves.estimation.segments import degrees_of_freedom, hann, interval, segment_count
 from wavefield.waves.estimation.welch import LOWEST, Welch, omega_coords
-from wavefield.waves.estimation.windows import degrees_of_freedom, hann, interval, segment_count
 from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]

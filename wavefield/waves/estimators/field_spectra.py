@@ -1,8 +1,6 @@
-"""Spectra of a field over (time, y, x): E(ky, kx, omega), E(k, omega), E(ky, kx), E(omega), E(k).
+"""E(ky, kx) of z and w at chosen frequencies."""
 
-Every spectrum is a density in rad/m and rad/s, one-sided in omega; k points where the wave goes.
-"""
-
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -13,17 +11,36 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
-from wavefield.variables import K_UNITS, OMEGA_UNITS, TABLE, annotate, density_units, product
-from wavefield.waves.estimation import rings, segment_variance, segments, wave_kernels
+from wavefield.variables import (
+    FIELD_TEXTS,
+    FIELD_UNITS,
+    K_UNITS,
+    OMEGA_UNITS,
+    TABLE,
+    annotate,
+    density_units,
+    product,
+)
+from wavefield.waves.estimation import degrees_of_freedom, rings, segments, wave_kernels
 from wavefield.waves.estimation.degrees_of_freedom import (
     independent_cells,
     samples_in_time,
     with_interval,
 )
-from wavefield.waves.estimation.inputs import a_field, described, is_field, keep_water, takes
-from wavefield.waves.estimation.wave_record import Record, filled_density
+from wavefield.waves.estimation.inputs import (
+    Convert,
+    a_field,
+    described,
+    is_cube,
+    is_field,
+    keep_water,
+    stated_water,
+    takes,
+)
+from wavefield.waves.estimation.record import Record, filled_density
+from wavefield.waves.estimation.segments import effective_duration, interval
 from wavefield.waves.estimation.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
-from wavefield.waves.estimation.windows import effective_duration, interval
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -59,7 +76,7 @@ def _powers(first: dict[str, Array], second: dict[str, Array], begin: int) -> di
     transform = segments.TimeTransform(half, first["f"].dtype)
     for slab in segments.slabs(cells):
         wave_kernels.add_powers(transform(first["f"][slab], second["f"][slab]), power[slab])
-    return {"power": power} | segment_variance.keep_lines(power, begin)
+    return {"power": power} | degrees_of_freedom.keep_lines(power, begin)
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
@@ -80,7 +97,7 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 
 def _map(total: dict[str, Array], welch: Welch) -> dict[str, Any]:
-    dof = segment_variance.cell_freedom("f", total, welch)
+    dof = degrees_of_freedom.cell_freedom("f", total, welch)
     low, high = interval(dof)
     return {"E": density(total["power"], welch), "dof": np.array(dof), "low": low, "high": high}
 
@@ -187,13 +204,13 @@ def _ring_powers(
         start = table.start[slab.start : slab.stop + 1]
         wave_kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
     out = {"f": np.zeros_like(power)}
-    segment_variance.take_in(out, "f", power, begin)
+    degrees_of_freedom.take_in(out, "f", power, begin)
     return out
 
 
 def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
     """E(k, omega), its freedom and interval, (4, omega, k), and freedom of E(omega) and E(k): one task."""
-    dof = segment_variance.freedom(summed, "f", welch)
+    dof = degrees_of_freedom.freedom(summed, "f", welch)
     parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
     return {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
 
@@ -431,3 +448,71 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     units = product((field["E"].attrs.get("units", "1"), 1), (OMEGA_UNITS, 1))
     out["E"].attrs = TABLE["frequency/E"].of(_of_what(field), units)
     return out
+
+
+PLANE = {"omega", "ky", "kx"}
+
+
+def plane_of(field: str, independent: bool = False, segment: int | None = None) -> Convert:
+    """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's.
+    Degrees of freedom are those of the segments as they are, or of independent ones.
+    """
+
+    def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
+        water: dict[str, Any] = stated_water(given) if isinstance(given, xr.DataArray | xr.Dataset) else {}
+        if isinstance(given, xr.DataArray) and set(given.dims) == PLANE:
+            return given, water
+        if is_cube(given):
+            if field not in given:
+                raise CubeError(f"the cube has no {field!r}, of whose spectrum {name} is made")
+            given = spectrum(given[field], segment=segment).compute()
+        elif is_field(given):
+            given = spectrum(given, segment=segment).compute()
+        if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
+            dof = given.attrs.get("degrees_of_freedom") if independent else given.get("dof")
+            return given["E"], water | ({} if dof is None else {"dof": float(dof)})
+        raise CubeError(
+            f"{name} needs a spectrum over omega, ky and kx (`wavefield.spectrum`), a cube, or a field over"
+            f" time, y and x, got {described(given)}"
+        )
+
+    return convert
+
+
+def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
+    power = sums.pop(f"map {name}")  # large, and of no further use
+    values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
+    return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
+
+
+def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
+    """Of the density (omega, ky, kx), over (ky, kx): small enough for workers."""
+    return w.sum("omega")
+
+
+def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
+    """Lines of the spectrum next to some frequencies, Hz."""
+    lines = welch.omega / (2 * np.pi)
+    return sorted({int(np.abs(lines - f).argmin()) for f in frequencies if f < lines[-2]} - {0})
+
+
+def maps(z: xr.DataArray, w: xr.DataArray, lines: list[int]) -> xr.Dataset:
+    """Densities (omega, ky, kx) at some lines, (omega_map, ky, kx)."""
+    chosen = {f"E_kxky_{name}": density.isel(omega=lines) for name, density in (("z", z), ("w", w))}
+    return xr.Dataset(
+        {
+            name: values.drop_vars("frequency").rename(omega="omega_map").drop_attrs()
+            for name, values in chosen.items()
+        }
+    )
+
+
+register(
+    *(
+        Product(f"density_{name}", ("ring_sums", "welch"), partial(_density, name), planes=(name,))
+        for name in ("z", "w")
+    ),
+    Product("plane_w", ("density_w",), _sum_of_lines),
+    Product("map_lines", ("welch", "map_frequencies"), map_lines),
+    Product("maps", ("density_z", "density_w", "map_lines"), maps, group="spectra"),
+)

@@ -12,9 +12,9 @@ from scipy import stats
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves.estimation import wave_kernels
+from wavefield.waves.estimation.current import delayed_current
 from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.mean_current import delayed_current
-from wavefield.waves.estimation.wave_record import check_axes, whole_record
+from wavefield.waves.estimation.record import check_axes, whole_record
 from wavefield.waves.estimation.welch import along_paths
 from wavefield.waves.products import Product, register
 

@@ -14,25 +14,22 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
-from wavefield.waves.dispersion_relation.current_used import NO_CURRENT, CurrentUsed
-from wavefield.waves.dispersion_relation.doppler_correction import (
-    SpectraOnCurrent,
-    longest_waves,
-    shortest_waves,
-)
+from wavefield.waves.estimation import rings
+from wavefield.waves.estimation.current import NO_CURRENT, CurrentUsed
 from wavefield.waves.estimation.degrees_of_freedom import with_interval
 from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.leakage import leakage
+from wavefield.waves.estimation.record import Record
+from wavefield.waves.estimation.segments import hann, richardson_lucy
 from wavefield.waves.estimation.transfer_functions import (
     MIN_SIGNAL_TO_NOISE,
     elevation_from_w,
     noise_of_displacement,
     path_factor,
 )
-from wavefield.waves.estimation.wave_record import Record
-from wavefield.waves.estimation.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
+from wavefield.waves.estimation.welch import LOWEST, MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import (
     MIN_POWER_GAIN,
     is_predicted,
@@ -40,13 +37,175 @@ from wavefield.waves.estimation.window_gain import (
     ring_gain,
     with_directions,
 )
+from wavefield.waves.estimators.cross_spectra import Requested, door, label, lazy_sums
+from wavefield.waves.estimators.dispersion_fit import fit_dispersion
+from wavefield.waves.estimators.field_spectra import E_omega, density, plane_density
 from wavefield.waves.products import Product, register
-from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
-from wavefield.waves.spectra.field_spectra import E_omega, density
-from wavefield.waves.spectra.segment_sums import Requested
 
 Array = NDArray[Any]
+
+FREQUENCIES_PER_LINE = 4
+ROUNDS = 60
+MAIN_LOBE = 2.0  # lines: half the width of the window's main lobe
+FLOOR = 1e-12  # of the strongest line
+
+
+@dataclass(frozen=True)
+class Leakage:
+    """Other frequencies in the lines of E(omega) of w; all (omega,)."""
+
+    # Factors of the elevation's spectrum from w, and from the cross spectrum of w with z, that follow the
+    # factor of the line's own frequency
+    w: Array
+    cross: Array
+    # Fraction of the line from within the window's main lobe; below the strongest line at most that of the
+    # lines between
+    own: Array
+
+
+def leakage(energy: Array, dt: float, frames: int) -> Leakage:
+    """Leakage into the lines of a spectrum of w, (n // 2 + 1,), by 60 rounds of `richardson_lucy`.
+    That spectrum times the elevation's factor, through the window again, is the spectrum of the elevation.
+    """
+    half = energy.size - 1
+    lines = np.pi * np.arange(half + 1) / (half * dt)
+    ones = np.ones(half + 1)
+    # the two lowest lines, from which mean and trend are removed, are left as they are
+    strongest = float(energy[LOWEST:].max(initial=0.0))
+    if not strongest > 0:
+        return Leakage(ones, ones, ones)
+    fine = (np.arange(half * FREQUENCIES_PER_LINE) + 0.5) * lines[1] / FREQUENCIES_PER_LINE
+    response, main_lobe = _response(lines, fine)
+    given = np.maximum(energy, FLOOR * strongest)
+    used = response[LOWEST:]
+    area = used.sum(axis=0)
+    spectrum = richardson_lucy(
+        given[LOWEST:],
+        np.interp(fine, lines, given),
+        lambda estimate: _sum(used, estimate),
+        lambda estimate, ratio: estimate * np.einsum("lf,l->f", used, ratio) / area,
+        ROUNDS,
+    )
+    inner = slice(LOWEST, -1)
+    factor, line_factor = elevation_from_w(fine, dt, frames), elevation_from_w(lines[inner], dt, frames)
+    elevation, cross_power, power = (
+        _sum(response, spectrum * weight)[inner] for weight in (factor, np.sqrt(factor), np.ones_like(factor))
+    )
+    w, cross, own = ones.copy(), ones.copy(), ones.copy()
+    w[inner] = elevation / power / line_factor
+    cross[inner] = elevation / cross_power / np.sqrt(line_factor)
+    own[inner] = _sum(response * main_lobe, spectrum)[inner] / power
+    peak = LOWEST + int(np.argmax(energy[LOWEST:]))
+    own[: peak + 1] = np.minimum.accumulate(own[peak::-1])[::-1]
+    return Leakage(w, cross, own)
+
+
+def _sum(response: Array, spectrum: Array) -> Array:
+    # not a matrix product: that of BLAS may depend on the number of threads in the last bit
+    return np.asarray(np.einsum("lf,f->l", response, spectrum))
+
+
+def _response(lines: Array, fine: Array) -> tuple[Array, Array]:
+    """Response of each line to each frequency and its negative, and its main lobe, (lines, fine)."""
+    n = 2 * (lines.size - 1)
+    window = hann(n)
+    resolution = 2 * FREQUENCIES_PER_LINE
+    power = np.abs(np.fft.fft(window, resolution * n)) ** 2 / (window**2).sum()
+    difference = np.subtract.outer(lines, fine) / lines[1]
+    total = np.add.outer(lines, fine) / lines[1]
+    response = sum(power[np.rint(resolution * off).astype(int) % power.size] for off in (difference, total))
+    return np.asarray(response), np.abs(difference) < MAIN_LOBE
+
+
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
+
+SLOWEST, FASTEST = 0.5, 1.5  # of the free frequency: the limits of free waves
+_TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m
+
+
+def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
+    """Frequency omega - k . U in the frame of the water, kept off zero and within reach of free waves.
+
+    With all frequencies in rad/s; doppler_shift k . U.
+
+    Examples
+    --------
+    >>> intrinsic_frequency(10.0, np.array([0.0, 2.0, 10.0, -20.0]), np.full(4, 8.0), 0.05)
+    array([10.,  8.,  4., 12.])
+    """
+    intrinsic = np.asarray(omega - doppler_shift)
+    least = np.minimum(omega, SLOWEST * sigma)
+    most = np.maximum(omega, np.minimum(FASTEST * sigma, np.pi / dt))
+    return np.asarray(np.where(intrinsic < 0, -1.0, 1.0) * np.clip(np.abs(intrinsic), least, most))
+
+
+@dataclass(frozen=True)
+class SpectraOnCurrent:
+    """Spectra over the plane of wave vectors, and the current they were measured on."""
+
+    current: tuple[float, float]  # along x and y, m/s
+    w: xr.DataArray  # (omega, ky, kx): spectrum of w
+    # (omega, ky, kx): Re(i exp(i omega dt / 2) S), S the cross spectrum of z at frame times with w
+    zw: xr.DataArray
+
+    @classmethod
+    def of(
+        cls, sums: dict[str, Array], welch: Welch, water: Water, current: tuple[float, float] | None
+    ) -> "SpectraOnCurrent | None":
+        """From the sums of cross spectra; the current is fitted if not given. None on still water."""
+        w, zw = (
+            plane_density(
+                xr.Variable(("omega", "ky", "kx"), density(sums[f"map {name}"], welch)), "", "1", welch
+            )["E"]
+            for name in ("w", "z*w")
+        )
+        if current is None:
+            try:
+                fit = fit_dispersion(w, water[0], gamma=water[1])
+            except CubeError:
+                return None
+            current = float(fit["current_x"]), float(fit["current_y"])
+        return cls(current, w, zw) if any(current) else None
+
+    def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
+        """Integrals over angle, each (omega, k): the spectrum of the elevation from w, its cross spectrum
+        with z, and the mean factor by which the integration lowers noise.
+        """
+        ky, kx = np.meshgrid(self.w["ky"].values, self.w["kx"].values, indexing="ij")
+        sigma = dispersion(np.hypot(kx, ky), *water)
+        doppler_shift = kx * self.current[0] + ky * self.current[1]
+        ny, nx = kx.shape
+        cell_y, cell_x = (float(self.w[name][1] - self.w[name][0]) for name in ("ky", "kx"))
+        table = rings.rings(ny, nx, 2 * np.pi / (ny * cell_y), 2 * np.pi / (nx * cell_x))
+        shares = table.shares.T.tocsr()
+        area = np.asarray(shares.sum(axis=1)).ravel()
+        out = np.zeros((3, self.w.sizes["omega"], table.k.size))
+        for i, omega in enumerate(self.w["omega"].values[1:], 1):
+            intrinsic = intrinsic_frequency(omega, doppler_shift, sigma, dt)
+            half = np.sin(intrinsic * dt / 2)
+            to_z = dt / (2 * half * path_factor(intrinsic, dt, frames))
+            shape = 1 / noise_of_displacement(intrinsic, dt, frames)
+            planes = np.stack([self.w.values[i] * to_z**2, self.zw.values[i] * to_z, shape])
+            flat = np.fft.ifftshift(planes, axes=(1, 2)).reshape(3, -1)
+            out[:, i] = (shares @ flat.T).T
+        energy, cross = out[:2] * (cell_y * cell_x / table.dk)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            noise_factor = np.where(out[2] > 0, area / out[2], 0.0)
+        return energy, cross, noise_factor
+
+
+def longest_waves(omega: Array, water: Water, speed: float) -> Array:
+    """Wavenumber of the waves that run with a current, the longest of their frequency."""
+    return np.asarray(np.interp(omega, dispersion(_TABLE_K, *water) + _TABLE_K * speed, _TABLE_K))
+
+
+def shortest_waves(omega: Array, water: Water, speed: float) -> Array:
+    """Wavenumber of the waves against a current; beyond its limit that of the last ones that it lets pass."""
+    with_current = dispersion(_TABLE_K, *water) - _TABLE_K * speed
+    blocked = np.flatnonzero(np.diff(with_current) <= 0)
+    stop = max(int(blocked[0]), 2) if blocked.size else _TABLE_K.size
+    return np.asarray(np.interp(omega, with_current[:stop], _TABLE_K[:stop]))
+
 
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
@@ -56,7 +215,6 @@ MIN_FREE_K = 0.5  # of the k of free waves: longer waves of that frequency are n
 MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: further off there are none
 MIN_TRUSTED_FRACTION = 0.7  # of the cells of free waves
 MIN_OWN_FRACTION = 0.5  # of a line of w: the rest is leakage
-MAIN_LOBE = 2.0  # rings over which a Hann window spreads a wave
 LEARNED_WITHIN = 1.5  # factor by which signal over noise of a predicted gain is uncertain
 MAX_DEVIATION = 3.0  # of a method from the more certain of z and w, in standard deviations
 MODEL_ERROR = 0.05  # of z against w besides: leakage, bound waves

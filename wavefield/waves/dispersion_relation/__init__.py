@@ -1,1 +1,0 @@
-"""The dispersion relation: fit of current and surface tension, current by depth, directions."""

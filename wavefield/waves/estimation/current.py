@@ -1,0 +1,114 @@
+"""Mean velocity of a record, and which current an estimate used."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import dask
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.waves.estimation.record import Record, piece
+from wavefield.waves.estimation.segments import spatial_window
+from wavefield.waves.products import Product, register
+
+Array = NDArray[np.float64]
+
+_CURRENT_STEPS = 256  # steps, evenly spread over the record, that the mean is taken over
+_SLOWEST = 8  # Fourier lines of the means next to the mean itself, which show its uncertainty
+
+
+def delayed_current(cube: xr.Dataset, record: Record) -> Any:
+    """Mean (2,) of u, v over the measured nodes of evenly spread steps, and uncertainty (2,), m/s; delayed.
+    Even weights in place of a Hann window's would leave a hundredth of the waves, coherent with z_t.
+    """
+    missing = set(record.bridged)
+    steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
+    chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, _CURRENT_STEPS).astype(int)})
+    area = slice(*record.y), slice(*record.x)
+    task = dask.delayed(_means_of_steps, pure=False)
+    parts = []
+    for steps_of in _by_chunk(cube["u"], chosen):  # each chunk is read once
+        steps_read = slice(steps_of[0], steps_of[-1] + 1)
+        at = [t - steps_of[0] for t in steps_of]
+        parts.append([task(piece(cube[name], steps_read, *area), at) for name in ("u", "v")])
+    return dask.delayed(_mean_and_uncertainty, pure=False, nout=2)(parts)
+
+
+def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
+    """Steps by the chunk of the field, as stored or of dask, that holds them."""
+    axis = field.get_axis_num("time")
+    if field.chunks is not None:
+        ends = np.cumsum(field.chunks[axis])
+    else:
+        stored = field.encoding.get("preferred_chunks", {}).get("time", 1)
+        ends = np.arange(stored, field.sizes["time"] + stored, stored)
+    chunk = np.searchsorted(ends, steps, side="right")
+    return [[t for t, c in zip(steps, chunk) if c == number] for number in np.unique(chunk)]
+
+
+def _means_of_steps(block: object, at: list[int]) -> list[float]:
+    return [_mean_of_step(values) for values in np.asarray(block)[at].astype(np.float64)]
+
+
+def _mean_of_step(values: Array) -> float:
+    weight = np.where(np.isfinite(values), spatial_window(*values.shape), 0.0)
+    total = float(weight.sum())
+    return float((weight * np.nan_to_num(values)).sum() / total) if total > 0 else np.nan
+
+
+def _mean_and_uncertainty(parts: list[list[list[float]]]) -> tuple[Array, Array]:
+    values = np.concatenate([np.asarray(part, np.float64).T for part in parts])
+    values = values[np.isfinite(values).all(axis=1)]
+    if values.shape[0] < 2:
+        return np.zeros(2) if not values.size else values[0], np.full(2, np.nan)
+    # the mean is the line at zero: it has the noise of its neighbours, and as little of the waves
+    lines = np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)[1 : _SLOWEST + 1]) ** 2
+    return values.mean(axis=0), np.sqrt(lines.mean(axis=0)) / len(values)
+
+
+FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
+
+
+@dataclass(frozen=True)
+class CurrentUsed:
+    """A current and its origin."""
+
+    velocity: tuple[float, float]  # along x and y, m/s
+    std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
+    source: str  # ``fit``, ``given``, or ``none`` where still water is assumed
+    reason: str = ""  # why the fit was refused
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Attributes of a product that used it."""
+        out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
+        return out | ({"current_fit_refused": self.reason} if self.reason else {})
+
+
+def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
+    """The fitted current of a dispersion group, else the given one, m/s, else none."""
+    if "current_x" in dispersion:
+        velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
+        return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)
+    reason = str(dispersion.attrs.get("refused", ""))
+    return CurrentUsed(given or (0.0, 0.0), (np.nan, np.nan), GIVEN if given else NO_CURRENT, reason)
+
+
+def _current(dispersion: xr.Dataset, fit_settings: tuple[object, tuple[float, float] | None]) -> CurrentUsed:
+    return current_used(dispersion, fit_settings[1])
+
+
+def _fitted_or_given(current: CurrentUsed) -> CurrentUsed | None:
+    return None if current.source == NO_CURRENT else current
+
+
+def _fitted(current: CurrentUsed) -> CurrentUsed | None:
+    return current if current.source == FITTED else None
+
+
+register(
+    Product("current", ("dispersion_fit", "fit_settings"), _current),
+    Product("fitted_or_given_current", ("current",), _fitted_or_given),
+    Product("fitted_current", ("current",), _fitted),
+)

@@ -1,0 +1,507 @@
+"""Points of the measured dispersion relation: centroids in k on each line, in sectors of direction.
+
+`fit` is everywhere an array (3,): current along x and y, m/s, and surface tension over density, m3/s2.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from wavefield.errors import CubeError
+from wavefield.water import dispersion, group_velocity, wavenumber
+from wavefield.waves.estimation import wave_kernels
+from wavefield.waves.estimation.segments import hann_power, richardson_lucy
+
+_CURRENT_NAMES = ("current_x", "current_y")
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Band of the dispersion fit, and the window in which it measures centroids.
+
+    Parameters
+    ----------
+    lowest, highest : float, optional
+        Band of frequencies used, Hz, and higher ones of waves that a current carries past faster. If not
+        given, all that the spectrum resolves, each line weighted by how far its waves exceed the noise. Waves
+        longer than two fifths of the shorter side of the rectangle are always left out.
+    sectors : int
+        Sectors of angle.
+    half_width : float
+        Half width of the window around the relation, relative to k.
+    least_width : float
+        Its lower bound in cells of the k plane: a Hann window spreads a wave over two on either side.
+    rounds : int
+        How often the window is centred on the fit again.
+    """
+
+    lowest: float | None = None
+    highest: float | None = None
+    sectors: int = 24
+    half_width: float = 0.22
+    least_width: float = 2.2
+    rounds: int = 4
+
+
+def fit_settings(
+    fit: FitSettings | Mapping[str, Any] | None,
+) -> tuple[FitSettings, tuple[float, float] | None]:
+    """Settings of the fit, and the current in m/s to use where it is refused, from what a user gives.
+
+    Examples
+    --------
+    >>> fit_settings({"lowest": "1", "current_x": 0.1})[1]
+    (0.1, 0.0)
+    """
+    if fit is None or isinstance(fit, FitSettings):
+        return fit or FitSettings(), None
+    kinds = {field.name: field.type for field in fields(FitSettings)}
+    kinds |= dict.fromkeys(_CURRENT_NAMES, "float")
+    values: dict[str, Any] = {}
+    for name, value in fit.items():
+        if name not in kinds:
+            raise CubeError(f"`fit` has no setting {name!r}; it has {', '.join(kinds)}")
+        try:
+            values[name] = int(value) if kinds[name] is int else float(value)
+        except (TypeError, ValueError):
+            raise CubeError(f"`fit` needs a number for {name}, not {value!r}") from None
+        if not np.isfinite(values[name]) or (name not in _CURRENT_NAMES and values[name] <= 0):
+            raise CubeError(f"`fit` needs a positive number for {name}, not {value!r}")
+    if values.get("lowest", 0.0) >= values.get("highest", np.inf):
+        raise CubeError(
+            f"`fit` needs lowest below highest, not {values['lowest']:g} and {values['highest']:g}"
+        )
+    given = [values.pop(name, None) for name in _CURRENT_NAMES]
+    current = None if given == [None, None] else (given[0] or 0.0, given[1] or 0.0)
+    return FitSettings(**values), current
+
+
+Array = NDArray[Any]
+
+MIN_CELLS_FROM_ZERO = 2.5  # cells of the k plane: nearer to zero the window mixes waves k and -k
+NOISE_ONLY = 0.8  # of the largest k along the axes: waves this short are weak on most lines
+# of the mean energy of a cell: without it, what Hann windows leak off the relation of noise-free waves counts
+# as waves. Tuned on seas that end at 2.5 to 6 Hz, not sensitive between 3e-4 and 1e-2
+LEAST_NOISE = 1e-3
+RING_CELLS = 1.5  # width of a ring of wavenumbers
+
+
+@dataclass(frozen=True)
+class WavenumberPlane:
+    """Cells of the k plane, flat."""
+
+    kx: Array  # (cells,), rad/m
+    ky: Array
+    k: Array
+    angle: Array
+    cell: float  # larger side of a cell, rad/m
+    spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
+    nyquist: float  # along the axis with the wider nodes, rad/m
+
+    @classmethod
+    def of(cls, density: xr.DataArray) -> "WavenumberPlane":
+        """The plane of E(omega, ky, kx)."""
+        axes = [density[name].values for name in ("ky", "kx")]
+        ky, kx = np.meshgrid(*axes, indexing="ij")
+        cells = [float(axis[1] - axis[0]) for axis in axes]
+        # second moment of a Hann line |W|^2 (weights 1, 4, 1 over 6) is a third of a cell squared; across the
+        # wave vector it lengthens |k| on average by spread / 2k
+        spread = float(np.mean(np.square(cells))) / 3
+        k, angle = np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel()
+        nyquist = min(abs(float(axis.min())) for axis in axes)
+        return cls(kx.ravel(), ky.ravel(), k, angle, max(cells), spread, nyquist)
+
+
+@dataclass(frozen=True)
+class PlaneSpectrum:
+    """Energy and noise of lines of frequency over the cells of the k plane."""
+
+    omega: Array  # (lines,), rad/s
+    energy: Array  # (lines, cells)
+    noise: Array  # (lines, cells)
+    plane: WavenumberPlane
+    depth: float  # of the water, m
+
+    @classmethod
+    def of(cls, density: xr.DataArray, depth: float) -> "PlaneSpectrum":
+        """The spectrum E(omega, ky, kx) with the level of its noise."""
+        omega, plane = density["omega"].values, WavenumberPlane.of(density)
+        energy = density.values.reshape(omega.size, -1)
+        least = np.float32(LEAST_NOISE * energy.mean(dtype=float))
+        return cls(omega, energy, np.maximum(noise_level(energy, plane), least), plane, depth)
+
+    def on_lines(self, chosen: Array) -> "PlaneSpectrum":
+        """Some lines of the spectrum."""
+        return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
+
+
+def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
+    """Level of the noise, (lines, cells): a function of the frequency times one of the wavenumber.
+    Errors are independent from step to step and smooth over a matching window: their spectrum is a product.
+    """
+    outer = plane.k > NOISE_ONLY * plane.nyquist
+    if not outer.any():
+        return np.zeros(energy.shape, np.float32)
+    along_omega = np.median(energy[:, outer], axis=1)
+    ring = np.floor(plane.k / (RING_CELLS * plane.cell)).astype(int)
+    ring = np.minimum(ring, ring[outer].min())  # the shortest waves are one ring
+    # the mean of a ring in units of that, over all lines, of which free waves are on few
+    units = np.where(along_omega > 0, along_omega, np.inf)[:, None]
+    order = np.argsort(ring, kind="stable")
+    edges = np.searchsorted(ring[order], np.arange(ring.max() + 2))
+    levels = np.array(
+        [_mean_of_noise(energy[:, order[a:b]] / units) if b > a else 0.0 for a, b in pairwise(edges)]
+    )
+    return np.asarray(along_omega[:, None] * levels[ring], np.float32)
+
+
+def _mean_of_noise(values: Array) -> float:
+    """Mean of values distributed as chi-squared but for some larger ones: median + variance / (3 mean).
+    The variance is from the lower quartile, which waves do not change.
+    """
+    low, middle = np.quantile(values, [0.25, 0.5])
+    std = (middle - low) / 0.6745
+    return float(middle + std**2 / (3 * middle)) if middle > 0 else 0.0
+
+
+MAX_SPEED = 0.8  # m/s
+SPEED_STEP = 0.02  # m/s
+SECTORS = 48
+
+
+def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
+    """Current along x and y, (2,), to 0.02 m/s, whose dispersion relation holds most energy.
+    Cells give (omega -+ sigma(k)) / k along k; a current U appears in the sector theta at U cos(theta - phi).
+    """
+    plane, omega = spectrum.plane, spectrum.omega
+    used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
+    used &= plane.k < 0.9 * plane.k[plane.ky == 0].max()
+    k = plane.k[used]
+    sector = np.rint(plane.angle[used] / (2 * np.pi) * SECTORS).astype(int) % SECTORS
+    bins = round(2 * MAX_SPEED / SPEED_STEP) + 1
+    histogram = np.zeros(SECTORS * bins)
+    # omega + sigma: waves that a current carries backwards
+    sigma = dispersion(k, spectrum.depth, gamma)
+    # energy above the noise, each line over its total, and times k: short waves determine the current better
+    for line_omega, energy, noise in zip(omega, spectrum.energy, spectrum.noise):
+        weight = np.maximum(energy[used] - 3 * noise[used], 0.0)
+        total = weight.sum() + noise[used].sum()
+        if not total > 0:
+            continue
+        for free in (sigma, -sigma):
+            speed_bin = np.rint(((line_omega - free) / k + MAX_SPEED) / SPEED_STEP).astype(int)
+            inside = (speed_bin >= 0) & (speed_bin < bins) & (weight > 0)
+            place = sector[inside] * bins + speed_bin[inside]
+            histogram += np.bincount(place, weight[inside] * k[inside] / total, histogram.size)
+    histogram = ndimage.gaussian_filter1d(histogram.reshape(SECTORS, bins), 1.0, axis=1)
+    speeds = np.arange(-(bins // 2), bins // 2 + 1) * SPEED_STEP
+    ux, uy = np.meshgrid(speeds, speeds, indexing="ij")
+    score = np.zeros(ux.shape)
+    for theta, row in zip(np.arange(SECTORS) * 2 * np.pi / SECTORS, histogram):
+        place = (ux * np.cos(theta) + uy * np.sin(theta) + MAX_SPEED) / SPEED_STEP
+        score += np.interp(place, np.arange(bins), row, left=0.0, right=0.0)
+    speed = np.hypot(ux, uy)
+    nearly_best = score >= 0.98 * score[speed <= MAX_SPEED].max()
+    slowest = np.argmin(np.where(nearly_best, speed, np.inf))
+    return np.array([ux.flat[slowest], uy.flat[slowest]])
+
+
+def _near_relation(spectrum: PlaneSpectrum, fit: Array) -> Array:
+    """Cells within two cells in k and two lines in omega of the relation `fit`, (lines, cells)."""
+    omega, plane, depth = spectrum.omega, spectrum.plane, spectrum.depth
+    free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
+    slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
+    slope += np.hypot(fit[0], fit[1])
+    reach = 2 * plane.cell * slope + 2 * abs(omega[1] - omega[0])
+    return np.asarray(np.abs(omega[:, None] - free) < reach)
+
+
+def contrast(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
+    """Energy near the relation over the energy there if each cell had the same energy on all lines."""
+    near = _near_relation(spectrum, fit)[lines]
+    near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
+    energy = spectrum.energy[lines]
+    on, count = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
+    on_both = (count > 0) & (count < near.shape[0])
+    off = (energy.sum(axis=0, dtype=float) - on)[on_both] / (near.shape[0] - count[on_both])
+    expected = float((off * count[on_both]).sum())
+    if expected > 0:
+        return float(on[on_both].sum()) / expected
+    return np.inf if on_both.any() else 1.0
+
+
+def fraction(spectrum: PlaneSpectrum, fit: Array) -> float:
+    """Fraction of the energy near the relation."""
+    near = _near_relation(spectrum, fit)
+    total = float(spectrum.energy.sum(dtype=float))
+    return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
+
+
+def explained(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
+    """Fraction of the energy above the noise near the relation, of waves carried backwards as well.
+    Waves that a current carries backwards appear at the opposite wave vector: omega = k.U - sigma(k).
+    """
+    counted = spectrum.plane.k > MIN_CELLS_FROM_ZERO * spectrum.plane.cell
+    above = np.maximum(spectrum.energy[lines] - 3 * spectrum.noise[lines], 0.0)[:, counted]
+    backwards = replace(spectrum, omega=-spectrum.omega)
+    near = _near_relation(spectrum, fit) | _near_relation(backwards, fit * [-1, -1, 1])
+    total = float(above.sum(dtype=float))
+    return float((above * near[lines][:, counted]).sum(dtype=float)) / total if total > 0 else 1.0
+
+
+REACH = 4  # cells and lines to either side over which a wave is spread
+WAVES_PER_AXIS = 2  # in a cell of the k plane
+ROUNDS = 8  # in which the energy of the waves is adjusted: four leave narrow seas too wide
+EXPONENT = 1.8  # of a round's factor: with 1 narrow seas would need twice as many
+FLOOR = 1e-9  # of the strongest cell: weaker ones are left out
+MAX_FACTOR = 4.0  # of the energy in one round
+
+
+@dataclass(frozen=True)
+class SpectralCells:
+    """The cells of a spectrum."""
+
+    omega: Array  # (lines,), rad/s, evenly spaced like the next two
+    ky: Array  # rad/m
+    kx: Array
+
+    @property
+    def steps(self) -> tuple[float, float, float]:
+        """Distance between cells along each axis."""
+        omega, ky, kx = (float(axis[1] - axis[0]) for axis in (self.omega, self.ky, self.kx))
+        return omega, ky, kx
+
+    def frequency(self, ky: Array, kx: Array, depth: float, fit: Array) -> Array:
+        """Frequency of free waves in the frame of the cameras, rad/s; ``fit`` is current x, y and gamma."""
+        k = np.hypot(ky, kx)
+        return np.asarray(dispersion(k, depth, fit[2]) + kx * fit[0] + ky * fit[1])
+
+
+def _energy_on_relation(excess: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
+    """Energy (ny, nx) of each cell of the k plane near its frequency."""
+    ky, kx = np.meshgrid(cells.ky, cells.kx, indexing="ij")
+    frequency = cells.frequency(ky, kx, depth, fit)
+    k = np.maximum(np.hypot(ky, kx), max(cells.steps[1:]))
+    slope = group_velocity(k, depth, fit[2]) + np.hypot(fit[0], fit[1])
+    reach = 2 * max(cells.steps[1:]) * slope + 2 * cells.steps[0]
+    out = np.zeros(frequency.shape)
+    for omega, line in zip(cells.omega, excess):
+        near = np.abs(omega - frequency) < reach
+        out += np.where(near, np.maximum(line.reshape(frequency.shape), 0.0), 0.0)
+    return out
+
+
+def windowed_waves(energy: Array, noise: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
+    """Spectrum of free waves on a fitted relation with the energy of a measured one, through Hann windows.
+    Energy, noise and result are (lines, ny * nx), ``fit`` is current x, y (m/s) and gamma.
+    """
+    measured = _energy_on_relation(energy - noise, cells, depth, fit)
+    steps = cells.steps
+    # the energy of four waves a cell is adjusted in rounds of `richardson_lucy`, each to the power 1.8, until
+    # each cell of the k plane shows what was measured there: a sea that is left too wide would hide how far
+    # the windows reach from its strong directions into the weak ones
+    offsets = (np.arange(WAVES_PER_AXIS) + 0.5) / WAVES_PER_AXIS - 0.5
+    rows, columns = np.meshgrid(np.arange(cells.ky.size), np.arange(cells.kx.size), indexing="ij")
+    places = np.array([(rows + a, columns + b) for a in offsets for b in offsets])
+    row, column = places.reshape(WAVES_PER_AXIS**2, 2, -1).swapaxes(0, 1).reshape(2, -1)
+    ky, kx = cells.ky[0] + row * steps[1], cells.kx[0] + column * steps[2]
+    line = (cells.frequency(ky, kx, depth, fit) - cells.omega[0]) / steps[0]
+    floor = FLOOR * max(float(measured.max()), 1e-300)
+    used = (line > -REACH) & (line < cells.omega.size + REACH)
+    used &= np.tile(measured.ravel() > floor, WAVES_PER_AXIS**2)
+    place = np.array([line[used], row[used], column[used]])
+    cell = np.tile(np.arange(measured.size), WAVES_PER_AXIS**2)[used]
+    first = np.rint(place).astype(np.int64)
+    offset = np.arange(-REACH, REACH + 1)
+    weights = hann_power(first[..., None] + offset - place[..., None])  # (3, waves, cells or lines)
+
+    def spread(power: Array) -> Array:
+        out = np.zeros((cells.omega.size, *measured.shape))
+        wave_kernels.spread_waves(first - REACH, weights, power, out)
+        return out.reshape(cells.omega.size, -1)
+
+    logs = np.log(np.maximum(measured, floor))
+    power = richardson_lucy(
+        measured,
+        np.exp(ndimage.map_coordinates(logs, place[1:], order=1, mode="nearest")),
+        lambda power: np.maximum(_energy_on_relation(spread(power), cells, depth, fit), floor * 1e-3),
+        lambda power, ratio: power * np.clip(ratio, 1 / MAX_FACTOR, MAX_FACTOR).ravel()[cell] ** EXPONENT,
+        ROUNDS,
+    )
+    return spread(power)
+
+
+MIN_CELLS = 5  # in the window of a centroid
+MIN_SHARE = 3e-3  # of the energy of the strongest sector on a line: weaker centroids are leakage
+MIN_SPEED_ON_CURRENT = (
+    0.5  # of the free group velocity: a current that slows waves more smears them over all k
+)
+MIN_SIGNAL_TO_NOISE = 1.0
+CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with its neighbours' share
+NOISE_LEVEL_ERROR = 0.03  # relative: what remains of the noise moves a centroid to the middle of its window
+CENTROID_ERROR = 0.03  # of a cell of the k plane, for the strongest sector; more in weaker ones, from leakage
+LEAKAGE_ERROR = 0.3  # of the displacement of centroids by the windows: of each, and of all alike
+MAX_DISPLACEMENT = 0.3  # cells of the k plane: points that the windows displace further are all leakage
+SHORTEST_WAVES = 0.8  # of the grid's largest k: sectors are incomplete beyond
+
+
+@dataclass(frozen=True)
+class RelationPoints:
+    """Centroids in k, one for a line and sector; all (points,)."""
+
+    omega: Array  # rad/s
+    k: Array  # rad/m
+    angle: Array
+    energy: Array  # above the noise
+    key: Array  # number of the line and sector
+    k_std: Array  # rad/m
+    signal_to_noise: Array
+
+    def __len__(self) -> int:
+        return self.omega.size
+
+    def __getitem__(self, chosen: Array) -> "RelationPoints":
+        return RelationPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def along(self, fit: Array) -> Array:
+        """Current along the wave vector, (points,), m/s."""
+        return np.asarray(fit[0] * np.cos(self.angle) + fit[1] * np.sin(self.angle))
+
+
+@dataclass(frozen=True)
+class Sector:
+    """Cells of the k plane around one direction, by increasing k."""
+
+    theta: float
+    cells: Array  # of the plane
+    k: Array
+    heading: Array  # (2, cells), cosine and sine of the angle
+
+
+def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
+    """The plane cut into sectors of equal width."""
+    out = []
+    half_width = np.pi / count
+    by_k = np.argsort(plane.k, kind="stable")
+    for theta in np.arange(count) * 2 * half_width:
+        off = np.abs((plane.angle[by_k] - theta + np.pi) % (2 * np.pi) - np.pi)
+        cells = by_k[off < half_width]
+        heading = np.array([np.cos(plane.angle[cells]), np.sin(plane.angle[cells])])
+        out.append(Sector(theta, cells, plane.k[cells], heading))
+    return out
+
+
+def centroids(
+    spectrum: PlaneSpectrum, sectors: list[Sector], fit: Array, settings: FitSettings
+) -> RelationPoints:
+    """Centroids in k of the energy above the noise, in a window around the relation `fit`."""
+    plane, omega, depth = spectrum.plane, spectrum.omega, spectrum.depth
+    k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
+    free = dispersion(k_table, depth, fit[2])
+    speed = np.gradient(free, k_table)
+    largest_k = np.full(omega.size, SHORTEST_WAVES * min(plane.kx.max(), plane.ky.max()))
+    if settings.highest:
+        highest = 2 * np.pi * settings.highest
+        shortest = wavenumber(highest, depth, fit[2])
+        largest_k[omega > highest] = np.minimum(largest_k[omega > highest], shortest)
+    parts = []
+    for number, sector in enumerate(sectors):
+        along = fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta)
+        centres = _relation_in_k(omega, k_table, free, speed, along)
+        reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
+        known = np.isfinite(centres)
+        middle, reach = np.where(known, centres, 0.0), np.where(known, reach, 0.0)
+        first = np.searchsorted(sector.k, middle - reach, "right")
+        last = np.searchsorted(sector.k, middle + reach, "left")
+        sums = np.empty((8, omega.size))
+        wave_kernels.windowed_sums(
+            spectrum.energy, spectrum.noise, sector.cells, sector.k, sector.heading, first, last, sums
+        )
+        usable = (last - first >= MIN_CELLS) & (sums[0] > MIN_SIGNAL_TO_NOISE * sums[7]) & (sums[0] > 0)
+        usable &= centres < largest_k
+        weight, weight_k, cosine, sine, square, square_k, square_k2, noise = sums[:, usable]
+        k = weight_k / weight
+        second_moment = square_k2 - 2 * k * square_k + k**2 * square
+        noise_error = NOISE_LEVEL_ERROR * noise * reach[usable]
+        k_std = np.sqrt(CELL_VARIANCE * np.maximum(second_moment, 0) + noise_error**2) / weight
+        k -= plane.spread / (2 * k)
+        key = np.flatnonzero(usable) * len(sectors) + number
+        signal_to_noise = weight / np.maximum(noise, 1e-9 * weight)
+        angle = np.arctan2(sine, cosine)
+        points = RelationPoints(omega[usable], k, angle, weight, key, k_std, signal_to_noise)
+        # waves about as long as the rectangle: the window's spread exceeds them
+        parts.append(points[(k > 0) & (np.abs(k - centres[usable]) < reach[usable])])
+    names = [field.name for field in fields(RelationPoints)]
+    points = RelationPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    strongest = _strongest_sector(points)
+    leakage = CENTROID_ERROR * plane.cell * np.sqrt(strongest / points.energy)
+    points = replace(points, k_std=np.hypot(points.k_std, leakage))
+    return points[points.energy > MIN_SHARE * strongest]
+
+
+def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
+    """Wavenumber of each line from the table k -> free + k * along; NaN for waves that the current blocks.
+    Against a current omega rises with k only as long as the group velocity `speed` of free waves exceeds it.
+    """
+    doppler = free + k * along
+    blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
+    last = int(blocked.argmax()) if blocked.any() else k.size
+    if last < 2:
+        return np.full(omega.size, np.nan)
+    return np.interp(omega, doppler[:last], k[:last], right=np.nan)
+
+
+def _strongest_sector(points: RelationPoints) -> Array:
+    """Energy of the strongest sector on each point's line and its neighbours, (points,)."""
+    if not len(points):
+        return points.energy
+    _, line = np.unique(points.omega, return_inverse=True)
+    top = np.zeros(line.max() + 1)
+    np.maximum.at(top, line, points.energy)
+    return np.asarray(ndimage.maximum_filter1d(top, 3)[line])
+
+
+@dataclass(frozen=True)
+class WindowDisplacement:
+    """How far the spectral windows move centroids."""
+
+    key: Array  # as of the points
+    k: Array  # rad/m
+
+    @classmethod
+    def measure(
+        cls,
+        spectrum: PlaneSpectrum,
+        cells: SpectralCells,
+        band: Array,
+        sectors: list[Sector],
+        fit: Array,
+        settings: FitSettings,
+    ) -> "WindowDisplacement":
+        """Displacements of the centroids of free waves on the relation `fit`, as the windows show them.
+        Points displaced far are left out: beyond the end of a sea all energy is leakage. band is (lines,).
+        """
+        free_waves = windowed_waves(spectrum.energy, spectrum.noise, cells, spectrum.depth, fit)[band]
+        simulated = replace(
+            spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
+        )
+        points = centroids(simulated, sectors, fit, settings)
+        along = points.along(fit)
+        off = points.omega - dispersion(points.k, spectrum.depth, fit[2]) - points.k * along
+        displacement = -off / (group_velocity(points.k, spectrum.depth, fit[2]) + along)
+        near = np.abs(displacement) < MAX_DISPLACEMENT * spectrum.plane.cell
+        return cls(points.key[near], displacement[near])
+
+    def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
+        """Points without that part of their displacement; without those that it does not hold."""
+        _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
+        points, displacement = points[measured], self.k[simulated]
+        k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)
+        points = replace(points, k=points.k - part * displacement, k_std=k_std)
+        return points[points.k > 0]

@@ -1,1 +1,0 @@
-"""The nonlinear term, coherences, bound waves and resonances."""

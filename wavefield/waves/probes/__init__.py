@@ -1,1 +1,0 @@
-"""Wave probes: their files, and their fit to the cube."""

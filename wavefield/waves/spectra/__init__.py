@@ -1,1 +1,0 @@
-"""Spectra and cross spectra of fields over (time, y, x)."""

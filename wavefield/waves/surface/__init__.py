@@ -1,1 +1,0 @@
-"""Statistics of the surface and of the motion of the water: heights, crests, breaking, drift, vortices."""
