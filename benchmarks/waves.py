@@ -169,6 +169,7 @@ _WHOLE = """
 import json, resource, sys, time
 from dataclasses import replace
 import dask
+import wavefield
 import wavefield.waves as wv
 import numpy as np, xarray as xr
 parts = {}
@@ -189,7 +190,7 @@ every = [timed(p) if p.name in longest else p for p in products.registered()]
 products.registered = lambda: every
 start, work = time.perf_counter(), time.process_time()
 with dask.config.set(scheduler="threads", num_workers=2):
-    out = wv.analyze(sys.argv[1], sys.argv[2])
+    out = wavefield.analyze(sys.argv[1], sys.argv[2])
 print(json.dumps({
     "wall": time.perf_counter() - start,
     "cpu": time.process_time() - work,

@@ -10,10 +10,10 @@ import pytest
 from cube_cases import FOURS, HERE, KNOCKED, write_tank
 
 import wavefield.measurement
+from wavefield import analyze
 from wavefield.images import write_image
 from wavefield.pipeline import run
 from wavefield.tank import Scene, Tank
-from wavefield.waves import analyze
 
 LEARNED = {}  # what was learned from the same frames, by its inputs
 

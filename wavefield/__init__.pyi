@@ -9,7 +9,7 @@ from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
 from wavefield.matching.pyramid import match
 from wavefield.measurement.settings import Settings
-from wavefield.pipeline.analysis import analyze_on_workers
+from wavefield.pipeline.analysis import analyze, analyze_on_workers
 from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.forecast import check
 from wavefield.pipeline.lazy import reconstruct
@@ -43,7 +43,6 @@ from wavefield.waves.estimators.kinematics import kinematics
 from wavefield.waves.estimators.phase_average import phase_average
 from wavefield.waves.estimators.smooth import smooth
 from wavefield.waves.estimators.statistics import statistics
-from wavefield.waves.wave_analysis import analyze
 
 __version__: str
 

@@ -21,8 +21,8 @@ def tank_rig():
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory, tank_rig):
     """A cube with rig, images, probes and waves; gives its path and what it holds."""
+    from wavefield import analyze
     from wavefield.images import write_image
-    from wavefield.waves import analyze
 
     folder = tmp_path_factory.mktemp("whole")
     tank_rig.save(folder / "rig.yaml")

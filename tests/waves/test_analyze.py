@@ -4,6 +4,7 @@ import pytest
 import xarray as xr
 from waves_cases import PeriodicSea, linear_cube, random_waves
 
+import wavefield as wf
 import wavefield.waves as wv
 from wavefield.errors import CubeError, StoreError
 from wavefield.series.probes import read_probes
@@ -34,7 +35,7 @@ def probes(tmp_path_factory):
 def store(sea, probes, tmp_path_factory):
     path = tmp_path_factory.mktemp("waves") / "waves.zarr"
     calls = []
-    wv.analyze(sea, path, probes=probes, pixel_size=0.0018, progress=lambda *at: calls.append(at))
+    wf.analyze(sea, path, probes=probes, pixel_size=0.0018, progress=lambda *at: calls.append(at))
     assert calls
     assert calls[-1][0] == calls[-1][1]
     return xr.open_datatree(path, engine="zarr")
@@ -106,7 +107,7 @@ def test_the_statistics_hold_pixels_and_errors(store, sea):
 
 
 def test_chunks_do_not_matter(sea, store):
-    other = wv.analyze(
+    other = wf.analyze(
         sea.chunk({"time": 23, "y": 17, "x": 50}), segment=store.attrs["segment"], pixel_size=0.0018
     )
     for name in ("spectra", "coherence", "statistics", "dispersion", "fusion", "direction", "higher_order"):
@@ -117,10 +118,10 @@ def test_chunks_do_not_matter(sea, store):
 
 def test_neither_chunks_nor_workers_matter_where_segments_are_summed_in_several_chains(sea):
     long = sea.isel(y=slice(0, 20), x=slice(0, 24))
-    expected = wv.analyze(long, segment=32)
+    expected = wf.analyze(long, segment=32)
     assert expected.attrs["segments"] > 2 * 8
     with dask.config.set(scheduler="synchronous"):
-        other = wv.analyze(long.chunk({"time": 37, "x": 11}), segment=32)
+        other = wf.analyze(long.chunk({"time": 37, "x": 11}), segment=32)
     for name, group in expected.children.items():
         for variable in group.data_vars:
             np.testing.assert_array_equal(other[name][variable], group[variable], err_msg=variable)
@@ -135,9 +136,9 @@ def test_a_cube_in_a_store_is_read_piece_by_piece(sea, tmp_path):
     path = tmp_path / "cube.zarr"
     part = sea.isel(time=slice(0, 140), y=slice(0, 20), x=slice(0, 24))
     part.chunk({"time": 50}).to_zarr(path, consolidated=False)
-    out = wv.analyze(path, tmp_path / "waves.zarr", segment=64, pixel_size=0.0018)
+    out = wf.analyze(path, tmp_path / "waves.zarr", segment=64, pixel_size=0.0018)
     assert "std_px" in xr.open_datatree(tmp_path / "waves.zarr", engine="zarr")["statistics"]
-    expected = wv.analyze(part, tmp_path / "waves.zarr", segment=64)  # replaces the first
+    expected = wf.analyze(part, tmp_path / "waves.zarr", segment=64)  # replaces the first
     assert "std_px" not in xr.open_datatree(tmp_path / "waves.zarr", engine="zarr")["statistics"]
     np.testing.assert_array_equal(out["spectra"].E_komega_z, expected["spectra"].E_komega_z)
     assert not list(tmp_path.glob(".*partial"))
@@ -146,7 +147,7 @@ def test_a_cube_in_a_store_is_read_piece_by_piece(sea, tmp_path):
 @pytest.mark.parametrize("steps", [8, 12, 40, 41, 90])
 def test_a_short_record_is_analysed_and_states_how_little_it_shows(steps):
     short = linear_cube(random_waves(n=60), steps, 30, 40, dx=0.02)
-    out = wv.analyze(short)
+    out = wf.analyze(short)
     assert "degrees of freedom" in out.attrs["notes"]
     assert out.attrs["degrees_of_freedom"] >= 2
     E = out["spectra"].E_w
@@ -164,7 +165,7 @@ def test_gaps_edges_and_unknown_depth_are_reported(sea):
     spoiled["w"][:, :3] = np.nan
     spoiled["u"][300:320] = np.nan
     del spoiled.attrs["water_depth"]
-    out = wv.analyze(spoiled, segment=64)
+    out = wf.analyze(spoiled, segment=64)
     notes = out.attrs["notes"]
     assert "2 missing steps in short gaps were bridged" in notes
     assert "Of 40 x 50 nodes (y, x) the largest full rectangle was used, 37 x 50" in notes
@@ -180,7 +181,7 @@ def test_a_field_that_ends_before_the_elevation_ends_the_record(sea, steps):
     spoiled["v"][steps, 5:] = np.nan
     record = wv.find_record(spoiled)
     assert sum(b - a for a, b in record.runs) == 395
-    out = wv.analyze(spoiled, segment=64)
+    out = wf.analyze(spoiled, segment=64)
     assert out.attrs["runs"] == len(record.runs)
     assert out.attrs["steps_used"] == 395
     single = wv.komega(sea.z_t, segment=64, record=record).E
@@ -189,7 +190,7 @@ def test_a_field_that_ends_before_the_elevation_ends_the_record(sea, steps):
 
 def test_still_water_does_not_break_it():
     still = linear_cube(random_waves(n=5), 64, 20, 24, dx=0.02) * 0
-    out = wv.analyze(still)
+    out = wf.analyze(still)
     assert "The dispersion relation was not fitted" in out.attrs["notes"]
 
 
@@ -201,7 +202,7 @@ def test_noise_has_no_current_and_what_rests_on_one_is_left_out():
     }
     axes = {"time": np.arange(128) * 0.05, "y": np.arange(24) * 0.03, "x": np.arange(30) * 0.03}
     cube = xr.Dataset(noise, axes, {"water_depth": 0.7})
-    waves = wv.analyze(cube, segment=64)
+    waves = wf.analyze(cube, segment=64)
     assert "The dispersion relation was not fitted: no dispersion relation was found" in waves.attrs["notes"]
     assert not {"directional"} & set(waves.children)
     assert "current_x" not in waves["dispersion"]
@@ -214,18 +215,18 @@ def test_noise_has_no_current_and_what_rests_on_one_is_left_out():
 
 def test_what_cannot_be_analysed_is_reported_in_one_sentence(sea, probes, tmp_path):
     with pytest.raises(CubeError, match="no 'z_t'"):
-        wv.analyze(sea.drop_vars("z_t"))
+        wf.analyze(sea.drop_vars("z_t"))
     with pytest.raises(CubeError, match="less than one segment of 512"):
-        wv.analyze(sea, segment=512)
+        wf.analyze(sea, segment=512)
     with pytest.raises(StoreError, match="cannot be read as a cube"):
-        wv.analyze(tmp_path / "nothing.zarr")
+        wf.analyze(tmp_path / "nothing.zarr")
     late = sea.assign_coords(time=sea.time + 1000.0)
     with pytest.raises(CubeError, match="share less than one segment"):
-        wv.analyze(late, probes=probes)
+        wf.analyze(late, probes=probes)
     blocked = tmp_path / "file"
     blocked.write_text("")
     with pytest.raises(StoreError, match="cannot be written"):
-        wv.analyze(sea.isel(time=slice(0, 40)), blocked / "waves.zarr")
+        wf.analyze(sea.isel(time=slice(0, 40)), blocked / "waves.zarr")
 
 
 def test_probes_at_their_own_rate_hold_the_variance():

@@ -122,3 +122,14 @@ def test_displacements_need_the_rise_over_the_same_step():
         of(fields, velocity="displacement")
     found = of(fields, velocity="displacement", z_t=measured.z_t)
     assert int(found.path_frames) == 2
+
+
+def test_a_cube_offers_the_estimators_as_methods():
+    made = linear_cube(random_waves(n=20), 96, 16, 20, dx=0.03)
+    cube = wf.cube(made.z, z_t=made.z_t, u=made.u, v=made.v, w=made.w, velocity="displacement")
+    xr.testing.assert_identical(cube.waves.komega("w", segment=32), wf.komega(cube.w, segment=32))
+    xr.testing.assert_identical(cube.waves.coherence(segment=32), wf.coherence(cube, segment=32))
+    assert float(cube.waves.statistics().significant_height) > 0
+    methods = [name for name in dir(cube.waves) if not name.startswith("_")]
+    assert {"directions", "fit_dispersion", "kinematics", "spectrum", "analyze"} <= {*methods}
+    assert all(getattr(cube.waves, name).__doc__ for name in methods)

@@ -84,9 +84,9 @@ def analyze(
 
 def _analyze(store: Path, output: Path | None, workflow: Path | None, options: AnalyzeOptions) -> int:
     from wavefield.pipeline import analyze_on_workers, open_run
+    from wavefield.pipeline.analysis import analyze as analyze_cube
     from wavefield.series.probes import read_probes
     from wavefield.store.ledger import unfinished_note
-    from wavefield.waves import analyze as analyze_cube
 
     note = unfinished_note(store)
     if note:

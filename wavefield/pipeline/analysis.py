@@ -1,4 +1,4 @@
-"""Waves of a cube computed on workers: as in one process, with the sums over segments taken by workers."""
+"""The waves of a cube in a store, in this process or with the sums over segments taken by workers."""
 
 import pickle
 import tempfile
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wavefield.atomic_write import write_error, writing
-from wavefield.errors import ExperimentError, RunStopped
+from wavefield.errors import CubeError, ExperimentError, RunStopped, StoreError
 from wavefield.execution.cluster import MapUnordered, open_cluster
 from wavefield.execution.process import stop_signals, stopped_by
 from wavefield.execution.run_log import jobs_folder, log_file
@@ -20,6 +20,124 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _WORKER_IMPORTS = ("wavefield.pipeline.analysis", "wavefield.waves.wave_analysis")
+
+
+def _open(cube: "str | Path | xr.Dataset") -> "xr.Dataset":
+    import xarray as xr
+
+    if isinstance(cube, xr.Dataset):
+        return cube
+    if not isinstance(cube, str | Path):
+        raise CubeError(
+            f"analyze needs a cube or the path of one, got a {type(cube).__name__}: give the cube itself"
+        )
+    from wavefield.store.read import find_store, is_cube, open_stored
+
+    cube = find_store(cube)
+    if is_cube(cube):  # written by a run
+        return open_stored(cube, chunks=None)
+    try:
+        out: xr.Dataset = xr.open_zarr(cube, chunks=None, consolidated=False)
+        return out
+    except Exception as error:  # whatever a library makes of damaged or foreign files
+        raise StoreError(f"{cube} cannot be read as a cube: {error}") from None
+
+
+def analyze(
+    cube: "str | Path | xr.Dataset",
+    out: str | Path | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    each: Callable[..., Iterator[Any]] | None = None,
+    **options: Any,
+) -> "xr.DataTree":
+    """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion and more.
+
+    Parameters
+    ----------
+    cube : path or Dataset
+        A cube's store, or z, z_t, u, v, w over (time, y, x), m and m/s.
+    out : path, optional
+        Zarr store to write; one that is there is replaced once the new one is complete.
+    progress : callable, optional
+        Called with the parts done and all parts.
+    each : callable, optional
+        ``each(work, items)`` does work for every item elsewhere and gives the results in the order of the
+        items; for a cube in a store (`wavefield.analyze_on_workers` gives one).
+    **options
+        Any of the following:
+
+        ``probes`` : Dataset
+            Wave probes (`wavefield.read_probes`).
+        ``segment`` : int
+            Steps of a Welch segment; by default chosen from the record.
+        ``depth`` : float
+            Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
+        ``velocity`` : {"instantaneous", "displacement"}
+            What the velocities of a cube that does not state it are (`wavefield.cube`); by default
+            displacements over one step.
+        ``pixel_size`` : float
+            Size of a pixel on the water, m; by default the attribute ``pixel_size`` of the cube.
+        ``gain`` : path, Dataset or False
+            Response of the measurement to waves, undone in the spectra where it is half or more; shorter
+            waves are not valid. By default that stored with the cube; `window_gain` measures one on a
+            simulated experiment; False leaves the spectra as they were measured.
+        ``fit`` : FitSettings or mapping
+            How the current is fitted, such as ``{"lowest": 1.5, "highest": 4.0}``, Hz; by default the band
+            follows from the spectrum. ``current_x`` and ``current_y``, m/s, are used where the fit is
+            refused.
+        ``maps`` : sequence of float
+            Frequencies of the maps E(ky, kx), Hz; by default 1.5, 2, 2.8 and 4.
+
+    Returns
+    -------
+    DataTree
+        One group for each subject; its variables are listed in the documentation's page on formats.
+
+    Raises
+    ------
+    CubeError
+        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle, or if
+        the probes were not recording while the cameras were.
+    StoreError
+        If the cube or the gain cannot be read or the store cannot be written.
+
+    Notes
+    -----
+    One pass over the cube in bounded memory; the result does not depend on how the cube is chunked.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xarray as xr
+    >>> t, y, x = np.arange(64) * 0.05, np.arange(16) * 0.05, np.arange(20) * 0.05
+    >>> noise = np.random.default_rng(0).standard_normal((5, 64, 16, 20))
+    >>> wave = 0.01 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
+    >>> names, axes = ("z", "z_t", "u", "v", "w"), {"time": t, "y": y, "x": x}
+    >>> fields = {
+    ...     name: (tuple(axes), wave + 1e-3 * n, {"units": "m" if name == "z" else "m s-1"})
+    ...     for name, n in zip(names, noise)
+    ... }
+    >>> waves = analyze(xr.Dataset(fields, axes), segment=16)
+    >>> sorted({"coherence", "spectra", "statistics"} & set(waves))
+    ['coherence', 'spectra', 'statistics']
+    >>> waves["spectra"].E_komega_w.dims
+    ('omega', 'k')
+    """
+    from wavefield.atomic_write import Product, check_writable
+    from wavefield.store.recipe import source_of, state_of
+    from wavefield.store.wave_store import KIND, write_waves
+    from wavefield.waves.wave_analysis import analyze as waves_of
+
+    opened = _open(cube)
+    inputs = [opened.encoding.get("source"), cube, options.get("gain")]
+    if out is not None:
+        check_writable(out, Product(KIND, source_of(opened)), inputs=inputs)
+    tree = waves_of(opened, progress=progress, each=each, **options)
+    tree.attrs["cube"] = state_of(opened)
+    if out is not None:
+        write_waves(tree, Path(out), source_of(opened), inputs)
+    return tree
 
 
 def analyze_on_workers(
@@ -74,7 +192,7 @@ def analyze_on_workers(
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
             with open_cluster(workflow, jobs_folder(target), _WORKER_IMPORTS) as map_unordered:
-                from wavefield.waves.wave_analysis import analyze  # while the workers start
+                import wavefield.waves.wave_analysis  # noqa: F401 while the workers start
 
                 return analyze(
                     source, target, each=partial(_in_order, map_unordered, Path(folder)), **options

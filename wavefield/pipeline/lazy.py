@@ -141,6 +141,7 @@ def reconstruct(
     """
     from wavefield.measurement import GridGeometry, Settings, sample_steps
     from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
+    from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
 
     settings = Settings() if settings is None else settings
     arrays, masks = _images(frames)

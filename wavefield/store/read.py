@@ -177,6 +177,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     True
     """
     from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
+    from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
 
     stored = open_stored(path, chunks)
     stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])

@@ -1,8 +1,8 @@
-"""The analysis of one cube: all registered products in one store.
+"""The analysis of one cube: all registered products.
 
-The store that :func:`analyze` writes is a Zarr hierarchy; ``xarray.open_datatree(path, engine="zarr")`` reads
-it without this package. Its groups and variables are those of `wavefield.variables`, listed in the
-documentation's page on formats.
+The store that `wavefield.analyze` writes of it is a Zarr hierarchy;
+``xarray.open_datatree(path, engine="zarr")`` reads it without this package. Its groups and variables are
+those of `wavefield.variables`, listed on the documentation's page on waves.
 
 Conventions. k points where the wave goes: f = Re sum F exp(i (k . x - omega t)), omega > 0. Spectra are
 densities in rad/m and rad/s, one-sided in omega, so that the sum of E over its axes times the cell is the
@@ -21,11 +21,7 @@ import numpy as np
 import xarray as xr
 
 import wavefield
-from wavefield.atomic_write import Product, check_writable
-from wavefield.errors import CubeError, StoreError
-from wavefield.store.read import find_store, is_cube, open_stored
-from wavefield.store.recipe import source_of, state_of
-from wavefield.store.wave_store import KIND, write_waves
+from wavefield.errors import CubeError
 from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import products
@@ -55,112 +51,21 @@ class AnalysisOptions(TypedDict, total=False):
     maps: Sequence[float]
 
 
-def _open(cube: str | Path | xr.Dataset) -> xr.Dataset:
-    if isinstance(cube, xr.Dataset):
-        return cube
-    if not isinstance(cube, str | Path):
-        raise CubeError(
-            f"analyze needs a cube or the path of one, got {described(cube)}: give the cube itself"
-        )
-    cube = find_store(cube)
-    if is_cube(cube):  # written by a run
-        return open_stored(cube, chunks=None)
-    try:
-        out: xr.Dataset = xr.open_zarr(cube, chunks=None, consolidated=False)
-        return out
-    except Exception as error:  # whatever a library makes of damaged or foreign files
-        raise StoreError(f"{cube} cannot be read as a cube: {error}") from None
-
-
 def analyze(
-    cube: str | Path | xr.Dataset,
-    out: str | Path | None = None,
+    cube: xr.Dataset,
     *,
     progress: Progress | None = None,
     each: Each | None = None,
     **options: Unpack[AnalysisOptions],
 ) -> xr.DataTree:
-    """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion and more.
-
-    Parameters
-    ----------
-    cube : path or Dataset
-        A cube's store, or z, z_t, u, v, w over (time, y, x), m and m/s.
-    out : path, optional
-        Zarr store to write; one that is there is replaced once the new one is complete.
-    progress : callable, optional
-        Called with the parts done and all parts.
-    each : callable, optional
-        ``each(work, items)`` does work for every item elsewhere and gives the results in the order of the
-        items; for a cube in a store (`wavefield.analyze_on_workers` gives one).
-    **options
-        Any of the following:
-
-        ``probes`` : Dataset
-            Wave probes (`wavefield.read_probes`).
-        ``segment`` : int
-            Steps of a Welch segment; by default chosen from the record.
-        ``depth`` : float
-            Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
-        ``velocity`` : {"instantaneous", "displacement"}
-            What the velocities of a cube that does not state it are (`wavefield.cube`); by default
-            displacements over one step.
-        ``pixel_size`` : float
-            Size of a pixel on the water, m; by default the attribute ``pixel_size`` of the cube.
-        ``gain`` : path, Dataset or False
-            Response of the measurement to waves, undone in the spectra where it is half or more; shorter
-            waves are not valid. By default that stored with the cube; `window_gain` measures one on a
-            simulated experiment; False leaves the spectra as they were measured.
-        ``fit`` : FitSettings or mapping
-            How the current is fitted, such as ``{"lowest": 1.5, "highest": 4.0}``, Hz; by default the band
-            follows from the spectrum. ``current_x`` and ``current_y``, m/s, are used where the fit is
-            refused.
-        ``maps`` : sequence of float
-            Frequencies of the maps E(ky, kx), Hz; by default 1.5, 2, 2.8 and 4.
-
-    Returns
-    -------
-    DataTree
-        One group for each subject; its variables are listed in the documentation's page on formats.
-
-    Raises
-    ------
-    CubeError
-        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle, or if
-        the probes were not recording while the cameras were.
-    StoreError
-        If the cube or the gain cannot be read or the store cannot be written.
-
-    Notes
-    -----
-    One pass over the cube in bounded memory; the result does not depend on how the cube is chunked.
-
-    Examples
-    --------
-    >>> import xarray as xr
-    >>> t, y, x = np.arange(64) * 0.05, np.arange(16) * 0.05, np.arange(20) * 0.05
-    >>> noise = np.random.default_rng(0).standard_normal((5, 64, 16, 20))
-    >>> wave = 0.01 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
-    >>> names, axes = ("z", "z_t", "u", "v", "w"), {"time": t, "y": y, "x": x}
-    >>> fields = {
-    ...     name: (tuple(axes), wave + 1e-3 * n, {"units": "m" if name == "z" else "m s-1"})
-    ...     for name, n in zip(names, noise)
-    ... }
-    >>> waves = analyze(xr.Dataset(fields, axes), segment=16)
-    >>> sorted({"coherence", "spectra", "statistics"} & set(waves))
-    ['coherence', 'spectra', 'statistics']
-    >>> waves["spectra"].E_komega_w.dims
-    ('omega', 'k')
-    """
+    """Compute the waves of a cube in memory or opened lazily; see `wavefield.analyze`."""
     unknown = options.keys() - AnalysisOptions.__annotations__
     if unknown:
         raise TypeError(f"analyze() has no option {', '.join(sorted(unknown))}")
     gain = options.get("gain")
-    opened = _open(cube)
-    inputs = [opened.encoding.get("source"), cube, gain]
-    if out is not None:
-        check_writable(out, Product(KIND, source_of(opened)), inputs=inputs)
-    complete, unstated = with_velocity(opened, options.get("velocity"))
+    if not isinstance(cube, xr.Dataset):
+        raise CubeError(f"analyze needs a cube, got {described(cube)}: give the cube itself")
+    complete, unstated = with_velocity(cube, options.get("velocity"))
     for name in FIELDS:
         if name not in complete:
             raise CubeError(
@@ -191,8 +96,6 @@ def analyze(
             tree = _analyze(given, record, options.get("segment"), False, progress)
     if unstated:
         tree.attrs["notes"] = "\n".join(filter(None, [tree.attrs["notes"], unstated]))
-    if out is not None:
-        write_waves(tree, Path(out), source_of(opened), inputs)
     return tree
 
 
@@ -235,7 +138,6 @@ def _attributes(given: Mapping[str, xr.Dataset], welch: Welch) -> dict[str, Any]
     return {
         "title": "waves of a cube",
         "source": str(complete.attrs.get("experiment", complete.encoding.get("source", ""))),
-        "cube": state_of(complete),
         "frame_rate": 1 / record.dt,
         "water_depth": depth if np.isfinite(depth) else "deep",
         "surface_tension_over_density": given["gamma"],

@@ -166,6 +166,8 @@ def cube(
     >>> round(float(found.z.max()), 4), bool(abs(found.z_t - found.w).max() < 1e-2)
     (0.01, True)
     """
+    from wavefield.waves import accessor  # noqa: F401  # registers `cube.waves`
+
     given = {"z": z, "u": u, "v": v, "w": w, "z_t": z_t}
     fields = {name: _seconds(name, field) for name, field in given.items() if field is not None}
     first = fields["z"]
