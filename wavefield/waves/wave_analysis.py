@@ -58,7 +58,29 @@ def analyze(
     each: Each | None = None,
     **options: Unpack[AnalysisOptions],
 ) -> xr.DataTree:
-    """Compute the waves of a cube in memory or opened lazily; see `wavefield.analyze`."""
+    """Compute all wave products of a cube that is in memory or opened lazily.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, u, v, w over (time, y, x), m and m/s.
+    progress : callable, optional
+        Called with the parts done and all parts.
+    each : callable, optional
+        Does the work on workers, as in `wavefield.analyze`.
+    **options
+        As in `wavefield.analyze`, which also opens stores and writes the result.
+
+    Returns
+    -------
+    DataTree
+        One group for each subject.
+
+    Raises
+    ------
+    CubeError
+        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle.
+    """
     unknown = options.keys() - AnalysisOptions.__annotations__
     if unknown:
         raise TypeError(f"analyze() has no option {', '.join(sorted(unknown))}")
