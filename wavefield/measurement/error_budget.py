@@ -110,7 +110,10 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
         lost = lost_by_paths(waves, code, times) * WAVE_VARIANCES.astype(np.float32)
         out[1:] += np.where(estimate.motion.frames == count, lost[:, None, None], np.float32(0))
     change = changed_waves(estimate, waves, times)
-    return np.float32(MARGIN**2) * out + np.float32([change, *(change * WAVE_VARIANCES)])[:, None, None]
+    return (
+        np.float32(MARGIN**2) * out
+        + np.array([change, *(change * WAVE_VARIANCES)], np.float32)[:, None, None]
+    )
 
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
