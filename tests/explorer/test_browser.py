@@ -321,8 +321,9 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
     page.wait(f"{model('wave_directions')}.title.text.includes('{stored[2]:.3g} Hz')")
     plane = waves["spectra"][f"E_kxky_{name}"].isel(omega_map=2).transpose("ky", "kx").values
     np.testing.assert_allclose(page.image("wave_plane"), log_density(plane), atol=1e-5)
-    coherence = waves["coherence"].where(waves["coherence"]["valid"]).gamma2_w.values
-    np.testing.assert_allclose(page.column("wave_coherence", "w"), coherence, rtol=1e-6)
+    coherence = waves["coherence"].to_dataset()
+    reliable = coherence.gamma2_w.where(coherence["valid"]).values
+    np.testing.assert_allclose(page.column("wave_coherence", "w"), reliable, rtol=1e-6)
     direction = waves["direction"].D.isel(omega_map=2).values
     np.testing.assert_allclose(page.column("wave_direction", "density"), direction, rtol=1e-5)
 
