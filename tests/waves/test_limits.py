@@ -60,3 +60,11 @@ def test_a_short_record_states_neither_height_nor_noise():
     assert "significant_height" not in waves["statistics"]
     assert "No significant wave height" in waves.attrs["notes"]
     assert np.isnan(waves["fusion"].sigma_dz)
+
+
+def test_statistics_state_the_peak_frequency_where_the_record_holds_ten_periods():
+    cube = Sea(lowest=1.2, highest=4.0, shape=(400, 32, 40), height=0.012, slope=6.0).cube(("z",))
+    found, short = wf.statistics(cube), wf.statistics(cube.isel(time=slice(0, 100)))
+    assert 1.15 < float(found.peak_frequency) < 1.6
+    assert 0 < float(found.peak_frequency_std) < 0.3
+    assert np.isnan(short.peak_frequency)

@@ -21,7 +21,7 @@ from wavefield.waves.estimation import rings, segments, wave_kernels
 from wavefield.waves.estimation.degrees_of_freedom import hann_correlation, sum_freedom
 from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.record import Each, Record, find_record, piece
-from wavefield.waves.estimation.record_limits import without_short_peak
+from wavefield.waves.estimation.record_limits import MIN_PERIODS, without_short_peak
 from wavefield.waves.estimation.segments import CORRELATED_CELLS, spatial_window
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimators.field_spectra import E_omega, komega
@@ -90,13 +90,21 @@ def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, flo
     return {name: relative_std(power.values, dof, overlap) for name, power in sums.items()}
 
 
-def of_elevation(z: xr.DataArray, record: Record) -> dict[str, float]:
-    """The uncertainties of `moment_stds` for a field (time, y, x); NaN where the record is too short."""
+def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:
+    """The uncertainties of `moment_stds` for a field (time, y, x), and its peak frequency and std, rad/s.
+    NaN where the record is shorter than a segment; no peak where it holds fewer than ten of its periods.
+    """
     try:
         both = komega(z, record=record).compute()
     except CubeError:
-        return {"variance": np.nan, "slope": np.nan}
-    return moment_stds(both["E"], E_omega(both)["dof"].values, Welch.of(z, record=record))
+        return {"variance": np.nan, "slope": np.nan}, (np.nan, np.nan)
+    found, peak = E_omega(both), (np.nan, np.nan)
+    energy, valid, dof, omega = (found[n].values for n in ("E", "valid", "dof", "omega"))
+    if energy[valid].max(initial=0.0) > 0:
+        peak = peak_and_std(energy, valid, dof, omega)
+    periods = record.steps_in_runs() * record.dt * peak[0] / (2 * np.pi)
+    stds = moment_stds(both["E"], dof, Welch.of(z, record=record))
+    return stds, peak if periods >= MIN_PERIODS else (np.nan, np.nan)
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
@@ -310,8 +318,9 @@ def statistics(
     Dataset
         ``pdf`` (quantity, bin) and ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis``
         (excess), ``count`` (quantity); ``std_px`` where the pixel size is given; ``significant_height``,
-        ``mean_square_slope``, ``slope_rms`` and their ``_std``, standard uncertainties, NaN where the record
-        is shorter than a segment. Computed at once.
+        ``mean_square_slope``, ``slope_rms``, ``peak_frequency`` (Hz) and their ``_std``, standard
+        uncertainties, NaN where the record is shorter than a segment, or than ten periods for the peak.
+        Computed at once.
 
     Raises
     ------
@@ -347,7 +356,9 @@ def statistics(
     (sums,) = dask.compute(segments.in_order(parts))
     gain_of_slopes = sampled_slope_gain(cube["z"], record)
     out = label(sums, scales, record.dt, pixel_size or cube.attrs.get("pixel_size"), gain_of_slopes)
-    return annotate(with_stds(out, of_elevation(cube["z"], record)), "statistics")
+    stds, peak = of_elevation(cube["z"], record)
+    out["peak_frequency"], out["peak_frequency_std"] = (((), value / (2 * np.pi)) for value in peak)
+    return annotate(with_stds(out, stds), "statistics")
 
 
 @dataclass(frozen=True)
