@@ -19,6 +19,7 @@ from wavefield.rig.formats.common import (
 )
 from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
+from wavefield.text import one_line
 
 # names of nodes, in small letters and digits only, without the number of the camera
 MATRICES = ("m", "k", "cameramatrix", "intrinsics", "intrinsic", "intrinsicspinhole", "camera", "mtx", "kmat")
@@ -34,7 +35,13 @@ Parts = dict[str, Array]  # of one camera: K, D, size or width and height, fishe
 
 def _nodes(path: Path) -> Nodes:
     """All matrices and numbers at the first two levels of a file."""
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    text = path.read_text(errors="replace")
+    if not text.endswith(("\n", "]", ">")):  # OpenCV reads the beginning of a YAML file that was cut
+        raise RigError("it ends within a line: it is truncated; copy it again")
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except SystemError as error:  # of OpenCV's bindings, by the damage
+        raise RigError(f"OpenCV cannot read it ({one_line(error.__cause__ or error)})") from None
     out: Nodes = []
 
     def collect(node: cv2.FileNode, prefix: str, depth: int) -> None:
