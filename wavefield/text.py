@@ -75,3 +75,14 @@ def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]
         if line
     )
     return f"<b>{escape(title)}</b><table>{text}</table>"
+
+
+def full_stop(words: str) -> str:
+    """Words with a full stop, unless they end with a mark.
+
+    Examples
+    --------
+    >>> full_stop("Focus it"), full_stop("Is it in metres?")
+    ('Focus it.', 'Is it in metres?')
+    """
+    return words if words.endswith((".", "?", "!")) else f"{words}."

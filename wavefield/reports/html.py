@@ -17,6 +17,7 @@ from PIL import Image
 from wavefield import __version__
 from wavefield.figures.style import file_of
 from wavefield.store.verdict import Remark
+from wavefield.text import full_stop
 
 _DPI = 120  # two panels of 5.2 inches fill the width of the page
 _COLOURS = 128  # palette size; a third of the bytes without a visible difference
@@ -117,7 +118,7 @@ class Facts(Item):
 
 @dataclass(frozen=True)
 class Remarks(Item):
-    """Remarks of a verdict, each with what was expected and what to do."""
+    """Remarks of a verdict, each with what was found, what it means and what to do."""
 
     remarks: Sequence[Remark]
 
@@ -181,7 +182,7 @@ def _asset(name: str) -> Markup:
 def _environment() -> Environment:
     loader = PackageLoader("wavefield.reports", "assets")
     made = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    made.filters |= {"with_code": with_code, "capital": capital}
+    made.filters |= {"with_code": with_code, "capital": capital, "full_stop": full_stop}
     made.globals |= {"asset": _asset, "version": __version__}
     return made
 

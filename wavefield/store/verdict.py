@@ -11,7 +11,7 @@ from typing import Any, Literal
 from wavefield.atomic_write import check_replaceable, write_text
 from wavefield.errors import StoreError
 from wavefield.store.store_paths import beside
-from wavefield.text import one_line
+from wavefield.text import full_stop, one_line
 
 Weight = Literal["note", "remark", "grave"]
 Numbers = Mapping[str, Mapping[str, list[float]]]
@@ -38,7 +38,7 @@ class Remark:
 
     def __str__(self) -> str:
         parts = [part for part in (self.found, self.means, self.remedy) if part]
-        text = " ".join(part if part[-1] in ".?!" else f"{part}." for part in parts)
+        text = " ".join(full_stop(part) for part in parts)
         return f"{self.subject}: {text} [{self.code}]"
 
 
