@@ -33,8 +33,8 @@ def made(catalog, run):
         ("intake.readers.datatypes:Zarr", "evil:Data"),
         ("xarray:Dataset", "evil:Dataset"),
         ("default: latest", "default: func(evil:recipe)"),
-        ("root: ''", "root: '{import(evil:root)}'"),
-        ("root: ''", "root: ['{pickle64(gASVAA==)}']"),
+        ('root: ""', "root: '{import(evil:root)}'"),
+        ('root: ""', "root: ['{pickle64(gASVAA==)}']"),
         ("version: 2", "version: 2\ncls: evil:Catalog"),
     ],
 )
