@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_record import sea
+from test_time_and_motion import sea
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings

@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 import numpy as np
-from test_record import sea
+from test_time_and_motion import sea
 
 import wavefield
 from wavefield.commands.cli import main
