@@ -156,7 +156,6 @@ def test_a_short_record_is_analysed_and_states_how_little_it_shows(steps):
         assert "No spectral peak, no steepness" in out.attrs["notes"]
         assert not {"peak_frequency", "peak_k", "steepness"} & set(out["statistics"].data_vars)
         assert not {"gamma", "gamma_std", "omega_fit"} & set(out["dispersion"].data_vars)
-    assert "significant_height" in out["statistics"]
 
 
 def test_gaps_edges_and_unknown_depth_are_reported(sea):
