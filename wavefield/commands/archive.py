@@ -90,7 +90,7 @@ def _averaged(store: Path, steps: slice | None, average: str) -> "xr.Dataset":
     for one in rms.data_vars.values():
         one.attrs = {"units": one.attrs.get("units", ""), "long_name": f"rms of {one.attrs['long_name']}"}
     mean = fields.mean("time", keep_attrs=True)
-    return mean.merge(rms.rename({name: f"{name}_rms" for name in rms.data_vars})).compute()
+    return mean.assign({f"{name}_rms": field for name, field in rms.data_vars.items()}).compute()
 
 
 def _slice(words: str | None) -> slice | None:

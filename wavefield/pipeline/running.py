@@ -147,8 +147,9 @@ def process(
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
             prepared, layout = _open_or_create(prepared, path)
-            update_metadata(path, {FINISHED: None})
             ranges = unfinished(path, layout, prepared.series)
+            if ranges:
+                update_metadata(path, {FINISHED: None})
             todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
             done = layout.steps - sum(chunk.steps for chunk in todo)
             tracker = _Tracker(layout.steps, done, progress)
@@ -171,7 +172,8 @@ def process(
     verdict = assess_run(prepared, found, checked)
     verdict.save(path)
     if found.complete:
-        update_metadata(path, {FINISHED: True})
+        if not open_group(path).attrs.get(FINISHED):
+            update_metadata(path, {FINISHED: True})
         if prepared.experiment.smooth and (todo or not beside(path, "smooth", ".zarr").exists()):
             from wavefield.pipeline.smoothing import write_smoothed
 
