@@ -24,8 +24,8 @@ from wavefield.explorer.save import FILES, as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server, middle_node
 from wavefield.explorer.waves import log_density
 from wavefield.figures.display import DERIVED, display
+from wavefield.pipeline.analysis import analyze
 from wavefield.store.verdict import Remark, Verdict
-from wavefield.waves import analyze
 
 DT = 0.05
 

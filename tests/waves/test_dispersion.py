@@ -221,7 +221,7 @@ def test_the_relation_of_the_true_current_holds_the_energy_that_another_does_not
 
 def test_the_direction_of_an_isotropic_sea_is_as_uncertain_as_it_differs_between_records():
     sea = LatticeSea(side=180, shape=(320, 24, 30))
-    lines = np.arange(1.4, 2.9, 0.25)
+    lines = np.arange(1.4, 2.5, 0.25)  # beyond, the grid resolves no direction
     found = [wv.directions(sea.cube(draw, ("w",)).w, lines, sea.depth) for draw in range(8)]
     angle, std = (np.array([one[name] for one in found]) for name in ("direction", "direction_std"))
     apart = np.angle(np.exp(1j * (angle[1:] - angle[:-1])))

@@ -376,7 +376,7 @@ def crest_curves(crests: xr.Dataset) -> Figure:
         ax.fill_between(level[some], low[some], (part + 2 * std)[some], color=style["color"], alpha=0.2)
     for dash, name in (("--", "rayleigh"), (":", "tayfun")):
         ax.semilogy(level, crests[name].values, color="0.35", linestyle=dash, label=name.capitalize())
-    smallest = 0.3 / max(float(crests.waves), 10.0)
+    smallest = 0.3 / max(float(crests["waves"]), 10.0)
     finish(ax, "level (standard deviations)", "fraction beyond it", ylim=(smallest, 1.5))
     return figure
 

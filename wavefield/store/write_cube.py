@@ -50,16 +50,16 @@ def write_chunk(
     absent = [name for name in CUBE_FIELDS if name not in fields]
     if absent:
         raise ValueError(f"the measurement gave no {', '.join(absent)}")
+    expected = (stop - start, *group["z"].shape[1:])
+    for name in CUBE_FIELDS:
+        if np.shape(fields[name]) != expected:
+            raise ValueError(f"{name} has shape {np.shape(fields[name])}, expected {expected}")
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
         for name in ("frame_status", *CHUNKED):  # Zarr would read what is there, which may be damaged
             chunk_path(path, name, start // layout.chunk_steps).unlink(missing_ok=True)
         for name in CUBE_FIELDS:
             array = group[name]
             values = np.asarray(fields[name])
-            if values.shape != (stop - start, *array.shape[1:]):
-                raise ValueError(
-                    f"{name} has shape {values.shape}, expected {(stop - start, *array.shape[1:])}"
-                )
             array[start:stop] = in_16_bits(values, PACKING[name]) if array.dtype == np.int16 else values
         last = layout.steps + 1 if stop == layout.steps else stop  # the last chunk owns the last frame
         codes = np.zeros((len(layout.cameras), last - start), np.uint8)
