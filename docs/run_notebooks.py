@@ -5,11 +5,15 @@ is stored.
 """
 
 import argparse
+import base64
 import json
+import re
 import tempfile
 from pathlib import Path
 
+import cv2
 import nbformat
+import numpy as np
 from nbclient import NotebookClient
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
@@ -29,7 +33,22 @@ def without_paths(notebook: nbformat.NotebookNode, folder: Path) -> nbformat.Not
     text = json.dumps(notebook)
     for place in (str(folder.resolve()), str(folder)):
         text = text.replace(f"{place}/", "")
+    text = re.sub(re.escape(tempfile.gettempdir()) + r"/tmp\w+/", "", text)
     return nbformat.from_dict(json.loads(text))
+
+
+def with_small_pictures(notebook: nbformat.NotebookNode, limit: int = 100_000) -> nbformat.NotebookNode:
+    """The same with PNG pictures beyond a limit, characters, as JPEG."""
+    for data in (
+        output["data"] for cell in notebook.cells for output in cell.get("outputs", ()) if "data" in output
+    ):
+        if len(data.get("image/png", "")) > limit:
+            pixels = cv2.imdecode(
+                np.frombuffer(base64.b64decode(data.pop("image/png")), np.uint8), cv2.IMREAD_COLOR
+            )
+            jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+            data["image/jpeg"] = base64.b64encode(jpeg.tobytes()).decode()
+    return notebook
 
 
 def main() -> None:
@@ -49,7 +68,7 @@ def main() -> None:
             notebook = executed(path, folder)
             print(f"{path.name}: {len(notebook.cells)} cells")
             if not options.check:
-                nbformat.write(without_paths(notebook, Path(fresh)), path)
+                nbformat.write(with_small_pictures(without_paths(notebook, Path(fresh))), path)
 
 
 if __name__ == "__main__":
