@@ -3,14 +3,17 @@
 import codecs
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
 from wavefield.file_access import accessing
 from wavefield.variables import annotate
+
+if TYPE_CHECKING:  # half a second to import
+    import xarray as xr
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 SLOWEST = 2.0  # s between samples: slower ones do not resolve waves; times in ms have steps of 10 and more
@@ -25,7 +28,7 @@ def read_probes(
     factor: float = 1.0,
     clock: float = 0.0,
     places: Mapping[str, tuple[float, float]] | None = None,
-) -> xr.Dataset:
+) -> "xr.Dataset":
     """Read the elevations of wave probes from a CSV file.
 
     Parameters
@@ -84,6 +87,8 @@ def read_probes(
         )
     nowhere = (np.nan, np.nan)
     x, y = np.array([(places or {}).get(name, nowhere) for name in names[1:]], float).T
+    import xarray as xr
+
     out = xr.Dataset(
         {"elevation": (("probe", "time"), UNITS[unit] * factor * table[:, 1:].T)},
         {
