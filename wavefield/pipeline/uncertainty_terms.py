@@ -50,7 +50,7 @@ def uncertainty_terms(
     ...     terms = uncertainty_terms(simulate(scene, folder), rig=scene.build_rig())
     >>> terms.term.values.tolist()
     ['noise', 'prior', 'frames', 'ripples', 'setup']
-    >>> rms = np.sqrt((terms.z**2).mean(("y", "x")))
+    >>> rms = (terms.z**2).mean(("y", "x")) ** 0.5
     >>> bool(rms.sel(term="noise") > rms.sel(term="frames"))
     True
     """

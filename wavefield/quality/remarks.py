@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 import yaml
 from numpy.typing import NDArray
 
@@ -24,6 +23,8 @@ from wavefield.text import spell_ranges, spell_uncertain
 from wavefield.variables import Quality
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from wavefield.waves.estimators.probe_fit import ProbeFit
 
 # What each kind of remark means and what to do: the text of `wavefield explain`
@@ -283,7 +284,7 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
     )
 
 
-def remark_on_mean_plane(cube: xr.Dataset) -> Iterator[Remark]:
+def remark_on_mean_plane(cube: "xr.Dataset") -> Iterator[Remark]:
     """Report a mean surface of the record that is tilted or far from z = 0.
 
     A plane is fitted to each of some steps; steps within a second count as one: they see the same waves.
@@ -378,7 +379,7 @@ def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> I
         )
 
 
-def compare_probes(experiment: Experiment, cube: xr.Dataset) -> "tuple[list[ProbeFit], float]":
+def compare_probes(experiment: Experiment, cube: "xr.Dataset") -> "tuple[list[ProbeFit], float]":
     """How the probes of an experiment fit the elevation of its cube, and the interval of its steps, s.
 
     Of a long record the middle is compared, thinned in space.
@@ -401,7 +402,9 @@ def remark_on_fits(fits: "Sequence[ProbeFit]", dt: float) -> Iterator[Remark]:
             yield Remark(f"probe {fit.name}", "probe", "remark", found, means, remedy, values)
 
 
-def remark_on_probes(experiment: Experiment, cube: xr.Dataset, span: tuple[float, float]) -> Iterator[Remark]:
+def remark_on_probes(
+    experiment: Experiment, cube: "xr.Dataset", span: tuple[float, float]
+) -> Iterator[Remark]:
     """Report what is wrong with the probes of an experiment, or between them and its cube."""
     of_file = list(remark_on_probe_file(experiment, span))
     yield from of_file
