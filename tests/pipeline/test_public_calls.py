@@ -219,11 +219,10 @@ def test_a_changed_recipe_goes_beside_the_old(catalog):
 
 @pytest.mark.parametrize("digits", ["795126e3", "12345678", "1a2b3c4d", "0e000000"])
 def test_a_recipe_of_digits_stays_a_text_in_the_catalog(tmp_path, digits):
-    from wavefield.pipeline.catalog import _save, new_catalog
+    from wavefield.pipeline.catalog import _editing, _quoted
 
-    data = new_catalog("lab")
-    data["user_parameters"]["recipe"]["options"].append(digits)
-    _save(tmp_path / "lab.yaml", data)
+    with _editing(tmp_path / "lab.yaml") as data:
+        data["user_parameters"]["recipe"]["options"].append(_quoted(digits))
     options = intake.open_catalog(str(tmp_path / "lab.yaml")).user_parameters["recipe"].options
     assert options == ["latest", digits]
 
@@ -284,7 +283,7 @@ def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("cluster: locale", "line 1: cluster should be 'none', 'local', 'slurm', "),
+        ("cluster: locale", "line 1: cluster should be 'none', 'local', 'slurm' or 'address'"),
         ("cluster: local\nworker: 3", "line 2: worker is not a known key; did you mean 'workers'?"),
         ("workers: 0", "workers must be 1 or more"),
         ("memory: 2 MB", "is too little; give 1 GB or more"),
