@@ -148,7 +148,7 @@ def waves() -> str:
         table = rows_to_table(
             ("variable", "dims", "units", "meaning"), [_line(name, rows) for name, rows in families.items()]
         )
-        parts.append(f"### `/{group}`\n\n{words}\n\n{table}\n")
+        parts.append(f"## `/{group}`\n\n{words}\n\n{table}\n")
     return "\n".join(parts)
 
 

@@ -87,8 +87,8 @@ Array = NDArray[Any]
 MIN_CELLS_FROM_ZERO = 2.5  # cells of the k plane: nearer to zero the window mixes waves k and -k
 NOISE_ONLY = 0.8  # of the largest k along the axes: waves this short are weak on most lines
 # of the mean energy of a cell: without it, what Hann windows leak off the relation of noise-free waves counts
-# as waves. Tuned on seas that end at 2.5 to 6 Hz, not sensitive between 3e-4 and 1e-2
-LEAST_NOISE = 1e-3
+# as waves. Tuned on seas that end at 2.5 to 6 Hz, a tenth of it refuses some of them
+LEAST_NOISE = 1e-4
 RING_CELLS = 1.5  # width of a ring of wavenumbers
 
 
