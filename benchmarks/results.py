@@ -29,6 +29,8 @@ class Result:
         lines = [self.columns, ["---"] * len(self.columns), *self.rows]
         table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
         version = "" if self.algorithm is None else f", ALGORITHM {self.algorithm}"
+        if self.version.startswith("before"):
+            version += f", version {self.version}"
         return f"{table}\n\n*`{self.command}`{version}*"
 
     def save(self, folder: Path = RESULTS) -> Path:

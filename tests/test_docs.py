@@ -245,3 +245,13 @@ def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_document
     accepted |= {field.name for kind in (Target, Settings) for field in fields(kind)} - {"stereo", "piv"}
     accepted |= {f"{part}.{field.name}" for part in ("stereo", "piv") for field in fields(MatchSettings)}
     assert accepted - documented == set()
+
+
+def test_stored_results_are_of_this_version_of_the_measurement():
+    from benchmarks.results import RESULTS, Result
+    from wavefield.measurement.algorithm import ALGORITHM
+
+    for path in sorted(RESULTS.glob("*.json")):
+        result = Result.load(path)
+        assert result.algorithm in (None, ALGORITHM), f"measure again: {result.command} --save"
+        assert result.command.startswith("python -m benchmarks."), path.name
