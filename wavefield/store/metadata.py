@@ -20,7 +20,10 @@ def read_metadata(path: Path) -> dict[str, Any]:
     if not path.exists():
         raise StoreError(f"{path}: no such store; make one with `wavefield run`")
     if not file.exists():
-        raise StoreError(f"{path} is not a cube: it has no zarr.json; choose another name")
+        raise StoreError(
+            f"{path} is not a cube, or a damaged copy: it has no zarr.json; "
+            "copy the cube again, or choose another name"
+        )
     try:
         data: dict[str, Any] = json.loads(file.read_bytes())
         attributes = data["attributes"]
