@@ -208,7 +208,13 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
         raise
     except Exception as error:  # whatever a library makes of damaged bytes
         raise StoreError(f"{path} is damaged ({one_line(error)[:200]}); copy the cube again") from None
-    out = found.assign({name: named_variable(path / str(name), one.variable) for name, one in found.items()})
+    lazy = {
+        name: named_variable(path / str(name), one)
+        for name, one in found.variables.items()
+        if name not in found.xindexes
+    }
+    out = found.assign({name: lazy[name] for name in found.data_vars})
+    out = out.assign_coords({name: lazy[name] for name in lazy if name in found.coords})
     for name in (CHECKSUM, FINISHED):  # of the store, not of the measurement
         out.attrs.pop(name, None)
     out.encoding["source"] = str(path)
