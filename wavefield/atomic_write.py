@@ -12,7 +12,8 @@ import os
 import re
 import shutil
 import stat
-import tempfile
+import time
+import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from filelock import FileLock, Timeout
 from wavefield.errors import StoreError
 
 _DRAFT = ".wavefield-"  # start of the name of a folder that holds an unfinished product
+_REMOVALS, _PAUSE = 50, 0.05  # s: a chunk that is being written takes less than this in all
 _DRAFT_NOTE = "unfinished output of wavefield: the next command that writes in this folder removes it\n"
 _MARK = re.compile(rb"\n(?:# |<!-- )wavefield ([a-z ]+) ([0-9a-f]{16}) ([0-9a-f]{32})(?: -->)?\n\Z")
 _MARK_BYTES = 200  # a mark is shorter
@@ -184,8 +186,9 @@ def atomic(
 def _draft_folder(path: Path) -> Iterator[Path]:
     """A locked folder beside a path for its draft; those of killed writers are removed first."""
     remove_leftovers(path)
-    folder = Path(tempfile.mkdtemp(prefix=_DRAFT, dir=path.parent))
+    folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal can come between
     try:
+        folder.mkdir(mode=0o700)
         with FileLock(folder / "lock"):
             (folder / "note").write_text(f"{_DRAFT_NOTE}{path.name}", encoding="utf-8")
             try:
@@ -193,7 +196,16 @@ def _draft_folder(path: Path) -> Iterator[Path]:
             finally:
                 _put_back(folder, path)
     finally:
+        _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder; after an interruption Zarr's threads may write into it for a moment."""
+    for _ in range(_REMOVALS):
         shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
+        time.sleep(_PAUSE)
 
 
 def _put_back(folder: Path, path: Path) -> None:

@@ -96,6 +96,7 @@ def dask_setup(worker: Any) -> None:
     """Set up a worker before its first task; Dask calls it, as this module is preloaded."""
     set_up_worker()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # or it would finish its chunk after the run has ended
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which ends its workers
 
 
 def peak_memory() -> int:
