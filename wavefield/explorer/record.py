@@ -18,7 +18,7 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.figures.display import BALANCE, DERIVED
 from wavefield.store import preview as previews
 from wavefield.store.layout import CubeGroup
-from wavefield.store.read import open_group, read_layout
+from wavefield.store.read import open_group, read_array, read_layout
 from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
 
@@ -51,7 +51,7 @@ class CubeRecord:
         self.path = Path(path).absolute()
         self.group = open_group(self.path)
         self.layout = read_layout(self.group)
-        self.time, self.y, self.x = (np.asarray(self.group[name][:]) for name in CUBE_DIMS)
+        self.time, self.y, self.x = (read_array(self.group, self.path, name) for name in CUBE_DIMS)
         fields = {n for n, array in self.group.arrays() if array.metadata.dimension_names == CUBE_DIMS}
         self.stored = tuple(name for name in TABLE if name in fields)
         self._cache: OrderedDict[tuple[str, int], NDArray[np.float32]] = OrderedDict()
@@ -77,7 +77,7 @@ class CubeRecord:
 
     def refresh(self) -> bool:
         """Read the ledger again; returns whether it has changed."""
-        ledger = np.asarray(self.group["frame_status"][:])
+        ledger = read_array(self.group, self.path, "frame_status")
         changed = ledger != self.ledger
         for key in [key for key in self._cache if changed[key[1]]]:
             self._cache.pop(key, None)
@@ -127,7 +127,8 @@ class CubeRecord:
     def annotated(self, dataset: "xr.Dataset") -> "xr.Dataset":
         """Values of this cube with units, names and the length of its paths."""
         if "path_frames" in self.group:
-            dataset = dataset.assign_coords(path_frames=np.uint8(self.group["path_frames"][()]))
+            frames = read_array(self.group, self.path, "path_frames")
+            dataset = dataset.assign_coords(path_frames=frames.astype(np.uint8))
         out: xr.Dataset = annotate(dataset)
         return out
 

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.errors import StoreError
 from wavefield.store.metadata import FINISHED
-from wavefield.store.read import find_store, open_group, read_layout
+from wavefield.store.read import find_store, open_group, read_array, read_layout
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
-from wavefield.text import one_line, short_path, spell_ranges
+from wavefield.text import short_path, spell_ranges
 from wavefield.variables import FrameFault, FrameStatus
 
 _WORDS = {
@@ -164,16 +163,7 @@ def status(store: str | Path) -> Status:
     path = find_store(store)
     group = open_group(path)
     layout = read_layout(group)
-    try:
-        ledger = np.asarray(group["frame_status"][:])
-        faults = np.asarray(group["frame_fault"][:])
-    except StoreError:
-        raise
-    except Exception as error:  # whatever a codec makes of damaged bytes
-        raise StoreError(
-            f"the ledger of {path} is damaged ({one_line(error)[:200]}); `wavefield verify {path}` marks the "
-            "damaged steps, and `wavefield run` measures them again"
-        ) from None
+    ledger, faults = (read_array(group, path, name) for name in ("frame_status", "frame_fault"))
     bad = []
     for camera, codes in zip(layout.cameras, faults):
         for code in np.unique(codes[codes > 0]):

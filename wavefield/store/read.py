@@ -116,6 +116,19 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
         raise StoreError(f"{path} is damaged ({one_line(error)[:200]}); copy the cube again") from None
 
 
+def read_array(group: CubeGroup, path: Path, name: str) -> np.ndarray:
+    """All values of an array, as stored; damaged bytes are a `StoreError` that names it."""
+    try:
+        return np.asarray(group[name][...])
+    except StoreError:
+        raise
+    except Exception as error:  # whatever a codec makes of damaged bytes
+        raise StoreError(
+            f"{path / name} is damaged ({one_line(error)[:200]}): `wavefield verify {path}` finds the "
+            "damaged steps, and `wavefield run` measures them again"
+        ) from None
+
+
 def read_layout(group: Any) -> StoreLayout:
     """Sizes of an open store."""
     return StoreLayout(
