@@ -14,7 +14,7 @@ GRAVITY = 9.81  # m s-2
 SURFACE_TENSION = 0.0728  # N m-1, clean water at 20 C
 DENSITY = 1000.0  # kg m-3
 GAMMA = SURFACE_TENSION / DENSITY  # m3 s-2
-WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube, coordinates of its variables
+WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube and of its fields
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
@@ -38,12 +38,12 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
     return float(depth), float(attributes.get("surface_tension_over_density", GAMMA))
 
 
-def water_coordinates(attributes: Mapping[str, Any]) -> dict[str, float]:
-    """Depth and surface tension that attributes state, as coordinates: a variable of a cube keeps those.
+def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
+    """Depth and surface tension over density that attributes state, as numbers; deep water has none.
 
     Examples
     --------
-    >>> water_coordinates({"water_depth": 0.7, "name": "basin"}), water_coordinates({"water_depth": "deep"})
+    >>> stated_water({"water_depth": 0.7, "name": "basin"}), stated_water({"water_depth": "deep"})
     ({'water_depth': 0.7}, {})
     """
     given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}

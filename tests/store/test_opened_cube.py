@@ -81,3 +81,17 @@ def test_units_go_to_pint_and_names_to_cf_xarray(reference):
     assert cube.cf["X"].name == "x"
     assert units.Quantity(1.0, elevation.units).to("mm").magnitude == pytest.approx(1000)
     assert units.Quantity(1.0, cube.w.units).to("cm/s").magnitude == pytest.approx(100)
+
+
+def test_a_plot_of_a_step_is_titled_by_its_time_alone(reference, undrawn):
+    assert wf.open_cube(reference).z[3].plot().axes.get_title() == "time = 0.175 [s]"
+    assert (
+        set(wf.open_cube(reference).z.coords) == {"time", "y", "x"} == set(xr.open_zarr(reference).z.coords)
+    )
+
+
+def test_a_field_keeps_its_path_and_water_for_estimators(reference):
+    cube = wf.open_cube(reference)
+    assert (cube.w.attrs["path_frames"], cube.w.attrs["water_depth"]) == (int(cube.path_frames), 0.7)
+    found = wf.komega((cube.w - cube.w.mean("time")).load(), segment=8)
+    assert (int(found.path_frames), float(found.water_depth)) == (int(cube.path_frames), 0.7)

@@ -23,7 +23,7 @@ from wavefield.rig.formats import load_rig
 from wavefield.series import Frame
 from wavefield.series.frames import check_content
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameFault, annotate
-from wavefield.water import water_coordinates
+from wavefield.water import stated_water
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, Model, Settings
@@ -198,7 +198,7 @@ def reconstruct(
         for name in ("experiment", "water_depth", "surface_tension_over_density")
         if name in attributes
     }
-    out = out.set_coords(list(gain)).assign_coords(water_coordinates(out.attrs))
+    out = out.set_coords(list(gain)).assign_coords(stated_water(out.attrs))
     return annotate(out, "gain")
 
 

@@ -128,7 +128,7 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
     if not in_light_sheet(run):
         gist = f"sight lines miss each other by {number(eps_y, 'mm', 2)}, {gist}"
     rows = [("step status", numbers.step_status)]
-    if "path_frames" in cube.coords:
+    if "path_frames" in cube:
         frames = int(cube.path_frames)
         stated = {1: "instantaneous", 2: "displacements over one step"}
         rows.append(("velocities", stated.get(frames, f"along paths of {frames_of_path(frames)} frames")))

@@ -135,7 +135,6 @@ def _lay_out(
             "recipe": recipe.to_json(),
             "recipe_hash": recipe.hash,
             "wavefield_version": recipe.software.get("wavefield", ""),
-            "coordinates": "path_frames",
             **attributes,
         },
     )

@@ -15,8 +15,8 @@ from wavefield.errors import StoreError
 from wavefield.store.layout import CHUNKED, PACKING, CubeGroup, StoreLayout, chunk_path
 from wavefield.store.metadata import CHECKSUM, FINISHED, read_metadata
 from wavefield.text import one_line
-from wavefield.variables import TABLE, annotate
-from wavefield.water import water_coordinates
+from wavefield.variables import CUBE_FIELDS, TABLE, annotate
+from wavefield.water import stated_water
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
@@ -159,9 +159,10 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     Dataset
         The variables of `wavefield.variables`, attributes with the recipe. Steps not yet measured, and those
         over frames that the run found lost, doubled or late (``frame_status`` 4), are NaN. The values are
-        those that ``xarray.open_zarr(path)`` gives. The names of the cameras, the response to waves
-        (``gain_z``, ...) and the water's depth, where it is stated, are coordinates; the recipe, the rig, the
-        response and the flags of `quality` are read with ``cube.wavefield``.
+        those that ``xarray.open_zarr(path)`` gives. The names of the cameras and the response to waves
+        (``gain_z``, ...) are coordinates. Every field has ``path_frames`` and the stated depth of the water
+        as attributes, so that ``cube.w`` keeps them. The recipe, the rig, the response and the flags of
+        `quality` are read with ``cube.wavefield``.
 
     Raises
     ------
@@ -193,16 +194,20 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
 
     stored = open_stored(path, chunks)
+    stored = stored.reset_coords("path_frames")  # a coordinate in cubes of version 1.0
     stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])
-    order = [name for name in TABLE if name in stored.data_vars]
-    cube = stored[[*order, *(name for name in stored.data_vars if name not in order)]]
-    cube = cube.assign_coords(stored.coords)
+    order = dict.fromkeys((*CUBE_FIELDS, *stored.data_vars))
+    cube = stored[list(order)].assign_coords(stored.coords)
     cube = cube.assign_coords(camera=("camera", np.array(stored.attrs["cameras"]), TABLE["camera"].attrs))
     cube.encoding.pop("coordinates", None)
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked
             cube[name] = cube[name].astype("float32")
-    return annotate(cube.assign_coords(water_coordinates(cube.attrs)))
+    # a variable that is taken out of the cube keeps them, and plots do not name them in their titles
+    stated = {"path_frames": int(cube["path_frames"]), **stated_water(cube.attrs)}
+    for name in CUBE_FIELDS:
+        cube[name].attrs |= stated
+    return annotate(cube)
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":

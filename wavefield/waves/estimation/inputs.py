@@ -17,9 +17,9 @@ from scipy.interpolate import make_interp_spline
 
 from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS, annotate, validate
-from wavefield.water import WATER, water_coordinates, water_of
+from wavefield.water import WATER, stated_water, water_of
 from wavefield.waves.estimation.record import check_axes
-from wavefield.waves.estimation.welch import VELOCITY, frames_of_meaning
+from wavefield.waves.estimation.welch import VELOCITY, frames_of_meaning, with_stated
 
 Estimator = TypeVar("Estimator", bound=Callable[..., Any])
 # of what an estimator is given: what it works on, and the parameters that the input states
@@ -36,7 +36,7 @@ def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
         @functools.wraps(estimator)
         def call(*args: object, **options: object) -> Any:
             bound = signature.bind(*args, **options)
-            bound.arguments[first], stated = convert(bound.arguments[first], estimator.__name__)
+            bound.arguments[first], stated = convert(with_stated(bound.arguments[first]), estimator.__name__)
             for name, value in stated.items():
                 if name in signature.parameters:
                     bound.arguments.setdefault(name, value)
@@ -67,10 +67,10 @@ def is_cube(given: object) -> bool:
     return isinstance(given, xr.Dataset) and set(CUBE_DIMS) <= set(given.dims)
 
 
-def stated_water(given: Any) -> dict[str, float]:
+def water_parameters(given: Any) -> dict[str, float]:
     """Depth and surface tension over density that a cube, a field or a spectrum states; empty if none."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
-    stated |= water_coordinates(given.attrs)
+    stated |= stated_water(given.attrs)
     if not stated:
         return {}
     depth, gamma = water_of(stated)
@@ -88,7 +88,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
         )
-    return given, stated_water(given)
+    return given, water_parameters(given)
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -196,7 +196,7 @@ def cube(
     stated = {VELOCITY: velocity, "frame_rate": 1 / dt} | attrs
     if depth is not None and np.isfinite(depth):
         stated["water_depth"] = float(depth)
-    coords: dict[str, Any] = {"path_frames": np.uint8(frames), **water_coordinates(stated)}
+    coords: dict[str, Any] = {"path_frames": np.uint8(frames), **stated_water(stated)}
     return annotate(out.assign_coords(coords)).assign_attrs(stated)
 
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.variables import INSTANTANEOUS, frames_of_path
-from wavefield.water import water_of
+from wavefield.water import WATER, water_of
 from wavefield.waves.estimation import rings, segments
 from wavefield.waves.estimation.record import Record, find_record
 from wavefield.waves.estimation.segments import degrees_of_freedom, effective_duration
@@ -174,8 +174,27 @@ class Welch:
         }
 
 
+def with_stated(given: Any) -> Any:
+    """A field or a cube whose `path_frames` and water are coordinates, as results keep them, where fields
+    state them as attributes (those of `wavefield.open_cube` do); anything else as it is.
+    """
+    if not isinstance(given, xr.DataArray | xr.Dataset):
+        return given
+    out = given.copy()
+    fields = [out] if isinstance(out, xr.DataArray) else list(out.data_vars.values())
+    stated: dict[str, Any] = {}
+    for name in ("path_frames", *WATER):
+        for field in fields:
+            if name in field.attrs:
+                stated[name] = field.attrs.pop(name)
+    if isinstance(out, xr.Dataset) and "path_frames" in out:
+        stated["path_frames"] = out["path_frames"].drop_vars(out["path_frames"].coords)
+    return out.assign_coords({name: value for name, value in stated.items() if name not in out.coords})
+
+
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     """`path_frames` of a cube: 4, 6 or 7 of velocities along paths, 1 of those of an instant, else 2."""
+    fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
     arrays = (
@@ -200,6 +219,7 @@ def frames_of_meaning(*stated: str) -> int:
 
 def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
     """A cube that states what its velocities are, and a note where neither it nor the argument does."""
+    cube = with_stated(cube)
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
     stated = "path_frames" in cube.coords or any(
         key in one.attrs for one in (cube, *arrays) for key in (VELOCITY, "frames", "recipe")
@@ -221,7 +241,7 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
 
 def along_paths(fields: xr.DataArray | xr.Dataset) -> bool:
     """Whether the velocities of a cube are those at mid-time; of a lazy one nothing is computed."""
-    return "path_frames" in fields.coords or frames_of(fields) != 2
+    return "path_frames" in with_stated(fields).coords or frames_of(fields) != 2
 
 
 def frames_of_z(fields: xr.DataArray | xr.Dataset) -> int:

@@ -34,8 +34,8 @@ from wavefield.waves.estimation.inputs import (
     is_cube,
     is_field,
     keep_water,
-    stated_water,
     takes,
+    water_parameters,
 )
 from wavefield.waves.estimation.record import Record, filled_density
 from wavefield.waves.estimation.segments import effective_duration, interval
@@ -459,7 +459,9 @@ def plane_of(field: str, independent: bool = False, segment: int | None = None) 
     """
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-        water: dict[str, Any] = stated_water(given) if isinstance(given, xr.DataArray | xr.Dataset) else {}
+        water: dict[str, Any] = (
+            water_parameters(given) if isinstance(given, xr.DataArray | xr.Dataset) else {}
+        )
         if isinstance(given, xr.DataArray) and set(given.dims) == PLANE:
             return given, water
         if is_cube(given):
