@@ -83,7 +83,3 @@ def different(a, b, steps=slice(None)) -> list[str]:
     return [
         name for name in COMPARED if a[name].dtype != b[name].dtype or a[name].tobytes() != b[name].tobytes()
     ]
-
-
-def steps_measured(cube: xr.Dataset) -> int:
-    return int((cube.frame_status > 0).sum())

@@ -1,45 +1,67 @@
-"""The small tank and its cube, made once."""
+"""The small tank, its cube and its waves: made once per session, whatever the number of workers."""
 
 import functools
 import hashlib
+import os
 import pickle
 import shutil
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from cube_cases import FOURS, HERE, KNOCKED, write_tank
+from filelock import FileLock
 
-import wavefield.measurement
-from wavefield import analyze
-from wavefield.images import write_image
-from wavefield.pipeline import run
-from wavefield.tank import Scene, Tank
 
-LEARNED = {}  # what was learned from the same frames, by its inputs
+def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """A folder that the first worker to ask for it fills; the others wait for it. Not to be changed."""
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+    folder = base / f"once-{name}"
+    with FileLock(base / f"once-{name}.lock"):
+        if not folder.with_suffix(".done").exists():
+            shutil.rmtree(folder, ignore_errors=True)  # of one that failed
+            folder.mkdir()
+            make(folder)
+            folder.with_suffix(".done").touch()
+    return folder
+
+
+LEARNED = {}  # what was computed from the same frames, by its inputs
+
+
+def _remembered(compute):
+    """The same function, which computes once what it is asked for twice."""
+
+    @functools.wraps(compute)
+    def remembered(frames, geometry, *rest, **named):
+        place = geometry.rig, geometry.grid, geometry.settings, geometry.covered
+        key = hashlib.sha256(pickle.dumps((compute.__name__, frames, place, rest, named))).digest()
+        if key not in LEARNED:
+            LEARNED[key] = compute(frames, geometry, *rest, **named)
+        return LEARNED[key]
+
+    return remembered
 
 
 @pytest.fixture(scope="package", autouse=True)
 def learned_once():
-    """Beads, spectra and noise of the same frames are learned once for all runs: a third of a run here."""
-    learn = wavefield.measurement.learn
-
-    @functools.wraps(learn)
-    def remembered(steps, geometry, masks=None, threads=1, frame_rate=None):
-        place = geometry.rig, geometry.grid, geometry.settings, geometry.covered
-        key = hashlib.sha256(pickle.dumps((steps, masks, frame_rate, place))).digest()
-        if key not in LEARNED:
-            LEARNED[key] = learn(steps, geometry, masks, threads, frame_rate)
-        return LEARNED[key]
+    """Spectra, noise and errors of pairs of the same frames are computed once for all runs: 40 % of a run."""
+    import wavefield.measurement
+    import wavefield.pipeline.pair_statistics as pairs
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wavefield.measurement, "learn", remembered)
+        patch.setattr(wavefield.measurement, "learn", _remembered(wavefield.measurement.learn))
+        patch.setattr(pairs, "diagnose", _remembered(pairs.diagnose))
         yield
 
 
 @pytest.fixture(scope="session")
 def tank(tmp_path_factory):
     """Experiment file of the small tank; not to be changed."""
-    return write_tank(tmp_path_factory.mktemp("tank"))
+    return once(tmp_path_factory, "tank", write_tank) / "experiment.yaml"
 
 
 @pytest.fixture
@@ -52,15 +74,25 @@ def own_tank(tank, tmp_path):
 @pytest.fixture(scope="session")
 def reference(tank, tmp_path_factory):
     """Its cube from one uninterrupted run in one block."""
-    path = tmp_path_factory.mktemp("reference") / "cube.zarr"
-    run(tank, out=path, workflow=HERE)
-    return path
+
+    def make(folder):
+        from wavefield.pipeline import run
+
+        run(tank, out=folder / "cube.zarr", workflow=HERE)
+
+    return once(tmp_path_factory, "reference", make) / "cube.zarr"
 
 
 @pytest.fixture(scope="session")
 def knocked(tmp_path_factory):
     """A wider tank whose cam1 turns by .01 degrees in mid-record; not to be changed."""
-    folder = tmp_path_factory.mktemp("knocked")
+    return once(tmp_path_factory, "knocked", _write_knocked) / "experiment.yaml"
+
+
+def _write_knocked(folder):
+    from wavefield.images import write_image
+    from wavefield.tank import Scene, Tank
+
     fault = {"cam1": {"turned": (0.01, 0.0, 0.0), "since": KNOCKED}}
     tank = Tank(Scene.load("demo").with_(rig={"crop": 0.25}, sea={"shortest": 0.15}, faults=fault))
     tank.rig.save(folder / "rig.yaml")
@@ -69,18 +101,21 @@ def knocked(tmp_path_factory):
             write_image(folder / name / f"img_{frame:02d}.tif", image)
     cameras = "".join(f'  {name}: "{name}/*.tif"\n' for name in tank.rig)
     grid = "grid: {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}\n"
-    path = folder / "experiment.yaml"
-    path.write_text(f"name: lab\nframe_rate: 20\nrig: rig.yaml\ncameras:\n{cameras}{grid}")
-    return path
+    note = f"name: lab\nframe_rate: 20\nrig: rig.yaml\ncameras:\n{cameras}{grid}"
+    (folder / "experiment.yaml").write_text(note)
 
 
 @pytest.fixture(scope="session")
 def measured(tmp_path_factory):
     """A folder with a tiny experiment, its cube of three blocks, preview, verdict and waves."""
-    folder = tmp_path_factory.mktemp("measured")
-    experiment = write_tank(folder, 10)
-    run(experiment, workflow=FOURS)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        analyze(folder / "cube.zarr", folder / "waves.zarr", segment=8)
-    return folder
+
+    def make(folder):
+        from wavefield import analyze
+        from wavefield.pipeline import run
+
+        run(write_tank(folder, 10), workflow=FOURS)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            analyze(folder / "cube.zarr", folder / "waves.zarr", segment=8)
+
+    return once(tmp_path_factory, "measured", make)

@@ -8,7 +8,7 @@ import xarray as xr
 
 from wavefield.explorer.map import arrows
 from wavefield.explorer.node import spectrum
-from wavefield.figures.display import KINDS, limit, quality_kind
+from wavefield.figures.display import limit, quality_kind
 
 STEP = 2
 
@@ -116,42 +116,6 @@ def test_any_variable_is_shown_in_its_unit(page, fields, name, factor):
     np.testing.assert_allclose(page.image("map_image"), factor * fields[name][STEP], rtol=1e-5)
 
 
-def test_derived_variables_are_those_of_the_analysis(page, whole):
-    from wavefield.pipeline import open_cube
-    from wavefield.waves.estimators.kinematics import kinematic_fields
-
-    expected = kinematic_fields(open_cube(whole[0]).isel(time=slice(STEP - 1, STEP + 2)).load())
-    for name, factor in (("vorticity", 1), ("divergence", 1), ("residual", 100)):
-        choose(page, "show", name)
-        page.wait(shown(name))
-        np.testing.assert_allclose(
-            page.image("map_image"), factor * expected[name].values[1], rtol=1e-4, atol=1e-5
-        )
-
-
-def test_quality_is_shown_by_kind(page, fields):
-    choose(page, "show", "quality")
-    page.wait(shown("quality"))
-    kinds = quality_kind(fields["quality"][STEP]).astype(float)
-    np.testing.assert_array_equal(page.image("map_image"), np.where(kinds < len(KINDS), kinds, np.nan))
-
-
-def test_colours_are_set_and_fitted(page, fields):
-    page.page.get_by_label("Colours from").fill("-5")
-    page.page.keyboard.press("Tab")
-    page.page.get_by_label("to", exact=True).fill("7")
-    page.page.keyboard.press("Tab")
-    page.wait("new URL(location).searchParams.get('limits') == '-5,7'")
-    mapper = page.page.evaluate(
-        f"(() => {{ const r = {model('map')}.renderers[0].glyph.color_mapper; return [r.low, r.high] }})()"
-    )
-    assert mapper == [-5, 7]
-    page.page.get_by_role("button", name="Fit").click()
-    page.wait(f"{model('low')}.value != -5 && {model('high')}.value != 7")
-    half = float(f"{limit(100 * fields['w'][STEP]):.2g}")
-    assert (page.get("low", "value"), page.get("high", "value")) == (-half, half)
-
-
 def test_arrows_are_the_velocity_and_go_away(page, fields):
     u, v = fields["u"][STEP], fields["v"][STEP]
     shown = page.column("map_arrows", "x").reshape(-1, 7)
@@ -165,20 +129,6 @@ def test_arrows_are_the_velocity_and_go_away(page, fields):
     page.page.keyboard.press("a")
     page.wait(f"{model('map_arrows')}.data.x.length > 0")
     assert metres > 0
-
-
-def test_the_wheel_zooms_and_reset_goes_back(page):
-    reset = f"Bokeh.index.find_one({model('map')}).reset()"
-    page.page.evaluate(reset)  # another test may have zoomed
-    before = page.page.evaluate(f"[{model('map')}.x_range.start, {model('map')}.x_range.end]")
-    page.page.mouse.move(*page.at("map", 0.0, 0.0))
-    page.page.mouse.wheel(0, -300)
-    page.wait(f"{model('map')}.x_range.end < {before[1]} - 0.01")
-    start = page.page.evaluate(f"{model('map')}.x_range.start")
-    page.drag("map", (0.0, 0.0), (0.1, 0.05))
-    page.wait(f"Math.abs({model('map')}.x_range.start - ({start} - 0.1)) < 0.03")
-    # again and again: the last move of the drag may come after the first reset
-    page.wait(f"({reset}, Math.abs({model('map')}.x_range.end - {before[1]}) < 1e-6)")
 
 
 def test_a_click_shows_everything_at_the_node(page, fields):
@@ -405,21 +355,6 @@ def test_a_node_at_a_probe_is_shown_with_its_series(chrome, served, fields):
     assert 700 < bottom < 900  # the map fills the window
     window.page.close()
     assert window.errors == []
-
-
-def test_kx_and_ky_have_equal_axes(page):
-    page.page.keyboard.press("4")
-    page.wait(f"{model('wave_plane')}.data.image.length == 1")
-    page.page.wait_for_timeout(500)
-    (x0, y0), (x1, y1) = page.at("wave_map", 0, 0), page.at("wave_map", 1, 1)
-    assert x1 - x0 == pytest.approx(y0 - y1, rel=0.02)
-
-
-def test_the_pointer_is_given_name_value_and_unit(page, fields):
-    page.page.mouse.move(*page.at("map", X[7], Y[5]))
-    value = float(f"{100 * fields['w'][STEP, 5, 7]:.4g}")
-    page.page.get_by_text(f"{value} cm/s").wait_for(timeout=5000)
-    page.page.get_by_text("w:", exact=True).first.wait_for(timeout=5000)
 
 
 def test_only_this_machine_may_talk_to_it(served):

@@ -2,9 +2,7 @@
 
 import os
 import shutil
-import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import cv2
@@ -15,11 +13,8 @@ from bokeh.document import Document
 
 from wavefield.errors import ExperimentError
 from wavefield.explorer import live
-from wavefield.explorer.follow import FollowPage, lights_table
+from wavefield.explorer.follow import FollowPage
 from wavefield.explorer.lights import (
-    HISTORY_S,
-    LightHistory,
-    StatusLight,
     arrival_lights,
     bead_size,
     frame_features,
@@ -27,7 +22,7 @@ from wavefield.explorer.lights import (
     step_lights,
     summarize_step,
 )
-from wavefield.explorer.live import FolderWatch, Follower, Learner
+from wavefield.explorer.live import FolderWatch, Follower
 from wavefield.images import write_image
 from wavefield.series import Experiment
 from wavefield.variables import AROUND, Quality
@@ -303,26 +298,6 @@ def test_the_page_shows_map_lights_and_cameras(followed):
     document.to_json()
 
 
-def test_the_history_of_a_light_is_drawn_beside_it(monkeypatch):
-    now, history = [0.0], LightHistory()
-    monkeypatch.setattr("wavefield.explorer.lights.time.monotonic", lambda: now[0])
-    for state in ("good", "good", "good", "bad"):
-        for _ in range(3):  # more often than once a second
-            light = StatusLight("focus", "cam1", state, "beads of 1.00 px")
-            history.add([light])
-            now[0] += 0.4
-    assert len(history.entries) == 4
-    table = lights_table((light,), list(history.entries))
-    assert "#007a5a 0.0% 75.0%" in table
-    assert "#b34700 75.0% 100.0%" in table
-    assert 'aria-label="the last minutes: good, fix it"' in table
-    now[0] += 1e4
-    for _ in range(2 * HISTORY_S):
-        now[0] += 1.0
-        history.add([light])
-    assert len(history.entries) == HISTORY_S
-
-
 def test_what_is_masked_is_masked_while_following(small_tank, tmp_path):
     rig, frames = small_tank
     path = record(tmp_path / "live", rig)
@@ -337,37 +312,6 @@ def test_what_is_masked_is_masked_while_following(small_tank, tmp_path):
     masked = (follower.latest.fields["quality"] & int(Quality.MASKED)) != 0
     assert 0 < masked.sum() < masked.size / 2
     np.testing.assert_array_equal(np.isnan(follower.latest.fields["w"]), masked)
-
-
-def test_a_mask_that_moves_with_the_frames_is_followed(small_tank, tmp_path):
-    rig, frames = small_tank
-    path = record(tmp_path / "live", rig)
-    boat = {name: f'{{frames: "boat/{name}_{{frame:05d}}.png"}}' for name in CAMERAS}
-    path.write_text(
-        path.read_text() + "mask: {" + ", ".join(f"{name}: {shape}" for name, shape in boat.items()) + "}\n"
-    )
-    follower = Follower(Experiment.load(path))
-    x, y = np.meshgrid(np.linspace(-0.03, 0.03, 40), np.linspace(-0.03, 0.03, 40))
-    for number in range(4):
-        for name in CAMERAS:
-            hidden = np.zeros(frames[0][name].shape, np.uint8)
-            X, Y = rig[name].project(x + 0.02 * (number - 2), y, 0.0)
-            hidden[np.rint(Y).astype(int), np.rint(X).astype(int)] = 255
-            if number < 3:
-                write_image(
-                    path.parent / "boat" / f"{name}_{number:05d}.png", cv2.dilate(hidden, np.ones((5, 5)))
-                )
-    masked = []
-    for number in range(4):
-        write(path.parent, number, frames[number])
-        if follower.poll():
-            quality = follower.latest.fields["quality"]
-            masked.append((quality & int(Quality.MASKED)) != 0)
-            words = follower.latest.trouble
-            assert ("for frame 3 yet" in words) == (number == 3), words
-    x_nodes = follower.nodes[0]
-    middle = [float(x_nodes[np.nonzero(m)[1]].mean()) for m in masked[:2]]
-    assert 0.005 < middle[1] - middle[0] < 0.035
 
 
 def with_background(folder, small_tank, background):
@@ -420,39 +364,6 @@ def test_following_without_the_background_that_is_named_is_refused_as_a_run_is(t
         Follower(Experiment.load(path))
 
 
-def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, tmp_path):
-    rig, frames = small_tank
-    path = record(tmp_path / "live", rig)
-    follower = Follower(Experiment.load(path))
-    for number in range(2):
-        write(path.parent, number, frames[number])
-    follower.poll()
-    learner = follower._measurer.learner
-    first = learner.model
-    assert first.record is not None
-    learner._next_s = 0.0  # its time has come
-    write(path.parent, 2, frames[2])
-    follower.poll()
-    learner.wait()
-    assert learner.model is not first
-    assert learner.model.record != first.record
-
-
-def test_a_program_that_ends_while_it_learns_prints_nothing(monkeypatch):
-    """Pools end before threads do; any other failure of theirs is one."""
-
-    def learn(*_, **__):
-        with ThreadPoolExecutor(1) as pool:
-            pool.shutdown()
-            pool.submit(int)
-
-    monkeypatch.setattr(live, "learn", learn)
-    Learner(None, 1.0)._learn()
-    monkeypatch.setattr(live, "learn", lambda *_, **__: threading.Lock().release())
-    with pytest.raises(RuntimeError, match="release unlocked lock"):
-        Learner(None, 1.0)._learn()
-
-
 # -- the light for the kinematics ---------------------------------------------------------------------------
 
 X, Y = np.meshgrid(np.arange(40) * 0.01, np.arange(30) * 0.01)
@@ -482,9 +393,3 @@ def test_water_that_does_not_move_with_its_surface_has_a_light(factor, state):
         for one in step_lights(summarize_step(wave_fields(factor), X, Y, (-0.05, 0.05), RATE), None)
     }
     assert lights["kinematics"].state == state, lights["kinematics"].words
-
-
-def test_a_step_of_which_nothing_is_measured_has_no_verdict_on_its_kinematics():
-    nothing = wave_fields() | {"z": np.full(X.shape, np.nan)}
-    lights = {one.name: one for one in step_lights(summarize_step(nothing, X, Y, (-0.05, 0.05), RATE), None)}
-    assert lights["kinematics"].state == "unknown"

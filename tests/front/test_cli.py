@@ -86,17 +86,6 @@ def test_help_is_quick_because_nothing_heavy_is_imported():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 
-def test_whether_a_file_is_a_catalog_is_found_without_importing_the_measurement(tmp_path):
-    (tmp_path / "campaign.yaml").write_text("entries: {}\n")
-    code = (
-        "import sys; from wavefield.pipeline import is_catalog; "
-        f"print(is_catalog({str(tmp_path / 'campaign.yaml')!r}), "
-        "[m for m in ('numba', 'cv2', 'zarr', 'wavefield.measurement') if m in sys.modules])"
-    )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
-    assert found == "True []\n"
-
-
 def test_a_run_begins_before_what_only_its_end_needs_is_imported():
     heavy = ["xarray", "pandas", "dask", "matplotlib"]
     modules = "sys, wavefield.pipeline.running, wavefield.measurement.record"
@@ -231,13 +220,6 @@ def test_simulate_lists_every_scene(capsys):
     assert main(["simulate", "--help"]) == 0
     listed = capsys.readouterr().out.split("Scenes:")[1].split("Examples:")[0].replace(",", " ").split()
     assert set(Scene.presets()) <= set(listed)
-
-
-def test_commands_are_listed_in_the_order_of_their_use(capsys):
-    main(["--help"])
-    words = [line.split()[0] for line in capsys.readouterr().out.split("Commands:")[1].splitlines() if line]
-    path = ["init", "calibrate", "check", "run", "analyze", "report", "look"]
-    assert [word for word in words if word in path][: len(path)] == path
 
 
 def test_every_public_name_is_there_and_known_to_type_checkers():

@@ -12,7 +12,7 @@ import yaml
 from test_cli import examples_of
 
 from wavefield.commands.cli import main
-from wavefield.commands.demo import comparison, inside
+from wavefield.commands.demo import comparison
 from wavefield.images import write_image
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
@@ -149,10 +149,6 @@ def test_probes_that_are_not_there_are_missed(folder, checked, tmp_path, capsys)
     changed = _changed(folder, tmp_path, probes="nowhere.csv", frames={"first": 0, "last": 9})
     assert main(["-q", "check", changed, "--workflow", workflow]) == 3
     assert re.search(r"probes: .*nowhere.csv.* \[probe\]", capsys.readouterr().out)
-    cube = str(tmp_path / "cube.zarr")
-    assert main(["-q", "run", changed, "--workflow", workflow, "-o", cube]) == 3
-    assert main(["-q", "analyze", cube]) == 0
-    assert re.search(r"without the probes .*nowhere.csv", capsys.readouterr().err)
 
 
 def test_check_compares_the_pairs_of_cameras(folder, checked):
@@ -280,18 +276,6 @@ def test_examples_of_helps_run_as_they_are_written(folder, tmp_path, monkeypatch
         main(["-q", "catalog", "add", *examples_of("catalog add")[0]]) == 1
     )  # what init wrote is incomplete
     assert "frame_rate is empty; fill it in" in capsys.readouterr().err
-
-
-def test_margin_leaves_out_the_edge_of_what_was_measured():
-    import xarray as xr
-
-    z = np.full((2, 20, 30), np.nan)
-    z[:, 2:-2, 3:-3] = 0.0
-    errors = xr.Dataset(
-        {"z": (("time", "y", "x"), z)}, {"x": 0.01 * np.arange(30), "y": 0.01 * np.arange(20)}
-    )
-    kept = np.isfinite(inside(errors, 0.04).z.isel(time=0).values)
-    assert kept.sum() == (20 - 4 - 8) * (30 - 6 - 8)
 
 
 def test_a_report_is_written_without_the_images_too_and_states_it(folder, tmp_path, undrawn):

@@ -44,6 +44,9 @@ def no_longer_than(seconds):
         signal.signal(signal.SIGPROF, before)
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Images that are read, a rig."""
@@ -87,11 +90,10 @@ def one_sentence(error, name=""):
     assert "Traceback" not in words
 
 
-@pytest.mark.parametrize("part", range(4))
-def test_spoiled_lab_notes(folder, part):
-    """Thirty lab notes each, with one to four mistakes."""
+def test_spoiled_lab_notes(folder):
+    """Sixty lab notes with one to four mistakes each."""
     read = 0
-    for seed in range(30 * part, 30 * part + 30):
+    for seed in range(60):
         path = folder / f"note_{seed}.yaml"
         path.write_bytes(spoil_text(NOTE, random.Random(seed)))
         with no_longer_than(LONGEST), warnings.catch_warnings():
@@ -101,7 +103,7 @@ def test_spoiled_lab_notes(folder, part):
                 read += 1
             except WavefieldError as error:
                 one_sentence(error)
-    assert read < 25  # most mistakes matter
+    assert read < 50  # most mistakes matter
 
 
 def test_spoiled_probes(folder):

@@ -1,5 +1,5 @@
-"""Fixtures of the small tank and its cube."""
+"""Runs of this room learn from the same frames once."""
 
-from cube_fixtures import knocked, learned_once, measured, own_tank, reference, tank
+from cube_fixtures import learned_once
 
-__all__ = ["knocked", "learned_once", "measured", "own_tank", "reference", "tank"]
+__all__ = ["learned_once"]

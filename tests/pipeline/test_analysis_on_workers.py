@@ -79,6 +79,7 @@ def test_the_command_analyses_where_its_workflow_states(reference, tmp_path):
     assert (tmp_path / "waves.log").exists(), "what was done on workers is in a log"
 
 
+@pytest.mark.slow
 def test_a_field_that_lacks_more_than_the_elevation_is_found_on_workers_too(tmp_path):
     sea(steps=200, gap=9).to_zarr(tmp_path / "cube.zarr", consolidated=False)
     wf.analyze(tmp_path / "cube.zarr", tmp_path / "one.zarr", segment=SEGMENT)
@@ -87,6 +88,7 @@ def test_a_field_that_lacks_more_than_the_elevation_is_found_on_workers_too(tmp_
     assert unlike(tmp_path / "one.zarr", tmp_path / "two.zarr") == []
 
 
+@pytest.mark.slow
 def test_what_cannot_be_analysed_is_reported_as_by_one_process(store, tmp_path):
     workflow = wf.Workflow(cluster="local", workers=2)
     with pytest.raises(CubeError, match="less than one segment"):
@@ -96,6 +98,7 @@ def test_what_cannot_be_analysed_is_reported_as_by_one_process(store, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["waves.log"]
 
 
+@pytest.mark.slow
 def test_a_signal_stops_the_analysis_and_leaves_nothing_behind(store, tmp_path):
     def stop(done, total):
         signal.pthread_kill(threading.main_thread().ident, signal.SIGTERM)

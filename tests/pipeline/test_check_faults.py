@@ -1,7 +1,6 @@
 """Some of the faults and of the sound experiments of `benchmarks.check_faults`."""
 
 import shutil
-from dataclasses import replace
 
 import pytest
 
@@ -65,17 +64,3 @@ def test_sound_experiments_raise_no_alarm(lab):
             change(lab)
     status, words = outcome(lab / "experiment.yaml")
     assert status == 0, words
-
-
-def test_a_rig_in_centimetres_is_reported_by_its_baseline(lab):
-    import numpy as np
-
-    from wavefield.pipeline.magnitudes import remark_on_lengths
-    from wavefield.rig import Rig
-    from wavefield.series import Experiment
-
-    rig = Rig.load(lab / "rig.yaml")
-    large = Rig({n: replace(c, translation=100 * np.asarray(c.translation)) for n, c in rig.cameras.items()})
-    experiment = Experiment.load(lab / "experiment.yaml")
-    assert [one.kind for one in remark_on_lengths(experiment, large, np.zeros(1))] == ["lengths"]
-    assert not [*remark_on_lengths(experiment, rig, np.zeros(1))]

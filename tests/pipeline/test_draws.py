@@ -14,6 +14,7 @@ from fault_draws import spoil_frames, spoil_magnitudes
 from wavefield.errors import WavefieldError
 from wavefield.pipeline import check
 
+pytestmark = pytest.mark.slow
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "6"))
 PARTS = 6
 WORST = (5021, 5064)  # a sensor tilted by 8000 rad, half of a grid: these once ended in an unforeseen error

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from cube_cases import FOURS, write_tank
+from cube_cases import FOURS
 
 import wavefield as wf
 from wavefield.pipeline import pair_statistics as module
@@ -53,13 +53,6 @@ def test_statistics_are_those_of_the_diagnosis(measured):
         assert float(again.rms[row.values].item()) == rms_within(values)[0]
 
 
-def test_a_run_that_has_nothing_to_do_leaves_them(measured, tmp_path, monkeypatch):
-    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
-    monkeypatch.setattr(module, "pair_statistics", lambda prepared: pytest.fail("computed again"))
-    wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
-    assert files(tmp_path / "cube.zarr") == files(measured / "cube.zarr")
-
-
 def test_a_run_killed_while_it_writes_them_writes_them_again(measured, tmp_path, monkeypatch):
     shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
     store = tmp_path / "cube.zarr"
@@ -71,19 +64,6 @@ def test_a_run_killed_while_it_writes_them_writes_them_again(measured, tmp_path,
     assert stored(store) is None
     wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
     assert files(store) == files(measured / "cube.zarr")
-
-
-def test_they_follow_frames_that_are_repaired(tmp_path):
-    experiment = write_tank(tmp_path, 10)
-    store = tmp_path / "cube.zarr"
-    first = tmp_path / "cam1" / "img_00001.tif"
-    first.rename(tmp_path / "kept.tif")
-    wf.run(experiment, workflow=FOURS)
-    without = stored(store)
-    (tmp_path / "kept.tif").rename(first)
-    wf.run(experiment, workflow=FOURS)
-    assert without is None or without.attrs["cube_state"] != stored(store).attrs["cube_state"]
-    assert stored(store).attrs["steps"] == [0]
 
 
 def test_cubes_without_them_open(measured, tmp_path):

@@ -1,6 +1,5 @@
 """What a user asks before and after a run: check, status, export, catalogs, workflow files."""
 
-import math
 import re
 
 import intake
@@ -13,7 +12,6 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
 from wavefield.pipeline import Workflow, catalog_add, check, export, open_cube, run, run_catalog, status
-from wavefield.pipeline.prepare import choose_chunk_steps
 from wavefield.variables import CUBE_FIELDS, FrameStatus
 
 # -- check ------------------------------------------------------------------------------------------------
@@ -106,10 +104,6 @@ def test_check_counts_frames_as_run_does_and_names_their_files(own_tank):
     assert state.steps == 13
 
 
-def test_check_gives_the_frame_rate_and_the_duration(tank):
-    assert "16 steps at 20 Hz (0.8 s)" in str(check(tank, workflow=HERE))
-
-
 @pytest.mark.parametrize("where", ["experiment", "workflow"])
 def test_a_mistyped_setting_is_named_with_its_file_and_line(own_tank, tmp_path, where):
     workflow = tmp_path / "workflow.yaml"
@@ -122,14 +116,6 @@ def test_a_mistyped_setting_is_named_with_its_file_and_line(own_tank, tmp_path, 
     assert str(caught.value) == (
         f"{path}, line {line}: settings.piv.windows is not a known key; did you mean 'window'?"
     )
-
-
-def test_check_reports_when_nothing_can_be_measured(own_tank):
-    for image in (own_tank.parent / "cam3").glob("*.tif"):
-        write_image(image, np.full((207, 292), 7, np.uint8))
-    for image in (own_tank.parent / "cam2").glob("*.tif"):
-        write_image(image, np.full((123, 123), 7, np.uint8))
-    assert "could not be measured; check its images" in str(check(own_tank, workflow=HERE))
 
 
 # -- status and export ------------------------------------------------------------------------------------
@@ -217,7 +203,7 @@ def test_a_changed_recipe_goes_beside_the_old(catalog):
     assert intake.open_catalog(str(catalog)).user_parameters["recipe"].options == recipes
 
 
-@pytest.mark.parametrize("digits", ["795126e3", "12345678", "1a2b3c4d", "0e000000"])
+@pytest.mark.parametrize("digits", ["795126e3", "12345678"])
 def test_a_recipe_of_digits_stays_a_text_in_the_catalog(tmp_path, digits):
     from wavefield.pipeline.catalog import _editing, _quoted
 
@@ -225,6 +211,12 @@ def test_a_recipe_of_digits_stays_a_text_in_the_catalog(tmp_path, digits):
         data["user_parameters"]["recipe"]["options"].append(_quoted(digits))
     options = intake.open_catalog(str(tmp_path / "lab.yaml")).user_parameters["recipe"].options
     assert options == ["latest", digits]
+
+
+def test_comments_at_the_head_of_a_catalog_stay(catalog, own_tank):
+    catalog.write_text("# Our tanks.\n\n" + catalog.read_text())
+    catalog_add(catalog, own_tank, "again")
+    assert catalog.read_text().startswith("# Our tanks.\n\nversion: 2")
 
 
 def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
@@ -243,12 +235,6 @@ def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
     assert catalog_add(catalog, elsewhere, "small-tank-b") == "small-tank-b"
     with pytest.raises(ExperimentError, match="no parameter `run`"):
         catalog_add(own_tank, own_tank)
-
-
-def test_comments_at_the_head_of_a_catalog_stay(catalog, own_tank):
-    catalog.write_text("# Our tanks.\n\n" + catalog.read_text())
-    catalog_add(catalog, own_tank, "again")
-    assert catalog.read_text().startswith("# Our tanks.\n\nversion: 2")
 
 
 def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, capsys, undrawn):
@@ -304,18 +290,6 @@ def test_mistakes_in_a_workflow_are_named(tmp_path, text, expected):
 @pytest.mark.parametrize("text", ["11h 50m", "3 hours", "600", "04:00:00", "1d 2h"])
 def test_time_limits_are_durations(text):
     assert Workflow(time_limit=text).time_limit_seconds > 0
-
-
-def test_blocks_fit_memory_and_workers():
-    step = 151 * 201 * 45
-    assert choose_chunk_steps(12_000, 2, step, None) == 100
-    for steps, workers in ((200, 2), (200, 1), (40, 2), (3, 8), (1, 1), (11_999, 100)):
-        block = choose_chunk_steps(steps, workers, step, None)
-        assert 1 <= block <= 100
-        blocks = math.ceil(steps / block)
-        # no worker sits idle while another does more than one block
-        assert math.ceil(blocks / workers) * workers - blocks < workers
-    assert choose_chunk_steps(12_000, 1, step, 200_000_000) < 32
 
 
 def test_check_states_that_the_cameras_were_not_compared(tank):

@@ -21,7 +21,7 @@ from wavefield.execution.lock import Lock
 from wavefield.measurement import sample_steps
 from wavefield.pipeline import Workflow, chunk, open_cube, run, status
 from wavefield.store import write_cube
-from wavefield.store.layout import PACKING, in_16_bits
+from wavefield.store.layout import PACKING
 from wavefield.store.read import open_stored
 from wavefield.store.verify import verify
 from wavefield.store.write_cube import write_chunk
@@ -80,17 +80,8 @@ def test_a_cube_explains_itself(reference):
     assert (cube.quality[0].values & Quality.TWO_FRAME_MEAN).all()  # the first step has no frame before it
 
 
-def test_plain_xarray_opens_it_without_a_warning(reference):
-    import xarray as xr
-
-    plain = xr.open_zarr(reference)
-    assert plain.z.attrs["standard_name"] == "water_surface_height_above_reference_datum"
-    assert plain.z.encoding["shards"] == (STEPS, 13, 9)
-
-
-@pytest.mark.parametrize("size", [1, 7])  # the reference is one chunk
-def test_values_do_not_depend_on_the_size_of_blocks(tank, reference, tmp_path, size):
-    run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(size))
+def test_values_do_not_depend_on_the_size_of_blocks(tank, reference, tmp_path):
+    run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(7))  # the reference is one chunk
     assert different(tmp_path / "cube.zarr", reference) == []
 
 
@@ -105,11 +96,6 @@ def test_packing_rounds_as_documented(tank, reference, tmp_path):
         error = abs(packed[name] - plain[name]).max()
         assert error <= 0.5001 * scale + 1e-6 * abs(plain[name]).max()
     assert zarr.open_group(tmp_path / "cube.zarr", mode="r")["z"].dtype == "int16"
-
-
-def test_packing_marks_what_does_not_fit():
-    values = np.array([0.0, 0.12345, np.nan, 0.4, -0.4, np.inf], np.float32)
-    assert in_16_bits(values, PACKING["z"]).tolist() == [0, 12345, -32768, -32768, -32768, -32768]
 
 
 def test_default_place_progress_and_log(own_tank):
@@ -154,14 +140,13 @@ def test_an_interrupted_run_goes_on_with_what_is_missing(tank, reference, tmp_pa
     assert measured == [0, 4, 8, 12]
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGUSR1"])
-def test_signals_stop_as_ctrl_c_does(tank, tmp_path, name):
+def test_a_signal_stops_as_ctrl_c_does(tank, tmp_path):
     def progress(done, total, sentence):
         if done >= 4:
-            os.kill(os.getpid(), getattr(signal, name))
+            os.kill(os.getpid(), signal.SIGUSR1)
 
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(RunStopped, match=f"stopped by {name} after 4 of"):
+    with pytest.raises(RunStopped, match="stopped by SIGUSR1 after 4 of"):
         run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(4), progress=progress)
     assert signal.getsignal(signal.SIGTERM) is before
 
@@ -255,14 +240,6 @@ def truncate(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
-def corrupt(path):
-    path.write_bytes(b"\0" * path.stat().st_size)
-
-
-def blacken(path):
-    tifffile.imwrite(path, np.zeros_like(tifffile.imread(path)))
-
-
 def dim(path):
     """Black but for three dead pixels."""
     image = np.zeros_like(tifffile.imread(path))
@@ -283,11 +260,9 @@ def repeat(path):
     ("spoil", "faults"),
     [
         ((truncate, Path.unlink), (FrameFault.UNREADABLE, FrameFault.MISSING)),
-        ((corrupt, blacken), (FrameFault.UNREADABLE, FrameFault.BLANK)),
         ((dim, shrink), (FrameFault.BLANK, FrameFault.WRONG_SIZE)),
-        ((repeat, Path.unlink), (FrameFault.REPEATED, FrameFault.MISSING)),
     ],
-    ids=["truncated, missing", "corrupt, black", "dim, wrong size", "repeated, missing"],
+    ids=["truncated, missing", "dim, wrong size"],
 )
 def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil, faults):
     numbers = (5, 11)
@@ -309,15 +284,10 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
     assert "cam2 frame" in (own_tank.parent / "cube.log").read_text()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_they_are(
-    own_tank, reference, seed
-):
+def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_they_are(own_tank, reference):
     """Spectra and noise are learned in sample steps: a repeated frame there has neither motion nor noise."""
-    rng = np.random.default_rng(seed)
-    camera, sampled = f"cam{rng.integers(1, 4)}", int(rng.choice(sample_steps(16)))
-    number = sampled + int(rng.integers(2))
-    repeat(own_tank.parent / camera / f"img_{number:05d}.tif")
+    number = sample_steps(16)[1]
+    repeat(own_tank.parent / "cam1" / f"img_{number:05d}.tif")
     cube, good = open_cube(run(own_tank, workflow=chunks_of(8)).store).load(), open_cube(reference).load()
     apart = np.abs(np.arange(16) - (number - 0.5)) > 3
     for name in ("z_std", "u_std", "v_std", "w_std"):
@@ -325,10 +295,9 @@ def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_the
         assert 0.7 < float(ratio.median()) < 1.5, name
 
 
-@pytest.mark.parametrize("cameras", [("cam1", "cam2", "cam3"), ("cam1", "cam3")], ids=["all", "two"])
-def test_steps_over_a_frame_lost_in_most_cameras_are_left_out_of_the_opened_cube(own_tank, cameras):
+def test_steps_over_a_frame_lost_in_most_cameras_are_left_out_of_the_opened_cube(own_tank):
     lost, last = 5, FRAMES - 1  # few steps have only good frames around them
-    for camera in cameras:
+    for camera in ("cam1", "cam3"):
         files = sorted((own_tank.parent / camera).glob("*.tif"))
         for name, source in zip(files[lost:last], files[lost + 1 :]):
             shutil.move(source, name)
@@ -344,7 +313,6 @@ def test_steps_over_a_frame_lost_in_most_cameras_are_left_out_of_the_opened_cube
     assert find_record(cube).runs == find_record(open_stored(found.store)).runs == ((0, 2), (7, 15))
     assert (xr.open_zarr(found.store).frame_status == cube.frame_status).all(), "as in the store"
     assert verify(found.store).sound
-    assert run(own_tank, workflow=chunks_of(3)).verdict.line == found.verdict.line
 
 
 def test_repeated_frames_of_all_cameras_leave_no_values_whatever_the_chunks(own_tank, tmp_path):

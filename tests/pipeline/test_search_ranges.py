@@ -11,10 +11,8 @@ from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.images import ready
 from wavefield.measurement.search_range import FirstHeights, first_heights, high_enough
 from wavefield.pipeline import check
-from wavefield.pipeline.chunk import Chunk, _find_ranges
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
-from wavefield.variables import FrameFault, FrameStatus
 
 
 def with_settings(experiment, settings, last=3):
@@ -50,50 +48,6 @@ def test_elevations_that_are_found_in_coarse_steps_are_searched_a_step_further()
     settings, found = high_enough(Settings(), found)
     assert settings.z_range == found.searched == pytest.approx((-0.84, 0.41))
     assert "-43.0 to +0.0 cm to within 41 cm (140 of 144 patches" in found.sentence
-
-
-class Frames(list):
-    """A camera's frames of a block, as `ChunkFrames` has them."""
-
-    def __init__(self, images):
-        super().__init__(images)
-        self.faults, self.messages = {}, {}
-
-
-@pytest.fixture(scope="module")
-def demo():
-    tank = Tank(Scene.load("demo"))
-    return tank, tank.render(0)
-
-
-def marks(demo, level=0.0, shift=0, status=FrameStatus.FAILED, z=0.0):
-    """What is marked of a step of which too little was measured."""
-    tank, images = demo
-    lower = {n: replace(c, translation=c.T - c.R @ [0.0, 0.0, level]) for n, c in tank.rig.cameras.items()}
-    geometry = GridGeometry(Rig(lower), tank.scene.grid, Settings())
-    frames = {n: Frames([None, None, i, np.roll(i, shift, 1), None, None]) for n, i in images.items()}
-    fields = {"z": np.full((1, 4, 5), z), "quality": np.zeros((1, 4, 5), np.uint8)}
-    state = np.array([status], np.uint8)
-    _find_ranges(frames, fields, state, Chunk(7, 8, {}, 6), geometry)
-    return {n: f.faults for n, f in frames.items() if f.faults}, state[0], geometry
-
-
-def test_a_step_whose_water_stands_beyond_the_range_is_marked(demo):
-    assert marks(demo)[0] == {}
-    found, state, geometry = marks(demo, level=0.2)
-    assert found == {geometry.reference: {7: FrameFault.RANGE}}
-    assert state == FrameStatus.FAILED
-
-
-def test_a_step_whose_water_moves_beyond_the_range_is_marked(demo):
-    found, _, _ = marks(demo, shift=45)
-    assert found == {name: {7: FrameFault.RANGE} for name in ("cam1", "cam2", "cam3")}
-
-
-def test_a_step_whose_surface_touches_the_border_has_faults(demo):
-    found, state, geometry = marks(demo, status=FrameStatus.DONE, z=0.0869)
-    assert found == {geometry.reference: {7: FrameFault.RANGE}}
-    assert state == FrameStatus.DONE_WITH_FAULTS
 
 
 def test_check_counts_only_what_was_measured(own_tank):

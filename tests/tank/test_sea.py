@@ -44,14 +44,6 @@ def test_vertical_velocity_keeps_the_water_on_the_surface(bound, current, rng):
     assert z_x == pytest.approx(f["z_x"], abs=2e-5)
 
 
-def test_grid_and_scattered_points_agree():
-    sea = random_sea(bound=20, current=(0.1, 0.0))
-    x, y = np.linspace(-0.5, 0.5, 7), np.linspace(-0.3, 0.2, 5)
-    grid, points = sea.on_grid(x, y, 1.3), sea.at(*np.meshgrid(x, y), 1.3)
-    for name, values in grid.items():
-        assert values == pytest.approx(points[name], abs=1e-12)
-
-
 @given(
     wavelength=st.floats(0.03, 3.0),
     angle=st.floats(0, 2 * np.pi),
@@ -179,11 +171,6 @@ def test_spreading_sends_the_waves_in_the_main_direction():
     even = random_sea(spread=0.0)
     power = np.abs(even.amplitude) ** 2
     assert abs(np.sum(power * even.kx / even.k)) / power.sum() < 0.2
-
-
-def test_unknown_field_is_named():
-    with pytest.raises(ValueError, match="pressure"):
-        random_sea().at(0.0, 0.0, 0.0, ("pressure",))
 
 
 def test_added_waves_come_on_top_of_the_sea():

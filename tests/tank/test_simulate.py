@@ -98,20 +98,6 @@ def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):
         assert (folder / file).read_bytes() == (tmp_path / "alone" / file).read_bytes(), file
 
 
-def test_painted_surfaces_are_drawn_alike_by_many_workers(tmp_path):
-    scene = SCENE.with_(
-        frames=5,
-        rig={"crop": 0.06},
-        surface={"kind": "texture", "carried": True},
-        calibration={"tilted": 0},
-    )
-    simulate(scene, tmp_path / "painted", workers=4)
-    tank = Tank(scene)
-    for frame in range(5):
-        for name, image in tank.render(frame).items():
-            assert np.array_equal(read_image(tmp_path / "painted" / name / f"img_{frame:05d}.tif"), image)
-
-
 def test_faults_of_cameras_are_in_the_images_that_are_written(tmp_path):
     faults = {"cam1": {"late": 1}, "cam2": {"mirrored": True, "shift": (3.0, 0.0)}}
     scene = SCENE.with_(frames=3, calibration={"tilted": 0}, faults=faults)
