@@ -17,8 +17,7 @@ from wavefield.quality.camera_delay import (
     delays,
     is_determined,
     regress,
-    remarks,
-    row_time_difference,
+    remarks_on_clocks,
 )
 from wavefield.quality.camera_motion import (
     camera_motion,
@@ -132,10 +131,10 @@ def test_no_delay_follows_from_a_specimen_that_hardly_moves():
 
 def test_a_delay_that_matters_is_a_remark_and_a_small_one_a_note():
     found = {"cam1": Delay(0.0, 0.0), "cam2": Delay(2e-4, 1e-5), "cam3": Delay(-5e-5, 4e-5)}
-    (note,) = remarks(Synchrony(found, 100.0))
+    (note,) = remarks_on_clocks(Synchrony(found, 100.0))
     assert (note.subject, note.kind, note.weight) == ("cam2", "delayed", "note")
     assert "taken 0.200 ms later than the others' (+- 0.010 ms)" in str(note)
-    (remark,) = remarks(Synchrony({"cam2": Delay(-2e-3, 1e-5)}, 100.0))
+    (remark,) = remarks_on_clocks(Synchrony({"cam2": Delay(-2e-3, 1e-5)}, 100.0))
     assert remark.weight == "remark"
     assert "earlier" in str(remark)
 
@@ -151,7 +150,7 @@ def test_a_delay_is_seen_in_images_by_check_without_bias():
     late = found.delays["cam2"]
     assert late.seconds == pytest.approx(2e-3, abs=3 * late.std)
     assert late.std < 2e-4
-    assert [remark.subject for remark in remarks(found)] == ["cam2"], "and no rolling shutter"
+    assert [remark.subject for remark in remarks_on_clocks(found)] == ["cam2"], "and no rolling shutter"
 
 
 def test_a_rolling_shutter_is_seen_in_images_unless_it_is_stated():
@@ -165,7 +164,9 @@ def test_a_rolling_shutter_is_seen_in_images_unless_it_is_stated():
     stated = tuple((name, fault["row_time"] * rate) for name in tank.rig)
     for settings, kinds in ((Settings(), ["rolling shutter"]), (Settings(row_delays=stated), [])):
         found = delays(GridGeometry(tank.rig, grid, settings), None, matcher, (2, 3, 4, 5), rate)
-        assert [remark.kind for remark in remarks(found) if remark.weight == "remark"] == kinds, found
+        assert [remark.kind for remark in remarks_on_clocks(found) if remark.weight == "remark"] == kinds, (
+            found
+        )
         left = 0.0 if settings.row_delays else fault["row_time"]
         assert found.row_time.seconds == pytest.approx(left, abs=3.5 * found.row_time.std)
         assert found.row_time.std < 0.2 * fault["row_time"]
@@ -177,8 +178,8 @@ def test_pairs_of_cameras_do_not_make_a_row_time_more_certain_than_each_of_them(
         assert found.seconds == pytest.approx(1.8e-5)
         assert found.std == pytest.approx(5e-6)
         rows = Synchrony({}, 500.0, found, 200)
-        assert not list(remarks(rows)), "3.6 standard uncertainties"
-    (remark,) = remarks(Synchrony({}, 500.0, replace(found, std=0.6 * found.std), 200))
+        assert not list(remarks_on_clocks(rows)), "3.6 standard uncertainties"
+    (remark,) = remarks_on_clocks(Synchrony({}, 500.0, replace(found, std=0.6 * found.std), 200))
     assert remark.kind == "rolling shutter"
 
 
@@ -194,19 +195,3 @@ def test_a_mean_level_that_moves_faster_than_waves_is_vibration(seed):
     assert (remark.kind, remark.weight) == ("vibration", "remark")
     assert remark.values["px"] == pytest.approx(0.3, rel=0.25)
     assert np.isnan(level_motion(cube.isel(time=slice(0, 6)))), "not determined"
-
-
-def test_a_rolling_shutter_of_one_camera_is_named_with_its_row_time():
-    rng, found = np.random.default_rng(3), []
-    for _ in range(8):
-        x, y = rng.uniform(-1, 1, (2, 300))
-        low, velocity = np.stack([np.ones(300), x, y], axis=-1), np.sin(4 * x + 3 * y + rng.uniform(0, 6))
-        rows = 400.0 * y
-        miss = 1e-4 * rows * velocity + 0.02 * rng.standard_normal(300)
-        found.append(Sample(miss, velocity, low, rows=10.0 * x, middle=rows))
-    row_time, std = row_time_difference(found)
-    assert row_time == pytest.approx(1e-4, abs=4 * std)
-    times = {"cam1": Delay(0.0, 0.0), "cam2": Delay(row_time / 20.0, std / 20.0), "cam3": Delay(1e-8, 2e-7)}
-    (remark,) = remarks(Synchrony({}, 500.0, Delay(3e-6, 1e-7), 800, times))
-    assert (remark.subject, remark.kind) == ("cam2", "rolling shutter")
-    assert "of cam2" in remark.remedy

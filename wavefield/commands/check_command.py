@@ -125,11 +125,11 @@ def _report(
     if pairs and not found.problems:
         from wavefield.pipeline.prepare import prepare
         from wavefield.pipeline.run_quality import synchrony_of
-        from wavefield.quality.camera_delay import sentence
+        from wavefield.quality.camera_delay import spell_delays
 
         prepared = prepare(experiment, rig, workflow)
         click.echo(_pairs_table(prepared))
-        delays = sentence(synchrony_of(prepared).delays, 1 / prepared.experiment.frame_rate)
+        delays = spell_delays(synchrony_of(prepared).delays, 1 / prepared.experiment.frame_rate)
         click.echo(f"  clocks, by more instants: {delays}")
 
 

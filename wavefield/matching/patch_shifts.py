@@ -1,8 +1,10 @@
-"""Whole-pixel displacements of large patches, far beyond what matching searches."""
+"""Displacements of large patches by normalised correlation, far beyond what matching searches."""
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from wavefield.parabola import parabola_vertex
 
 PATCH_PX = 64  # side of the patches that are searched for
 REACH_PX = 256
@@ -103,6 +105,19 @@ def _found(
     if not best > min_correlation or rest.max() > MAX_SECOND_BEST * best:
         return np.nan, np.nan, float(best)
     return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
+
+
+def locate(patch: Float, around: Float) -> tuple[float, float, float]:
+    """Column and row at which a patch fits best into its surroundings, px, and the correlation there.
+    Parabolas through the largest correlation and its neighbours; NaN where it is at the border.
+    """
+    score = _scores(patch, around)
+    _, best, _, (column, row) = cv2.minMaxLoc(score)
+    if not (0 < row < score.shape[0] - 1 and 0 < column < score.shape[1] - 1):
+        return np.nan, np.nan, float(best)
+    dx = parabola_vertex(*score[row, column - 1 : column + 2].astype(float))
+    dy = parabola_vertex(*score[row - 1 : row + 2, column].astype(float))
+    return column + dx, row + dy, float(best)
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:

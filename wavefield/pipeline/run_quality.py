@@ -12,8 +12,8 @@ from wavefield.measurement.error_budget import fast_waves, level_std, ripples
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
-from wavefield.quality import camera_delay, camera_motion
-from wavefield.quality.camera_delay import Synchrony
+from wavefield.quality.camera_delay import Synchrony, delays, remarks_on_clocks, spell_delays
+from wavefield.quality.camera_motion import level_motion, remark_on_level, remarks_on_mounts
 from wavefield.quality.cameras import CameraFaults, find_camera_faults
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.record import (
@@ -101,14 +101,14 @@ def synchrony_of(prepared: PreparedRun, instants: int = LIMITS.instants_for_dela
     matcher, rate = _patch_matcher(prepared), prepared.experiment.frame_rate
     threads = threads_here(prepared.workflow)
     with one_thread():  # each of them
-        return camera_delay.delays(prepared.geometry, prepared.record, matcher, frames, rate, threads)
+        return delays(prepared.geometry, prepared.record, matcher, frames, rate, threads)
 
 
 def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
     """First estimate of the delays between cameras, at a few instants."""
     found = synchrony_of(prepared, LIMITS.instants_for_first_delays)
-    words = camera_delay.sentence(found.delays, 1 / prepared.experiment.frame_rate)
-    return words, list(camera_delay.remarks(found))
+    words = spell_delays(found.delays, 1 / prepared.experiment.frame_rate)
+    return words, list(remarks_on_clocks(found))
 
 
 def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
@@ -135,7 +135,7 @@ def check_record(prepared: PreparedRun, status: Status) -> RecordCheck | None:
     if sheet or status.done + status.faulty < LIMITS.steps_compared:
         return None
     cube = open_cube(status.store)
-    ratios, motion = rise_ratios(cube), camera_motion.level_motion(cube)
+    ratios, motion = rise_ratios(cube), level_motion(cube)
     z_std = float(cube.z_std.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load().median())
     motion = motion if motion > z_std else 0.0
     found = steps_to_leave_out(ratios.discontinuous(), cube.sizes["time"])
@@ -180,8 +180,8 @@ def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Rema
     """Remarks on delays and motion of cameras, from the epipolar errors."""
     # of a short record, not most of its cost
     instants = min(LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6))
-    yield from camera_delay.remarks(synchrony_of(prepared, instants))
-    yield from camera_motion.remarks(cube, prepared.geometry, prepared.record, _patch_matcher(prepared))
+    yield from remarks_on_clocks(synchrony_of(prepared, instants))
+    yield from remarks_on_mounts(cube, prepared.geometry, prepared.record, _patch_matcher(prepared))
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
@@ -219,5 +219,5 @@ def _stored_values(cube: xr.Dataset, sample: xr.Dataset, checked: RecordCheck) -
     yield from remark_on_cleared_steps(cube)
     yield from remark_on_jitter(checked.ratios, sample)
     pixel = float(cube.attrs["pixel_size"])
-    yield from camera_motion.remark_on_level(checked.level_motion, checked.z_std, pixel)
+    yield from remark_on_level(checked.level_motion, checked.z_std, pixel)
     yield from remark_on_mean_plane(cube)

@@ -70,7 +70,6 @@ class Sample:
     low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
     speed: float = 0.0  # Of the beads in all directions, rms, px per frame
     rows: Array | None = None  # (m,): By how many rows from the middle the second camera shows it lower
-    middle: Array | None = None  # (m,): By how many rows below the middle both show it, on average
 
 
 class Synchrony(NamedTuple):
@@ -80,7 +79,6 @@ class Synchrony(NamedTuple):
     speed: float = 0.0  # Of the beads, px/s
     row_time: Delay | None = None  # Of each row behind the one above it, beyond what is stated
     rows: int = 0  # Of the highest image
-    row_times: Mapping[str, Delay] = {}  # What each camera has more of it than most
 
 
 def sample(
@@ -116,8 +114,7 @@ def sample(
     first, second = (_rows_below_middle(geometry.rig[name], *places) for name in pair)
     stated = dict(geometry.settings.row_delays)
     late = stated.get(pair[1], 0.0) * second - stated.get(pair[0], 0.0) * first
-    middle = 0.5 * (first + second)
-    return Sample(miss / geometry.pixel - late * velocity, velocity, low, speed, second - first, middle)
+    return Sample(miss / geometry.pixel - late * velocity, velocity, low, speed, second - first)
 
 
 def _rows_below_middle(camera: "Camera", x: Array, y: Array) -> Array:
@@ -195,7 +192,7 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
         return None
     weights = [np.ones(len(s.miss)) for s in samples]
     for _ in range(8):
-        fitted = _fit(samples, weights)
+        fitted = _fit_delay(samples, weights)
         if fitted is None:
             return None
         delay, left = fitted
@@ -204,14 +201,14 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
     cells = [_cells(s) for s in samples]
     changes = []
     for cell in np.unique(np.concatenate(cells)):
-        others = _fit(samples, [w * (c != cell) for w, c in zip(weights, cells)])
+        others = _fit_delay(samples, [w * (c != cell) for w, c in zip(weights, cells)])
         if others is None:
             return None
         changes.append(others[0] - delay)
     return delay, float(np.sqrt((len(changes) - 1) / len(changes) * np.sum(np.square(changes))))
 
 
-def _fit(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]] | None:
+def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]] | None:
     """The delay, in frames, and what it leaves of the misses; None where nothing moves."""
     cleared = [_cleared(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(cleared, weights))
@@ -234,21 +231,6 @@ def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
         replace(s, velocity=s.velocity * s.rows, low=np.column_stack([s.low, s.velocity]))
         for s in samples
         if s.rows is not None
-    ]
-    return regress(other)
-
-
-def row_time_difference(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """By how much the second camera's row time exceeds that of the first, in frames.
-
-    What both have in common acts by the difference of their rows and is fitted as well.
-    """
-    other = [
-        replace(
-            s, velocity=s.velocity * s.middle, low=np.column_stack([s.low, s.velocity, s.velocity * s.rows])
-        )
-        for s in samples
-        if s.middle is not None and s.rows is not None
     ]
     return regress(other)
 
@@ -291,7 +273,6 @@ def delays(
     """By how much each camera's frames are taken later than those of most, and rows than those above."""
     names = list(geometry.surface_cameras)
     late: dict[Pair, tuple[float, float]] = {}
-    rolling: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
     widths = dict(record.beads) if record else _widths(geometry, patch_matcher, frames)
@@ -312,14 +293,12 @@ def delays(
         late[pair] = found
         if (row_time := row_time_of(samples)) is not None:
             row_times.append(row_time)
-        if (difference := row_time_difference(samples)) is not None:
-            rolling[pair] = difference
     delays_of = _of_cameras(names, late, rate)
     if not delays_of:
         return Synchrony({})
     height = max(geometry.rig[name].size[1] for name in names)
     speed = rate * float(np.median(speeds))
-    return Synchrony(delays_of, speed, _mean(row_times, rate), height, _of_cameras(names, rolling, rate))
+    return Synchrony(delays_of, speed, _mean(row_times, rate), height)
 
 
 def _of_cameras(
@@ -356,37 +335,25 @@ def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None
     )
 
 
-def remarks(found: Synchrony) -> Iterator[Remark]:
-    """Remarks on delays and rolling shutters: of single cameras, else of all alike."""
+def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
+    """Remarks on delays between cameras, and on a rolling shutter that all of them share."""
     yield from _on_delays(found.delays, found.speed)
-    single = [
-        one
-        for name, row_time in found.row_times.items()
-        if (one := _on_rows(name, row_time, found)) is not None
-    ]
-    yield from single
-    if not single and found.row_time and (one := _on_rows("cameras", found.row_time, found)):
-        yield one
-
-
-def _on_rows(subject: str, row_time: Delay, found: Synchrony) -> Remark | None:
-    late, std = abs(row_time.seconds) * found.rows, row_time.std * found.rows
+    if found.row_time is None:
+        return
+    late, std = abs(found.row_time.seconds) * found.rows, found.row_time.std * found.rows
     off = 0.5 * late * found.speed
     if late < SIGNIFICANCE * std or std > MAX_READOUT_STD or off < CAMERA_LIMITS.delay_motion:
-        return None
-    more = "" if subject == "cameras" else ", beyond what the others need"
-    order = "after" if row_time.seconds > 0 else "before"
-    return Remark(
-        subject,
+        return
+    order = "after" if found.row_time.seconds > 0 else "before"
+    yield Remark(
+        "cameras",
         "rolling shutter",
         "remark",
-        f"the last row of an image is read {1e3 * late:.2g} ms {order} the first (+- {1e3 * std:.2g} ms)"
-        f"{more}",
+        f"the last row of an image is read {1e3 * late:.2g} ms {order} the first (+- {1e3 * std:.2g} ms)",
         f"The water moves {off:.2f} px from the middle to the edge meanwhile: z and velocities are off there",
-        f"State the time from row to row (`row_time: {row_time.seconds:.2g}` of "
-        f"{'each camera' if subject == 'cameras' else subject}, or what its data sheet gives), or use a "
-        "global shutter",
-        {"row_time": row_time.seconds, "std": row_time.std, "px": off},
+        f"State the time from row to row (`row_time: {found.row_time.seconds:.2g}` of each camera, or"
+        " the value of its data sheet), or use a global shutter",
+        {"row_time": found.row_time.seconds, "std": found.row_time.std, "px": off},
     )
 
 
@@ -407,7 +374,7 @@ def _on_delays(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
         )
 
 
-def sentence(found: Mapping[str, Delay], interval: float = np.inf) -> str:
+def spell_delays(found: Mapping[str, Delay], interval: float = np.inf) -> str:
     """Delays of all cameras; those less certain than half the interval of frames (s) are left out."""
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = []

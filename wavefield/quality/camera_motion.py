@@ -61,12 +61,14 @@ def camera_motion(cube: xr.Dataset, steps: Sequence[int] | None = None) -> Camer
     design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
     chosen = from_first_to_last(count, MAX_STEPS) if steps is None else list(steps)
     values = cube.eps_y.isel(time=chosen, y=every, x=every).values / float(cube.attrs["pixel_size"])
-    fits = {k: fit for k, one in zip(chosen, values) if (fit := _fit(design, one.ravel())) is not None}
+    fits = {
+        k: fit for k, one in zip(chosen, values) if (fit := _fit_low_order(design, one.ravel())) is not None
+    }
     low, std = (np.array([fit[part] for fit in fits.values()]).reshape(-1, 3) for part in (0, 1))
     return CameraMotion(np.array(list(fits), int), low, std)
 
 
-def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
+def _fit_low_order(design: Array, values: Array) -> tuple[Array, Array] | None:
     good = np.isfinite(values)
     if good.sum() < MIN_NODES:
         return None
@@ -158,7 +160,7 @@ def who(geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, count
     return first, moved[first]
 
 
-def remarks(
+def remarks_on_mounts(
     cube: xr.Dataset, geometry: "GridGeometry", record: "LearnedRecord | None", patch_matcher: PatchMatcher
 ) -> Iterator[Remark]:
     """Remarks on cameras that move."""

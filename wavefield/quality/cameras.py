@@ -418,9 +418,8 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
     Which one cannot be determined: two pairs give one height more than there are unknowns.
     """
-    worst, sure, swing = 0.0, 0.0, 0.0
+    worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
-    swings: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
         if first[0] != second[0] or inconsistent & {*first, *second}:
             continue  # both search the same camera's patches
@@ -429,34 +428,14 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         if len(values) < MIN_PATCHES * 4:
             continue
         off = float(np.median(values))
-        middles = [float(np.median(one)) for one in apart if len(one) >= MIN_PATCHES]
-        if len(middles) > 2 and (found := float(np.std(middles, ddof=1))) > swing:
-            swing, swings = found, (first, second)
         spread = float(PER_MEDIAN * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
         if abs(off) > abs(worst):
             worst, sure, which = off, abs(off) / spread, (first, second)
-    if swing > CAMERA_LIMITS.swing:
-        return [_vibrating(table, swings, swing)]
     if abs(worst) <= CAMERA_LIMITS.epipolar_error or sure < 6:
         return []
     names = " and ".join("-".join(pair) for pair in which)
     sentence = f"{names} see the same water at different heights, by {abs(worst):.2f} px along the parallax"
     return [_moved("rig", abs(worst), sentence, {"height": worst})]
-
-
-def _vibrating(table: ConsistencyTable, pairs: Sequence[Pair], swing: float) -> Remark:
-    names = " and ".join("-".join(pair) for pair in pairs)
-    return Remark(
-        "cameras",
-        "vibration",
-        "remark",
-        f"the heights of the same water by {names} differ by {swing:.2f} px rms, now more, now less",
-        "A camera vibrates along the parallax: nodes are lost where the cameras contradict each other, and z "
-        "is off by about as much",
-        "Stiffen the mounts and keep carriages, pumps and people away; measure with the other cameras "
-        "(`surface: pairs`, `velocity: cameras`)",
-        {"px": swing},
-    )
 
 
 def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:

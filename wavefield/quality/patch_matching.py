@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.grid import Grid
-from wavefield.parabola import parabola_vertex
+from wavefield.matching.patch_shifts import locate
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
 from wavefield.rig.stereo import parallax
@@ -187,13 +187,8 @@ def compare(
         gaps = np.isnan(around)
         if gaps.any():
             around = np.where(gaps, usual[k], around)
-        score = cv2.matchTemplate(around, templates[k], cv2.TM_CCOEFF_NORMED)
-        _, _, _, (column, row) = cv2.minMaxLoc(score)
-        peak_correlation[k] = score[row, column]
-        if 0 < row < score.shape[0] - 1 and 0 < column < score.shape[1] - 1:
-            dx = parabola_vertex(*score[row, column - 1 : column + 2].astype(float))
-            dy = parabola_vertex(*score[row - 1 : row + 2, column].astype(float))
-            moved[k] = column + dx - reach, row + dy - reach
+        column, row, peak_correlation[k] = locate(templates[k], around)
+        moved[k] = column - reach, row - reach
     return Comparison(moved if near is None else moved + near, peak_correlation)
 
 

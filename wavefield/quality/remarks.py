@@ -42,7 +42,6 @@ class CameraLimits:
     blur_ratio: float = 1.6  # blur over that of the other cameras, in px and on the water
     epipolar_error: float = 0.1  # px: smallest for which correcting a rig is advised
     epipolar_error_grave: float = 0.5  # px
-    swing: float = 0.12  # px rms, by which heights of two pairs differ now more, now less; sound seas: 0.05
     agreement: float = 0.2  # fraction of the patches: two cameras that agree in fewer do not agree
     agreement_to_best: float = 0.5  # the same over the agreement of the best pair
     delay: float = 2e-5  # s: less is not noted

@@ -10,7 +10,6 @@ from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
 from wavefield.series.formats import VIDEO_ENDINGS, file_of, open_recording
 from wavefield.series.formats.recording import usual_interval
-from wavefield.series.formats.video import Video
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import Numbered
 
@@ -254,21 +253,6 @@ def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, flo
 def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
     """Playback rates of cameras whose images are videos; those of high-speed cameras are not frame rates."""
     return _rates(cameras, folder, videos=True)
-
-
-def video_rotations(cameras: Mapping[str, object], folder: Path) -> dict[str, int]:
-    """Degrees by which videos state that they are to be turned, by camera; frames are read as stored."""
-    out: dict[str, int] = {}
-    for name, images in _images(cameras):
-        paths = recordings_of(images, name, folder)
-        if paths and is_video(paths[0]):
-            try:
-                video = Video(paths[0])
-            except FrameError:  # reported when the images are opened
-                continue
-            out |= {name: video.rotation} if video.rotation else {}
-            video.close()
-    return out
 
 
 def _rates(cameras: Mapping[str, object], folder: Path, videos: bool) -> dict[str, float]:
