@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.quality.cameras import _blurred, _nobody, find_camera_faults
-from wavefield.quality.patch_matching import REACH, PairConsistency, PatchMatcher
+from wavefield.quality.cameras import (
+    REACH,
+    PairConsistency,
+    PatchMatcher,
+    _blurred,
+    _nobody,
+    find_camera_faults,
+)
 from wavefield.rig.field import pixel_at
 from wavefield.store.verdict import Remark, Verdict, read_verdict
 from wavefield.tank import Scene, Tank

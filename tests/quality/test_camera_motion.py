@@ -8,26 +8,24 @@ from test_time_and_motion import sea
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.quality.camera_delay import (
+from wavefield.quality.camera_motion import (
     SIGNIFICANCE,
     Delay,
     Sample,
     Synchrony,
     _mean,
+    camera_motion,
     delays,
     is_determined,
-    regress,
-    remarks_on_clocks,
-)
-from wavefield.quality.camera_motion import (
-    camera_motion,
     jump,
     knocks,
     level_motion,
+    regress,
     remark_on_level,
+    remarks_on_clocks,
     shaking,
 )
-from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
+from wavefield.quality.cameras import PatchMatcher, rms_over_field
 from wavefield.store.read import open_cube
 from wavefield.tank import Scene, Tank
 

@@ -8,7 +8,7 @@ from cube_cases import HERE, KNOCKED
 
 from wavefield.pipeline import Workflow, check, open_cube, run
 from wavefield.quality.camera_motion import camera_motion
-from wavefield.quality.patch_matching import rms_over_field
+from wavefield.quality.cameras import rms_over_field
 from wavefield.rig import Rig
 
 

@@ -125,7 +125,7 @@ def _report(
     if pairs and not found.problems:
         from wavefield.pipeline.prepare import prepare
         from wavefield.pipeline.run_quality import synchrony_of
-        from wavefield.quality.camera_delay import spell_delays
+        from wavefield.quality.camera_motion import spell_delays
 
         prepared = prepare(experiment, rig, workflow)
         click.echo(_pairs_table(prepared))

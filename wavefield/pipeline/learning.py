@@ -8,7 +8,7 @@ import numpy as np
 
 from wavefield.execution.process import one_thread
 from wavefield.pipeline.chunk import Source, read_frame
-from wavefield.quality.patch_matching import MIN_CORRELATION, PatchMatcher, compare
+from wavefield.quality.cameras import MIN_CORRELATION, PatchMatcher, compare
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Frame
 

@@ -12,10 +12,16 @@ from wavefield.measurement.error_budget import fast_waves, level_std, ripples
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
-from wavefield.quality.camera_delay import Synchrony, delays, remarks_on_clocks, spell_delays
-from wavefield.quality.camera_motion import level_motion, remark_on_level, remarks_on_mounts
-from wavefield.quality.cameras import CameraFaults, find_camera_faults
-from wavefield.quality.patch_matching import PatchMatcher
+from wavefield.quality.camera_motion import (
+    Synchrony,
+    delays,
+    level_motion,
+    remark_on_level,
+    remarks_on_clocks,
+    remarks_on_mounts,
+    spell_delays,
+)
+from wavefield.quality.cameras import CameraFaults, PatchMatcher, find_camera_faults
 from wavefield.quality.record import (
     COMPARED,
     RiseRatios,

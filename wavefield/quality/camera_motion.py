@@ -1,25 +1,402 @@
-"""Motion of cameras during a record, from the low-order part of eps_y at every step.
+"""Cameras that are late, shake or were knocked, from the epipolar errors (eps_y) of moving water.
 
-Water makes no eps_y whatever its shape, so what is constant or linear in it over the field belongs to the
-cameras: one that shakes makes it vary from step to step (tilt, roll), one that is knocked makes it jump once.
+Water makes no eps_y whatever its shape. What is constant or linear in it over the field belongs to the
+mounts: a camera that shakes makes it vary from step to step (tilt, roll), one that is knocked makes it jump
+once.
+
+A camera that is late by tau sees every bead tau times its velocity further on. Along the parallax of two
+cameras that is taken for height; across it no height does that, and eps_y is tau times the velocity across
+the sight lines, patch by patch: one regression over some instants gives tau. The low-order part, which
+every instant has of its own, is taken out before. The rows of a rolling shutter are read one after the
+other: the delay then grows with the difference between the rows in which two cameras show a place.
+
+Both sides of the regression must have one resolution, or tau is too large: they are means over one patch,
+and the velocity is that of five frames (of three it is 7 % low for 2 Hz waves at 20 frames per second).
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
+from wavefield.quality.cameras import (
+    MIN_CORRELATION,
+    REACH,
+    SIDE,
+    Array,
+    Comparison,
+    Pair,
+    PatchMatcher,
+    compare,
+    rms_over_field,
+    scaled,
+)
 from wavefield.quality.remarks import CAMERA_LIMITS
-from wavefield.quality.stabilized import shifts
+from wavefield.quality.stabilized import prepared, shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.sampling import from_first_to_last
 from wavefield.store.verdict import Remark
 from wavefield.water import GRAVITY
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry, LearnedRecord
+    from wavefield.rig import Camera
+
+MIN_PATCHES = 12  # of an instant
+MIN_BLOCKS = 4  # matched ones of a patch
+NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
+_SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
+_CELLS = 3  # along either side: parts of the field whose errors are independent
+SIGNIFICANCE = 4.0  # standard deviations
+MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
+MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined,
+MAX_INTERVALS = 1.5  # nor a longer one: water does not keep its velocity for so long,
+MIN_VELOCITY = 0.03  # px per frame, rms beside constant and slopes: what moves less is noise of the matching
+
+
+@dataclass(frozen=True)
+class Delay:
+    """By how much one camera's frames are taken later than the others'."""
+
+    seconds: float  # Negative if earlier
+    std: float  # Standard uncertainty, s
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Matches of two cameras at one instant, patch by patch."""
+
+    miss: Array  # (m,): Mean eps_y, px on the water
+    velocity: Array  # (m,): Of the beads across the sight lines, px per frame
+    low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
+    speed: float = 0.0  # Of the beads in all directions, rms, px per frame
+    rows: Array | None = None  # (m,): By how many rows from the middle the second camera shows it lower
+
+
+class Synchrony(NamedTuple):
+    """Whether the cameras, and the rows of their images, are read at the same moment."""
+
+    delays: dict[str, Delay]  # Of each camera's frames behind those of most
+    speed: float = 0.0  # Of the beads, px/s
+    row_time: Delay | None = None  # Of each row behind the one above it, beyond what is stated
+    rows: int = 0  # Of the highest image
+
+
+def sample(
+    geometry: "GridGeometry", patch_matcher: PatchMatcher, pair: Pair, frame: int, flat: Mapping[str, Any]
+) -> Sample | None:
+    """Miss and velocity all over what two cameras share at an instant.
+    None where too little of it is known.
+    """
+    from wavefield.measurement.pair import match_pair
+
+    if not all(name in flat for name in pair):
+        return None
+    moved = _moved(patch_matcher, pair[1], frame, _furthest(geometry, pair[1]))
+    if moved is None:
+        return None
+    match = match_pair(flat[pair[0]], flat[pair[1]], pair, geometry)
+    length = np.maximum(np.hypot(*match.parallax), 1e-12)
+    p, q = (part / length for part in match.parallax)
+    x, y = np.meshgrid(geometry.lattice.x, geometry.lattice.y)
+    good = match.matched & np.isfinite(match.eps_y)
+    shown = [(v + d)[good] for v, d in zip((x, y), match.difference)]  # where the second camera shows it
+    means = _over_patches(patch_matcher, shown, [v[good] for v in (match.eps_y, p, q)])
+    known = np.isfinite(means[:, 0]) & np.isfinite(moved).all(axis=1)
+    if known.sum() < MIN_PATCHES:
+        return None
+    (miss, p, q), (dx, dy) = means[known].T, moved[known].T * patch_matcher.pixel
+    low = np.stack(
+        [np.ones(known.sum()), scaled(patch_matcher.x[known]), scaled(patch_matcher.y[known])], axis=-1
+    )
+    speed = float(np.sqrt((dx**2 + dy**2).mean())) / geometry.pixel
+    velocity = (q * dx - p * dy) / geometry.pixel
+    places = patch_matcher.x[known], patch_matcher.y[known]
+    first, second = (_rows_below_middle(geometry.rig[name], *places) for name in pair)
+    stated = dict(geometry.settings.row_delays)
+    late = stated.get(pair[1], 0.0) * second - stated.get(pair[0], 0.0) * first
+    return Sample(miss / geometry.pixel - late * velocity, velocity, low, speed, second - first)
+
+
+def _rows_below_middle(camera: "Camera", x: Array, y: Array) -> Array:
+    return np.asarray(camera.project(x, y, 0.0)[1] - 0.5 * (camera.size[1] - 1))
+
+
+def _furthest(geometry: "GridGeometry", name: str) -> int:
+    """How far a camera's beads go from frame to frame, raw px: as far as the measurement searches."""
+    ranges = (geometry.settings.piv.search_x, geometry.settings.piv.search_y)
+    ends = [abs(end) for one in ranges if one is not None for end in one]
+    return min(int(np.ceil(max(ends, default=REACH) * geometry.sights[name].binning)), REACH)
+
+
+def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) -> Array | None:
+    """How far what one camera shows in each patch moves in a frame, px, (n, 2): by four frames or two."""
+    still = np.zeros((len(patch_matcher.x), 2), np.int64)
+    now = patch_matcher.around(name, frame, still, 0)
+
+    def find(k: int, near: Array, reach: int) -> Comparison | None:
+        known: NDArray[np.bool_] = np.isfinite(near[:, 0])
+        limit = REACH - reach
+        at = np.clip(np.rint(np.where(known[:, None], near, 0)), -limit, limit).astype(np.int64)
+        found = compare(now, patch_matcher.around(name, frame + k, at, reach), at)
+        return found and Comparison(found.moved, np.where(known, found.peak_correlation, 0.0))
+
+    after = find(1, still.astype(float), furthest)
+    if after is None:
+        return None
+    first = np.where(after.peak_correlation[:, None] > MIN_CORRELATION, after.moved, np.nan)
+    before = find(-1, -first, NARROW_REACH)
+    if before is None:
+        return None
+    last = np.where(before.peak_correlation[:, None] > MIN_CORRELATION, before.moved, np.nan)
+    found: dict[int, Comparison | None] = {1: after, -1: before}
+    # and two frames away about where a parabola goes
+    found |= {k: find(k, k * (first - last) / 2 + 2 * (first + last), NARROW_REACH) for k in (-2, 2)}
+    for slope in (_SLOPE[5], _SLOPE[3]):
+        around = [(weight, found[k], found[-k]) for k, weight in slope.items()]
+        sides = [(weight, a, b) for weight, a, b in around if a is not None and b is not None]
+        if len(sides) < len(around):
+            continue
+        moved = sum((weight * (a.moved - b.moved) for weight, a, b in sides), np.zeros(1))
+        worst = np.min([np.minimum(a.peak_correlation, b.peak_correlation) for _, a, b in sides], axis=0)
+        moved = np.where(worst[:, None] > MIN_CORRELATION, moved, np.nan)
+        if np.isfinite(moved).all(axis=1).sum() >= MIN_PATCHES:
+            return np.asarray(moved)
+    return None
+
+
+def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequence[Array]) -> Array:
+    """Means over the middle of each patch, (n, values); NaN where little was matched."""
+    pitch = SIDE * patch_matcher.pixel  # patches are adjacent
+    column, row = (
+        np.floor((v - places.min()) / pitch + 0.5).astype(np.int64)
+        for v, places in zip(at, (patch_matcher.x, patch_matcher.y))
+    )
+    own_column, own_row = (
+        np.rint((v - v.min()) / pitch).astype(np.int64) for v in (patch_matcher.x, patch_matcher.y)
+    )
+    nx, ny = int(own_column.max()) + 1, int(own_row.max()) + 1
+    inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
+    which, own = (row * nx + column)[inside], own_row * nx + own_column
+    count = np.bincount(which, minlength=nx * ny)[own]
+    means = [np.bincount(which, v[inside], nx * ny)[own] / np.maximum(count, 1) for v in values]
+    return np.where(count[:, None] >= MIN_BLOCKS, np.stack(means, axis=-1), np.nan)
+
+
+def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
+    """The delay of the second camera behind the first and its standard uncertainty, in frames.
+    Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own. The uncertainty
+    is from leaving out one part of the field after the other, at all instants: near patches depend on each
+    other, instants may show the same beads, and a single place may determine the delay.
+    """
+    if len(samples) < 2:
+        return None
+    weights = [np.ones(len(s.miss)) for s in samples]
+    for _ in range(8):
+        fitted = _fit_delay(samples, weights)
+        if fitted is None:
+            return None
+        delay, left = fitted
+        scale = PER_MEDIAN * float(np.median(np.abs(np.concatenate(left)))) + 1e-9
+        weights = [np.minimum(1.0, 2.5 * scale / np.maximum(np.abs(r), 1e-12)) for r in left]
+    cells = [_cells(s) for s in samples]
+    changes = []
+    for cell in np.unique(np.concatenate(cells)):
+        others = _fit_delay(samples, [w * (c != cell) for w, c in zip(weights, cells)])
+        if others is None:
+            return None
+        changes.append(others[0] - delay)
+    return delay, float(np.sqrt((len(changes) - 1) / len(changes) * np.sum(np.square(changes))))
+
+
+def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]] | None:
+    """The delay, in frames, and what it leaves of the misses; None where nothing moves."""
+    cleared = [_cleared(s, w) for s, w in zip(samples, weights)]
+    power = sum(float((w * v * v).sum()) for (_, v), w in zip(cleared, weights))
+    if power <= 0:
+        return None
+    delay = sum(float((w * v * y).sum()) for (y, v), w in zip(cleared, weights)) / power
+    return delay, [y - delay * v for y, v in cleared]
+
+
+def is_determined(samples: Sequence[Sample], delay: float, std: float) -> bool:
+    """Whether a delay and its standard uncertainty, in frames, follow from what moves."""
+    moving = np.concatenate([_cleared(s, np.ones(len(s.miss)))[1] for s in samples])
+    fast = float(np.sqrt(np.mean(moving**2))) >= MIN_VELOCITY
+    return fast and std < MAX_STD_INTERVALS and abs(delay) < MAX_INTERVALS
+
+
+def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
+    """By how much each row is read later than the one above it, alike in both cameras, in frames."""
+    other = [
+        replace(s, velocity=s.velocity * s.rows, low=np.column_stack([s.low, s.velocity]))
+        for s in samples
+        if s.rows is not None
+    ]
+    return regress(other)
+
+
+def _cells(one: Sample) -> NDArray[np.intp]:
+    """Which part of the field each patch is in."""
+    column, row = np.clip((one.low[:, 1:3].T + 1) * (0.5 * _CELLS), 0, _CELLS - 1).astype(np.intp)
+    return np.asarray(row * _CELLS + column)
+
+
+def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
+    """Miss and velocity without what a constant and slopes explain of them."""
+    root = np.sqrt(weight)[:, None]
+    both = np.stack([one.miss, one.velocity], axis=-1)
+    fit = np.linalg.lstsq(root * one.low, root * both, rcond=None)[0]
+    rest = both - one.low @ fit
+    return rest[:, 0], rest[:, 1]
+
+
+def _widths(geometry: "GridGeometry", patch_matcher: PatchMatcher, frames: Sequence[int]) -> dict[str, float]:
+    """Widths of the beads of the first image that can be used."""
+    from wavefield.measurement.images import bead_width, usable
+
+    out = dict.fromkeys(geometry.surface_cameras, 0.0)
+    for name in out:
+        images = (patch_matcher.read(name, k) for k in frames)
+        one = next((image for image in images if usable(image, geometry.rig[name].size)), None)
+        out[name] = 0.0 if one is None else bead_width(one)
+    return out
+
+
+def delays(
+    geometry: "GridGeometry",
+    record: "LearnedRecord | None",
+    patch_matcher: PatchMatcher,
+    frames: Sequence[int],
+    rate: float,
+    threads: int = 1,
+) -> Synchrony:
+    """By how much each camera's frames are taken later than those of most, and rows than those above."""
+    names = list(geometry.surface_cameras)
+    late: dict[Pair, tuple[float, float]] = {}
+    row_times: list[tuple[float, float]] = []
+    speeds: list[float] = []
+    widths = dict(record.beads) if record else _widths(geometry, patch_matcher, frames)
+
+    def sample_at(frame: int) -> list[Sample | None]:
+        images = {name: patch_matcher.read(name, frame) for name in geometry.surface_cameras}
+        flat = prepared(images, geometry, widths)
+        return [sample(geometry, patch_matcher, pair, frame, flat) for pair in geometry.pairs]
+
+    with ThreadPoolExecutor(threads) as pool:
+        found_at = list(pool.map(sample_at, frames))
+    for pair, of_pair in zip(geometry.pairs, zip(*found_at)):
+        samples = [s for s in of_pair if s is not None]
+        speeds += [s.speed for s in samples]
+        found = regress(samples)
+        if found is None or not is_determined(samples, *found):
+            continue
+        late[pair] = found
+        if (row_time := row_time_of(samples)) is not None:
+            row_times.append(row_time)
+    delays_of = _of_cameras(names, late, rate)
+    if not delays_of:
+        return Synchrony({})
+    height = max(geometry.rig[name].size[1] for name in names)
+    speed = rate * float(np.median(speeds))
+    return Synchrony(delays_of, speed, _mean(row_times, rate), height)
+
+
+def _of_cameras(
+    names: Sequence[str], found: Mapping[Pair, tuple[float, float]], rate: float
+) -> dict[str, Delay]:
+    """Of each camera behind most, s, from the differences within pairs and their uncertainties in frames."""
+    rows = [[float(name == b) - float(name == a) for name in names] for a, b in found]
+    if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
+        return {}
+    values, spreads = (np.array(part) / rate for part in zip(*found.values()))
+    spreads = np.maximum(spreads, 1e-7 * np.max(np.abs(values), initial=1e-12))
+    # only differences are measured: the median of the cameras, or the first of two, is the reference
+    design = np.vstack([np.array(rows) / spreads[:, None], np.eye(len(names))[:1] * 1e3 / spreads.min()])
+    inverse = np.linalg.inv(design.T @ design)
+    best = inverse @ design.T @ np.append(values / spreads, 0.0)
+    usual = int(np.argsort(best)[(len(best) - 1) // 2]) if len(names) > 2 else 0
+    out = {}
+    for k, name in enumerate(names):
+        difference = np.eye(len(names))[k] - np.eye(len(names))[usual]
+        variance = float(difference @ inverse @ difference)
+        out[name] = Delay(float(difference @ best), float(np.sqrt(max(variance, 0.0))))
+    return out
+
+
+def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None:
+    """Weighted mean of several pairs' row times and standard uncertainties, given in frames."""
+    if not row_times:
+        return None
+    values, stds = np.array(row_times).T
+    weights = 1.0 / np.maximum(stds, 1e-12) ** 2
+    # pairs share a camera, its matches and the water's velocity: their errors do not average out
+    return Delay(
+        float(np.average(values, weights=weights)) / rate, float(np.average(stds, weights=weights)) / rate
+    )
+
+
+def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
+    """Remarks on delays between cameras, and on a rolling shutter that all of them share."""
+    yield from _on_delays(found.delays, found.speed)
+    if found.row_time is None:
+        return
+    late, std = abs(found.row_time.seconds) * found.rows, found.row_time.std * found.rows
+    off = 0.5 * late * found.speed
+    if late < SIGNIFICANCE * std or std > MAX_READOUT_STD or off < CAMERA_LIMITS.delay_motion:
+        return
+    order = "after" if found.row_time.seconds > 0 else "before"
+    yield Remark(
+        "cameras",
+        "rolling shutter",
+        "remark",
+        f"the last row of an image is read {1e3 * late:.2g} ms {order} the first (+- {1e3 * std:.2g} ms)",
+        f"The water moves {off:.2f} px from the middle to the edge meanwhile: z and velocities are off there",
+        f"State the time from row to row (`row_time: {found.row_time.seconds:.2g}` of each camera, or"
+        " the value of its data sheet), or use a global shutter",
+        {"row_time": found.row_time.seconds, "std": found.row_time.std, "px": off},
+    )
+
+
+def _on_delays(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
+    for name, one in found.items():
+        if abs(one.seconds) < max(SIGNIFICANCE * one.std, CAMERA_LIMITS.delay):
+            continue
+        off, word = abs(one.seconds) * speed, "later" if one.seconds > 0 else "earlier"
+        yield Remark(
+            name,
+            "delayed",
+            "remark" if off > CAMERA_LIMITS.delay_motion else "note",
+            f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
+            f"(+- {1e3 * one.std:.3f} ms)",
+            f"The water moves {off:.2f} px meanwhile: z is off by about as much",
+            "Trigger all cameras by one signal and give them one exposure time",
+            {"delay": one.seconds, "std": one.std, "px": off},
+        )
+
+
+def spell_delays(found: Mapping[str, Delay], interval: float = np.inf) -> str:
+    """Delays of all cameras; those less certain than half the interval of frames (s) are left out."""
+    first = next((name for name, one in found.items() if one.std == 0), "")
+    words = []
+    for name, one in found.items():
+        late, std = 1e3 * one.seconds, 1e3 * one.std
+        if name == first or one.std >= MAX_STD_INTERVALS * interval:
+            continue
+        if abs(late) < 2.0 * std or abs(late) < 1e3 * CAMERA_LIMITS.delay:
+            within = max(abs(late) + std, 1e3 * CAMERA_LIMITS.delay)
+            words.append(f"{first} and {name} are synchronous within {within:.2g} ms")
+        else:
+            words.append(
+                f"{name} is {abs(late):.3f} +- {std:.3f} ms {'later' if late > 0 else 'earlier'} than {first}"
+            )
+    return "; ".join(words) or "not determined: too little moves or matches"
+
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord

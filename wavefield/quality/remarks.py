@@ -1,7 +1,8 @@
 """What a verdict can contain: limits, explanations, and the remarks on the water level, fields and probes.
 
 Every remark has a kind, which `explanations.yaml` explains, and three parts: what was found, what it means
-for the result, what to do. Those on cameras are made in `cameras`, those on frames and times in `record`.
+for the result, what to do. Those on cameras are made in `cameras` and `camera_motion`, those
+on frames and times in `record`.
 """
 
 from collections.abc import Iterator, Sequence
