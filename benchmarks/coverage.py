@@ -17,8 +17,8 @@ from scipy import fft
 from benchmarks.options import parser_of
 from wavefield.water import dispersion
 from wavefield.waves import cross_spectra, directions, spectrum
-from wavefield.waves.estimation.segments import interval
-from wavefield.waves.estimators.coherence import significance_level
+from wavefield.waves.cross import significance_level
+from wavefield.waves.welch import interval
 
 NODES, STEP, NY, NX, DT, DEPTH = 72, 0.04, 38, 50, 0.05, 0.7
 LOWEST, HIGHEST, WIDTH = 1.4, 3.4, 0.4  # Hz, Hz, rad/s: waves are drawn anew before they come round again

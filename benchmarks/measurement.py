@@ -28,7 +28,7 @@ from benchmarks.scenes import FRAMES, SCENES, SEEDS, Case, calibrated, draw, ins
 from benchmarks.scores import Score, rms
 from wavefield.measurement import Settings
 from wavefield.tank import Tank
-from wavefield.waves.estimators.kinematics import terms
+from wavefield.waves.motion import terms
 
 # asked of each row: rms of u and v, of w, of z; per cent within 1 and 2 std; beyond 3
 TRUE = "63-75, 93-98, .5 %"

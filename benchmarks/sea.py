@@ -36,7 +36,7 @@ from wavefield.store.read import open_cube
 from wavefield.tank import Scene, simulate
 from wavefield.variables import Quality
 from wavefield.waves import E_omega, fused_spectra
-from wavefield.waves.estimation.window_gain import gain_of
+from wavefield.waves.gains import gain_of
 
 Array = NDArray[Any]
 BASELINE = 2.5  # m, of the scene

@@ -27,7 +27,7 @@ from benchmarks.scores import NAMES, Score
 from wavefield.measurement import Settings
 from wavefield.tank import Scene, Tank
 from wavefield.variables import CUBE_DIMS
-from wavefield.waves.estimators.smooth import INPUTS, smooth
+from wavefield.waves.smooth import INPUTS, smooth
 
 HALF_FIELD = 0.45, 0.35  # of the nodes, metres, where half of every sensor is read out
 TRUE = "65-75 % within 1 std"

@@ -16,7 +16,7 @@ import xarray as xr
 import wavefield as wf
 from benchmarks.options import parser_of
 from wavefield.tank import Scene
-from wavefield.waves import analyze, products, wave_analysis
+from wavefield.waves import analysis, analyze, products
 
 MB = 1e6
 
@@ -66,8 +66,8 @@ def main(words: Sequence[str]) -> int:
     cube = options.cube or sea(options.steps)
     costs = Costs()
     products._computed = costs.computed(products._computed)
-    inner = wave_analysis.one_pass
-    wave_analysis.one_pass = lambda *a, **k: costs.of("(pass over the cube)", lambda: inner(*a, **k))
+    inner = analysis.one_pass
+    analysis.one_pass = lambda *a, **k: costs.of("(pass over the cube)", lambda: inner(*a, **k))
     tracemalloc.start()
     began = time.process_time()
     analyze(cube)

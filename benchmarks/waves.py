@@ -33,7 +33,7 @@ import xarray as xr
 import wavefield.waves as wv
 from benchmarks.from_images import experiment, row, title
 from benchmarks.options import parser_of
-from wavefield.waves.estimation import rings
+from wavefield.waves import rings
 
 STEPS, NY, NX, SEGMENT = 12_000, 150, 200, 512
 DT, STEP = 0.05, 0.01

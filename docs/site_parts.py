@@ -25,7 +25,7 @@ TASKS = {
         "pipeline.opened_run",
         "pipeline.uncertainty_terms",
         "store.",
-        "waves.estimation.",
+        "waves.inputs",
     ),
     "Waves": ("waves.", "pipeline.analysis"),
     "See and report": ("explorer.", "reports.", "figures."),

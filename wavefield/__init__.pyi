@@ -28,17 +28,17 @@ from wavefield.store.wave_store import open_waves
 from wavefield.tank.plan import plan
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate
-from wavefield.waves.estimation.inputs import cube
-from wavefield.waves.estimators.coherence import coherence
-from wavefield.waves.estimators.crests import crest_statistics
-from wavefield.waves.estimators.direction import directions
-from wavefield.waves.estimators.dispersion_fit import fit_dispersion
-from wavefield.waves.estimators.field_spectra import E_k, E_omega, komega, spectrum
-from wavefield.waves.estimators.increments import structure_functions
-from wavefield.waves.estimators.kinematics import kinematics
-from wavefield.waves.estimators.phase_average import phase_average
-from wavefield.waves.estimators.smooth import smooth
-from wavefield.waves.estimators.statistics import statistics
+from wavefield.waves.crests import crest_statistics
+from wavefield.waves.cross import coherence
+from wavefield.waves.direction import directions
+from wavefield.waves.dispersion_fit import fit_dispersion
+from wavefield.waves.increments import structure_functions
+from wavefield.waves.inputs import cube
+from wavefield.waves.moments import statistics
+from wavefield.waves.motion import kinematics
+from wavefield.waves.phases import phase_average
+from wavefield.waves.smooth import smooth
+from wavefield.waves.spectra import E_k, E_omega, komega, spectrum
 
 __version__: str
 

@@ -12,7 +12,7 @@ from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
 from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
 from wavefield.store.read import open_group
-from wavefield.waves.estimators.kinematics import kinematic_fields
+from wavefield.waves.motion import kinematic_fields
 
 
 @pytest.fixture

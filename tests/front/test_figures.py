@@ -243,7 +243,7 @@ def test_picture_of_the_dispersion_ridge():
 
     from wavefield.water import dispersion
     from wavefield.waves import spectrum
-    from wavefield.waves.estimators.dispersion_fit import dispersion_group
+    from wavefield.waves.dispersion_fit import dispersion_group
 
     rng = np.random.default_rng(0)
     k, angle = rng.uniform(6, 40, 300), rng.uniform(-np.pi, np.pi, 300)

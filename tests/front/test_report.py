@@ -247,7 +247,7 @@ def test_a_long_cube_is_thinned_to_fit(cube):
 
 
 def test_the_nonlinear_term_and_its_residual_are_those_of_the_store(cube, page_text):
-    from wavefield.waves.estimators.kinematics import kinematic_fields
+    from wavefield.waves.motion import kinematic_fields
 
     snap = snapshot(cube)
     stored = kinematic_fields(cube).sel(time=snap.time)

@@ -10,7 +10,7 @@ from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
 from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry
-from wavefield.waves.estimators.kinematics import slopes
+from wavefield.waves.motion import slopes
 
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 

@@ -8,7 +8,7 @@ from wavefield.matching import Prior
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
 from wavefield.measurement.resolution import in_focus, shortest_carried, tabulated
 from wavefield.tank import Scene
-from wavefield.waves.estimation.window_gain import PREDICTED, label
+from wavefield.waves.gains import PREDICTED, label
 
 
 def predicted_gain(scene, record):

@@ -26,7 +26,7 @@ from wavefield.store.read import open_stored
 from wavefield.store.verify import verify
 from wavefield.store.write_cube import write_chunk
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
-from wavefield.waves.estimation.record import find_record
+from wavefield.waves.record import find_record
 
 STEPS = FRAMES - 1
 

@@ -9,10 +9,10 @@ from independent_seas import LatticeSea, random_lattice_sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
-from wavefield.waves.estimation.degrees_of_freedom import samples_in_time
-from wavefield.waves.estimation.segments import effective_duration, hann
+from wavefield.waves.dof import samples_in_time
+from wavefield.waves.welch import effective_duration, hann
 
-coherence_module = importlib.import_module("wavefield.waves.estimators.coherence")
+coherence_module = importlib.import_module("wavefield.waves.cross")
 NAMES, PAIRS = ("rise", "w", "nl"), (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 
@@ -43,7 +43,7 @@ def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predic
         }
         made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_rise_u="S_rise_nl", **names_of_nl)
         made = made.assign(S_w_nl=ring.S_u_w.conj())
-        C = coherence_module.from_spectra(made)
+        C = coherence_module.coherence_group(made)
         for name in ("w", "nl"):
             over_k.append((C[f"gamma2_{name}"] * C[f"samples_{name}"]).where(inside).mean().item())
             hits_k.append((C[f"gamma2_{name}"] > C[f"level_{name}"]).where(inside).mean().item())
@@ -142,7 +142,7 @@ def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
         "samples_k_rise_nl": ring.samples_k_rise_u,
     }
     # in pieces, since xarray keeps silent about what it divides at once; any warning is an error here
-    C = coherence_module.from_spectra(ring.assign(nil).chunk()).compute()
+    C = coherence_module.coherence_group(ring.assign(nil).chunk()).compute()
     assert np.isnan(C["gamma2_nl"]).all()
     assert np.isnan(C["gamma2_nl_komega"]).all()
     assert np.isfinite(C["gamma2_w"]).sum() == np.isfinite(C["gamma2_tot"]).sum() > 0

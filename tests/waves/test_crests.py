@@ -7,7 +7,7 @@ from waves_cases import GaussianSea, second_order_sea
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.estimators.crests import tayfun
+from wavefield.waves.crests import tayfun
 
 
 @pytest.fixture(scope="module")

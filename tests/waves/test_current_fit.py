@@ -6,8 +6,8 @@ from independent_seas import Sea, family, random_lattice_sea
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.estimation.current import current_used
-from wavefield.waves.estimators.dispersion_points import fit_settings
+from wavefield.waves.current import current_used
+from wavefield.waves.dispersion_points import fit_settings
 
 
 def fitted(sea, **settings):

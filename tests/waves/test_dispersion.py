@@ -9,7 +9,7 @@ from waves_cases import GAMMA, GaussianSea, PeriodicSea, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.estimators.dispersion_points import PlaneSpectrum, explained, scan_current
+from wavefield.waves.dispersion_points import PlaneSpectrum, explained, scan_current
 
 CURRENT = (0.04, -0.02)
 

@@ -7,7 +7,7 @@ from independent_seas import LatticeSea
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 
-module = importlib.import_module("wavefield.waves.estimators.higher_order")
+module = importlib.import_module("wavefield.waves.bicoherence")
 
 
 def gaussian_lines(rng, n, samples):

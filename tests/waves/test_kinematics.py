@@ -6,7 +6,7 @@ from waves_cases import Waves, axes, cube, linear_cube, random_waves, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.estimators.kinematics import finite_residual_on_grid, frame_elevations, slopes
+from wavefield.waves.motion import finite_residual_on_grid, frame_elevations, slopes
 
 
 def displaced(waves, now, dt, gx, gy, rounds=8):
@@ -197,7 +197,7 @@ def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
 
 
 def test_elevation_from_six_frames_goes_to_frame_time():
-    from wavefield.waves.estimation.transfer_functions import to_frame_time
+    from wavefield.waves.gains import to_frame_time
 
     dt, omega = 0.05, 2 * np.pi * 4.0
     z = np.exp(1j * omega * dt * np.arange(-2, 4))  # numpy's signs; frame 0 is the step's first

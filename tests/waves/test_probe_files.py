@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from wavefield.errors import CubeError
-from wavefield.waves.estimators.probe_spectra import probe_spectra
+from wavefield.waves.probes import probe_spectra
 
 
 def waves(height, period, rate=10.0, duration=300.0, seed=0):

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from waves_cases import linear_cube, random_waves
 
-from wavefield.waves.estimators.probe_fit import fit_probes
+from wavefield.waves.probes import fit_probes
 
 PLACE = (0.26, 0.30)  # a node
 

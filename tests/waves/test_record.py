@@ -11,8 +11,8 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import FrameStatus, Quality
-from wavefield.waves.estimation.record import IN_TIME, fill, fill_error
-from wavefield.waves.estimation.segments import Reader
+from wavefield.waves.record import IN_TIME, fill, fill_error
+from wavefield.waves.welch import Reader
 
 
 @pytest.fixture(scope="module")

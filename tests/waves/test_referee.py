@@ -7,7 +7,7 @@ from waves_cases import GaussianSea, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.estimators.coherence import significance_level
+from wavefield.waves.cross import significance_level
 
 THIN = {"width": 0.06, "n": 96, "dx": 0.03, "highest": 4.2, "lowest": 1.2}  # a ridge thinner than a cell
 

@@ -7,7 +7,7 @@ from independent_seas import LatticeSea
 from waves_cases import cube
 
 import wavefield.waves as wv
-from wavefield.waves.estimation.current import delayed_current
+from wavefield.waves.current import delayed_current
 
 _RATE, _STEPS, _NODES, _STEP = 20.0, 320, 40, 0.03  # Hz, steps, nodes along a side, m
 _GRAVITY = 9.81

@@ -9,10 +9,11 @@ from waves_cases import GaussianSea, Waves, axes, random_waves, seen
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.estimation import rings, segments
-from wavefield.waves.estimation.degrees_of_freedom import expected_segment_correlation
-from wavefield.waves.estimation.segments import hann_power, interval
-from wavefield.waves.estimators.coherence import significance_level
+from wavefield.waves import rings
+from wavefield.waves import welch as welch_module
+from wavefield.waves.cross import significance_level
+from wavefield.waves.dof import expected_segment_correlation
+from wavefield.waves.welch import hann_power, interval
 
 
 def field(values, dt=0.05, dx=0.03, units="m"):
@@ -57,7 +58,7 @@ def test_odd_and_even_sizes_keep_the_energy_and_the_direction(ny, nx):
 def test_the_sum_is_the_windowed_variance_in_single_precision():
     rng = np.random.default_rng(1)
     values = rng.standard_normal((256, 30, 40)).astype("f4")
-    window = segments.hann(64)[:, None, None] * segments.hann(30)[:, None] * segments.hann(40)
+    window = welch_module.hann(64)[:, None, None] * welch_module.hann(30)[:, None] * welch_module.hann(40)
     ramp = np.arange(64) - 31.5
     power = []
     for start in range(0, 256 - 63, 32):
@@ -276,12 +277,12 @@ def test_units_and_meaning_are_on_every_variable():
 
 
 def test_the_degrees_of_freedom_are_those_of_half_overlapping_hann_windows():
-    assert segments.degrees_of_freedom(1) == 2
-    assert segments.degrees_of_freedom(45) == pytest.approx(2 * 45 / (1 + (44 / 45) / 18))
+    assert welch_module.degrees_of_freedom(1) == 2
+    assert welch_module.degrees_of_freedom(45) == pytest.approx(2 * 45 / (1 + (44 / 45) / 18))
 
 
 @given(st.integers(8, 20000))
 def test_a_chosen_segment_fits_its_record(steps):
-    segment = segments.choose_segment(steps)
+    segment = welch_module.choose_segment(steps)
     assert segment % 2 == 0
     assert 4 <= segment <= min(steps, 512)

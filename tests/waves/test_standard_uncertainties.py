@@ -5,7 +5,7 @@ import pytest
 from independent_seas import Sea, still_frequency
 
 import wavefield as wf
-from wavefield.waves.estimators.statistics import difference_gain, peak_and_std
+from wavefield.waves.moments import difference_gain, peak_and_std
 
 
 @pytest.fixture(scope="module")

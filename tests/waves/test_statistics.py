@@ -8,7 +8,7 @@ from waves_cases import axes, cube
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 
-statistics_module = importlib.import_module("wavefield.waves.estimators.statistics")
+statistics_module = importlib.import_module("wavefield.waves.moments")
 
 
 def test_a_second_order_sea_has_its_skewness_and_kurtosis():

@@ -205,7 +205,7 @@ class PeriodicSea:
 
 def seen(lines, true, n, step):
     """Density on each line from a wave of variance 1 at each true k or omega, through a Hann window."""
-    from wavefield.waves.estimation.segments import hann
+    from wavefield.waves.welch import hann
 
     turned = np.exp(-1j * np.subtract.outer(lines, true)[..., None] * step * np.arange(n))
     return np.abs(turned @ hann(n)) ** 2 / (hann(n) ** 2).sum() * step / (2 * np.pi)
@@ -265,7 +265,7 @@ class GaussianSea:
 
     def expected_map(self, ny, nx, segment):
         """Mean of E(ky, kx, omega) as a rectangle and a segment see it."""
-        from wavefield.waves.estimation import rings
+        from wavefield.waves import rings
 
         ky, kx = (np.sort(rings.wavenumbers(n, self.dx)) for n in (ny, nx))
         omega = 2 * np.pi * np.arange(segment // 2 + 1) / (segment * self.dt)
@@ -276,7 +276,7 @@ class GaussianSea:
 
     def expected(self, E):
         """Mean of E(k, omega) as a rectangle and a segment see it, (omega, k)."""
-        from wavefield.waves.estimation import rings
+        from wavefield.waves import rings
 
         ny, nx = E.attrs["nodes"]
         table = rings.rings(ny, nx, self.dx, self.dx)

@@ -75,7 +75,7 @@ def _averaged(store: Path, steps: slice | None, average: str) -> "xr.Dataset":
     """Averages of some steps of a cube over time, or over the phase of a period, s."""
     from wavefield.store.read import open_cube
     from wavefield.waves import phase_average
-    from wavefield.waves.estimators.phase_average import FIELDS
+    from wavefield.waves.phases import FIELDS
 
     cube = open_cube(store).isel(time=steps or slice(None))
     try:

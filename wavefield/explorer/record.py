@@ -114,7 +114,7 @@ class CubeRecord:
         """A variable that `kinematic_fields` derives, at one step: time derivatives need its neighbours."""
         import xarray as xr
 
-        from wavefield.waves.estimators.kinematics import kinematic_fields
+        from wavefield.waves.motion import kinematic_fields
 
         if self.layout.steps < 2:
             return np.full((self.y.size, self.x.size), np.nan, np.float32)

@@ -76,7 +76,7 @@ def nonlinear_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figu
 
 def _draw_terms(axes: NDArray[np.object_], snapshot: xr.Dataset, cube: xr.Dataset | None) -> None:
     """Draw the nonlinear term and the residual, both on the scale of the term."""
-    from wavefield.waves.estimators.kinematics import kinematics_at  # imports compiled kernels
+    from wavefield.waves.motion import kinematics_at  # imports compiled kernels
 
     terms = kinematics_at(snapshot, cube)
     half = 100 * limit(terms.nonlinear)

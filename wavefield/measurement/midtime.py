@@ -159,7 +159,7 @@ def rise_of_water(
 
 
 def slope(z: Float, step: float, axis: int) -> Float:
-    """Slope along an axis, by the differences of `wavefield.waves.estimators.kinematics.slopes`."""
+    """Slope along an axis, by the differences of `wavefield.waves.motion.slopes`."""
     out: Float = np.moveaxis(np.gradient(z, step, axis=axis, edge_order=2), axis, 0)
     rows = np.moveaxis(z, axis, 0)
     for reach, weights in ((2, (8, -1)), (3, (45, -9, 1))):

@@ -19,7 +19,7 @@ from wavefield.execution.workflow import Workflow
 if TYPE_CHECKING:
     import xarray as xr
 
-_WORKER_IMPORTS = ("wavefield.pipeline.analysis", "wavefield.waves.wave_analysis")
+_WORKER_IMPORTS = ("wavefield.pipeline.analysis", "wavefield.waves.analysis")
 
 
 def _open(cube: "str | Path | xr.Dataset") -> "xr.Dataset":
@@ -127,7 +127,7 @@ def analyze(
     from wavefield.atomic_write import Product, check_writable
     from wavefield.store.recipe import source_of, state_of
     from wavefield.store.wave_store import KIND, write_waves
-    from wavefield.waves.wave_analysis import analyze as waves_of
+    from wavefield.waves.analysis import analyze as waves_of
 
     opened = _open(cube)
     inputs = [opened.encoding.get("source"), cube, options.get("gain")]
@@ -192,7 +192,7 @@ def analyze_on_workers(
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
             with open_cluster(workflow, jobs_folder(target), _WORKER_IMPORTS) as map_unordered:
-                import wavefield.waves.wave_analysis  # noqa: F401 while the workers start
+                import wavefield.waves.analysis  # noqa: F401 while the workers start
 
                 return analyze(
                     source, target, each=partial(_in_order, map_unordered, Path(folder)), **options

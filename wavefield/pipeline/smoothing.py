@@ -12,7 +12,7 @@ from wavefield.store.read import open_cube
 from wavefield.store.recipe import source_of, state_of
 from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS
-from wavefield.waves.estimators.smooth import smooth
+from wavefield.waves.smooth import smooth
 
 
 def write_smoothed(

@@ -26,7 +26,7 @@ from wavefield.variables import Quality
 if TYPE_CHECKING:
     import xarray as xr
 
-    from wavefield.waves.estimators.probe_fit import ProbeFit
+    from wavefield.waves.probes import ProbeFit
 
 # What each kind of remark means and what to do: the text of `wavefield explain`
 EXPLANATIONS: dict[str, str] = yaml.safe_load(
@@ -384,7 +384,7 @@ def compare_probes(experiment: Experiment, cube: "xr.Dataset") -> "tuple[list[Pr
 
     Of a long record the middle is compared, thinned in space.
     """
-    from wavefield.waves.estimators.probe_fit import fit_probes  # imports all of the analysis
+    from wavefield.waves.probes import fit_probes  # imports all of the analysis
 
     every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_PROBE_NODES))))
     first = max(0, (len(cube.z) - MAX_PROBE_STEPS) // 2)

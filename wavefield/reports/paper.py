@@ -27,7 +27,7 @@ from wavefield.store.read import find_store, open_cube
 from wavefield.store.recipe import source_of
 from wavefield.store.store_paths import beside
 from wavefield.waves import plane_coherence
-from wavefield.waves.estimators.kinematics import kinematic_fields
+from wavefield.waves.motion import kinematic_fields
 
 _METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
 

@@ -7,7 +7,7 @@ from wavefield import figures
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Picture, ReportSection, Sentences
 from wavefield.reports.numbers import median_of, number, rms_of, snapshot
-from wavefield.waves.estimators.kinematics import kinematics_at
+from wavefield.waves.motion import kinematics_at
 
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:

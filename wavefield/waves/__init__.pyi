@@ -1,22 +1,30 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.water import dispersion, group_velocity, wavenumber
-from wavefield.waves.estimation.inputs import cube
-from wavefield.waves.estimation.record import Record, find_record, whole_record
-from wavefield.waves.estimation.transfer_functions import (
+from wavefield.waves.analysis import analyze
+from wavefield.waves.bicoherence import HigherOrderSettings, higher_order
+from wavefield.waves.crests import crest_statistics
+from wavefield.waves.cross import coherence, cross_spectra, plane_coherence
+from wavefield.waves.direction import directions
+from wavefield.waves.dispersion_fit import fit_dispersion
+from wavefield.waves.dispersion_points import FitSettings
+from wavefield.waves.elevation import fused_spectra
+from wavefield.waves.gains import (
     elevation_from_w,
     gain_box,
     gain_displacement,
     gain_frame_mean,
+    read_gain,
     undo,
+    window_gain,
 )
-from wavefield.waves.estimation.window_gain import read_gain, window_gain
-from wavefield.waves.estimators.coherence import coherence, plane_coherence
-from wavefield.waves.estimators.crests import crest_statistics
-from wavefield.waves.estimators.cross_spectra import cross_spectra
-from wavefield.waves.estimators.direction import directions
-from wavefield.waves.estimators.dispersion_fit import fit_dispersion
-from wavefield.waves.estimators.dispersion_points import FitSettings
-from wavefield.waves.estimators.field_spectra import (
+from wavefield.waves.increments import structure_functions
+from wavefield.waves.inputs import cube
+from wavefield.waves.moments import statistics
+from wavefield.waves.motion import finite_residual, kinematics, kinematics_at
+from wavefield.waves.phases import phase_average
+from wavefield.waves.probes import probe_spectra
+from wavefield.waves.record import Record, find_record, whole_record
+from wavefield.waves.spectra import (
     E_k,
     E_omega,
     angular_integral,
@@ -25,14 +33,6 @@ from wavefield.waves.estimators.field_spectra import (
     spectrum,
     total,
 )
-from wavefield.waves.estimators.fused_spectra import fused_spectra
-from wavefield.waves.estimators.higher_order import HigherOrderSettings, higher_order
-from wavefield.waves.estimators.increments import structure_functions
-from wavefield.waves.estimators.kinematics import finite_residual, kinematics, kinematics_at
-from wavefield.waves.estimators.phase_average import phase_average
-from wavefield.waves.estimators.probe_spectra import probe_spectra
-from wavefield.waves.estimators.statistics import statistics
-from wavefield.waves.wave_analysis import analyze
 
 __all__ = [
     "E_k",

@@ -1,6 +1,6 @@
 """The registry of what an analysis computes: a product is one file that registers what it needs and gives.
 
-`wavefield.waves.wave_analysis` starts from the values of `GIVEN`, runs every product whose inputs are there,
+`wavefield.waves.analysis` starts from the values of `GIVEN`, runs every product whose inputs are there,
 and puts those that name a group into the wave store. A new product is one module of this room (or one that a
 user imports before the analysis), with for example
 

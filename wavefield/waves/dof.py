@@ -16,10 +16,9 @@ from scipy import ndimage
 
 from wavefield.variables import annotate
 from wavefield.water import dispersion, group_velocity
-from wavefield.waves.estimation import rings
-from wavefield.waves.estimation.segments import hann_power, interval, richardson_lucy
-from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
+from wavefield.waves import rings
 from wavefield.waves.products import Product, register
+from wavefield.waves.welch import LEAST_COUNT, Welch, hann_power, interval, richardson_lucy
 
 Array = NDArray[Any]
 
@@ -212,7 +211,7 @@ MAX_RATIO = (
 )
 
 
-def take_in(sums: dict[str, Array], name: str, powers: Array, first: int) -> None:
+def accumulate(sums: dict[str, Array], name: str, powers: Array, first: int) -> None:
     """Add the powers (2, rings, lines) of the segment from step ``first`` to ``sums``, and hold its power."""
     sums[name] += powers
     sums[f"{name} from {first:012d}"] = powers[0].astype(np.float32)
@@ -231,7 +230,7 @@ def keep_lines(power: Array, first: int) -> dict[str, Array]:
     return {f"f from {first:012d}": folded[None]}
 
 
-def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
+def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
     """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of a segments' mean.
     By cells (`Welch.freedom`) and correlation (`correlation_of`), over the measured ratio of variances.
     """
@@ -294,7 +293,7 @@ def of_leakage(power: Array, dof: Array) -> Array:
     return np.asarray(out)
 
 
-def samples(
+def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
     """Independent samples of the cross spectra of two fields, of (k, omega) and of k.

@@ -21,13 +21,17 @@ from wavefield.variables import (
     density_units,
     product,
 )
-from wavefield.waves.estimation import degrees_of_freedom, rings, segments, wave_kernels
-from wavefield.waves.estimation.degrees_of_freedom import (
+from wavefield.waves import kernels, rings
+from wavefield.waves.dof import (
+    accumulate,
+    cell_freedom,
     independent_cells,
+    keep_lines,
+    ring_freedom,
     samples_in_time,
     with_interval,
 )
-from wavefield.waves.estimation.inputs import (
+from wavefield.waves.inputs import (
     Convert,
     a_field,
     described,
@@ -37,10 +41,21 @@ from wavefield.waves.estimation.inputs import (
     takes,
     water_parameters,
 )
-from wavefield.waves.estimation.record import Record, filled_density
-from wavefield.waves.estimation.segments import effective_duration, interval
-from wavefield.waves.estimation.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
 from wavefield.waves.products import Product, register
+from wavefield.waves.record import Record, filled_density
+from wavefield.waves.welch import (
+    MIN_OVER_FILLED,
+    TimeTransform,
+    Welch,
+    effective_duration,
+    inner,
+    interval,
+    k_coords,
+    omega_coords,
+    slabs,
+    sum_segments,
+    transform_space,
+)
 
 Array = NDArray[Any]
 
@@ -67,16 +82,16 @@ def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
 
 
 def _transform(blocks: list[Array], first: int) -> dict[str, Array]:
-    return {"f": segments.transform_space(blocks.pop())}
+    return {"f": transform_space(blocks.pop())}
 
 
 def _powers(first: dict[str, Array], second: dict[str, Array], begin: int) -> dict[str, Array]:
     cells, half = first["f"].shape
     power = np.zeros((cells, 2 * half), first["f"].real.dtype)
-    transform = segments.TimeTransform(half, first["f"].dtype)
-    for slab in segments.slabs(cells):
-        wave_kernels.add_powers(transform(first["f"][slab], second["f"][slab]), power[slab])
-    return {"power": power} | degrees_of_freedom.keep_lines(power, begin)
+    transform = TimeTransform(half, first["f"].dtype)
+    for slab in slabs(cells):
+        kernels.add_powers(transform(first["f"][slab], second["f"][slab]), power[slab])
+    return {"power": power} | keep_lines(power, begin)
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
@@ -97,7 +112,7 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 
 def _map(total: dict[str, Array], welch: Welch) -> dict[str, Any]:
-    dof = degrees_of_freedom.cell_freedom("f", total, welch)
+    dof = cell_freedom("f", total, welch)
     low, high = interval(dof)
     return {"E": density(total["power"], welch), "dof": np.array(dof), "low": low, "high": high}
 
@@ -152,7 +167,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     1.0
     """
     welch = Welch.of(field, segment, record)
-    summed = segments.sum_segments([field], welch.record, welch.half, _transform, _powers)
+    summed = sum_segments([field], welch.record, welch.half, _transform, _powers)
     lazy = dask.delayed(_map, pure=False)(summed, welch)
     dtype = np.float32 if field.dtype == np.float32 else np.float64
     shape = (welch.omega.size, *welch.record.shape)
@@ -198,19 +213,19 @@ def _ring_powers(
 ) -> dict[str, Array]:
     cells, half = first["f"].shape
     power = np.zeros((2, table.k.size, half + 1))
-    transform = segments.TimeTransform(half, first["f"].dtype)
-    for slab in segments.slabs(cells):
+    transform = TimeTransform(half, first["f"].dtype)
+    for slab in slabs(cells):
         lines = transform(first["f"][slab], second["f"][slab])
         start = table.start[slab.start : slab.stop + 1]
-        wave_kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
+        kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
     out = {"f": np.zeros_like(power)}
-    degrees_of_freedom.take_in(out, "f", power, begin)
+    accumulate(out, "f", power, begin)
     return out
 
 
 def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
     """E(k, omega), its freedom and interval, (4, omega, k), and freedom of E(omega) and E(k): one task."""
-    dof = degrees_of_freedom.freedom(summed, "f", welch)
+    dof = ring_freedom(summed, "f", welch)
     parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
     return {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
 
@@ -265,7 +280,7 @@ def komega(
     welch = Welch.of(field, segment, record, dk)
     table = welch.table
     ring_powers = partial(_ring_powers, table)
-    summed = segments.sum_segments([field], welch.record, welch.half, _transform, ring_powers)
+    summed = sum_segments([field], welch.record, welch.half, _transform, ring_powers)
     found = dask.delayed(_estimates, pure=False)(summed, welch)
     parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
     names = ("E", "dof", "low", "high")

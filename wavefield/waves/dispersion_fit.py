@@ -12,9 +12,7 @@ from scipy.optimize import least_squares
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
-from wavefield.waves.estimation.inputs import takes
-from wavefield.waves.estimation.welch import Welch, k_coords
-from wavefield.waves.estimators.dispersion_points import (
+from wavefield.waves.dispersion_points import (
     LEAKAGE_ERROR,
     MIN_CELLS_FROM_ZERO,
     FitSettings,
@@ -30,8 +28,10 @@ from wavefield.waves.estimators.dispersion_points import (
     scan_current,
     sectors_of,
 )
-from wavefield.waves.estimators.field_spectra import plane_of
-from wavefield.waves.products import Product, register
+from wavefield.waves.inputs import takes
+from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.spectra import plane_of
+from wavefield.waves.welch import Welch, k_coords
 
 Array = NDArray[Any]
 
@@ -287,7 +287,7 @@ def fit_dispersion(
     --------
     Three hundred waves on water that flows along x at 5 cm/s.
 
-    >>> from wavefield.waves.estimators.field_spectra import spectrum
+    >>> from wavefield.waves.spectra import spectrum
     >>> rng = np.random.default_rng(0)
     >>> k, angle = rng.uniform(6, 40, 300), rng.uniform(-np.pi, np.pi, 300)
     >>> kx, ky = k * np.cos(angle), k * np.sin(angle)
@@ -487,7 +487,30 @@ def _product(
     return dispersion_group(density, welch.table.k, depth, gamma, settings[0])
 
 
+MIN_SEGMENTS_FOR_TENSION = 4  # before a fitted surface tension is more than noise
+MAX_TENSION_STD = 0.05  # standard uncertainty of the surface tension, relative
+
+
+def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:
+    """A dispersion fit, without its surface tension where that is not determined."""
+    if "refused" in fit.attrs:
+        return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])
+    gamma, std = float(fit["gamma"]), float(fit["gamma_std"])
+    if welch.count < MIN_SEGMENTS_FOR_TENSION:
+        count = welch.count
+        reason = f"the record holds {count} segment{'s' if count > 1 else ''}; four are needed"
+    elif not np.isfinite(std):
+        reason = "the dispersion fit does not determine it"
+    elif not std < MAX_TENSION_STD * gamma:
+        reason = f"its uncertainty is {1e6 * std:.2g}e-6 of {1e6 * gamma:.2g}e-6 m3/s2"
+    else:
+        return Noted(fit, [])
+    fit = fit.drop_vars(["gamma", "gamma_std", "omega_fit"], errors="ignore")
+    return Noted(fit, [f"No surface tension was fitted: {reason}."])
+
+
 register(
     Product("fit_settings", ("fit",), fit_settings),
     Product("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
 )
+register(Product("dispersion", ("dispersion_fit", "welch"), without_uncertain_tension, group="dispersion"))

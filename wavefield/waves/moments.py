@@ -17,15 +17,13 @@ from wavefield.errors import CubeError
 from wavefield.parabola import parabola_vertex
 from wavefield.variables import annotate, validate
 from wavefield.water import group_velocity, wavenumber
-from wavefield.waves.estimation import rings, segments, wave_kernels
-from wavefield.waves.estimation.degrees_of_freedom import hann_correlation, sum_freedom
-from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.record import Each, Record, find_record, piece
-from wavefield.waves.estimation.record_limits import MIN_PERIODS, without_short_peak
-from wavefield.waves.estimation.segments import CORRELATED_CELLS, spatial_window
-from wavefield.waves.estimation.welch import Welch
-from wavefield.waves.estimators.field_spectra import E_omega, komega
+from wavefield.waves import kernels, rings
+from wavefield.waves.dof import hann_correlation, sum_freedom
+from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.record import Each, Record, find_record, piece
+from wavefield.waves.spectra import E_omega, komega
+from wavefield.waves.welch import CORRELATED_CELLS, Welch, add_sums, in_order, pieces, spatial_window
 
 Array = NDArray[Any]
 
@@ -88,6 +86,41 @@ def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, flo
     overlap = hann_correlation(energy.sizes["omega"])
     sums = {"variance": energy.sum("k"), "slope": (energy * energy["k"] ** 2).sum("k")}
     return {name: relative_std(power.values, dof, overlap) for name, power in sums.items()}
+
+
+MIN_PERIODS = (
+    10  # of the strongest wave: fewer do not separate it from its neighbours, nor its height from chance
+)
+MIN_PERIODS_OF_HEIGHT = 3  # its standard uncertainty is that of a chi-squared value: fewer give no height
+
+
+def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
+    """Statistics without spectral peak and steepness where the record holds too few of its periods.
+
+    Examples
+    --------
+    >>> peak = xr.Dataset({"peak_frequency": 1.3, "peak_k": 6.8, "steepness": 0.1})
+    >>> without_short_peak(peak, 1.15).notes[0]
+    'No spectral peak, no steepness: the record holds 1.5 peak periods (1.15 s); 10 are needed.'
+    >>> "steepness" in without_short_peak(peak, 60.0).value
+    True
+    """
+    periods = seconds * float(statistics["peak_frequency"])
+    if periods >= MIN_PERIODS:
+        return Noted(statistics, [])
+    gone = ["peak_frequency", "peak_k", "steepness"]
+    notes = [
+        f"No spectral peak, no steepness: the record holds {periods:.2g} peak periods ({seconds:.3g} s);"
+        f" {MIN_PERIODS} are needed."
+    ]
+    if not periods >= MIN_PERIODS_OF_HEIGHT:
+        gone += ["significant_height"]
+        notes.append(
+            f"No significant wave height: the record holds {periods:.2g} peak periods;"
+            f" {MIN_PERIODS_OF_HEIGHT} are needed."
+        )
+    gone = [f"{name}{end}" for name in gone for end in ("", "_std")]
+    return Noted(statistics.drop_vars(gone, errors="ignore"), notes)
 
 
 def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:
@@ -180,9 +213,9 @@ def survey(fields: Mapping[str, Array], scales: Scales) -> dict[str, Array]:
         mean, std = scales[name]
         flat = values.reshape(values.shape[0], -1)
         out[f"sums {name}"] = np.zeros(5)
-        wave_kernels.moments(flat, mean, out[f"sums {name}"])
+        kernels.moments(flat, mean, out[f"sums {name}"])
         out[f"counts {name}"] = np.zeros(BINS, np.int64)
-        wave_kernels.histogram(flat.ravel(), mean, std, REACH, out[f"counts {name}"])
+        kernels.histogram(flat.ravel(), mean, std, REACH, out[f"counts {name}"])
     return out
 
 
@@ -192,11 +225,11 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
     for name, values in fields.items():
         flat = values.reshape(values.shape[0], -1)
         out[f"map {name}"] = np.zeros((3, flat.shape[1]))
-        wave_kernels.node_powers(flat, scales[name][0], out[f"map {name}"])
+        kernels.node_powers(flat, scales[name][0], out[f"map {name}"])
         out["steps"] = np.array([flat.shape[0]], float)
     if "z" in fields:
         z = fields["z"]
-        out["slopes"] = np.array([wave_kernels.slope_square(z, dy, dx), z.size], float)
+        out["slopes"] = np.array([kernels.slope_square(z, dy, dx), z.size], float)
     return out
 
 
@@ -352,8 +385,8 @@ def statistics(
     def of_block(blocks: list[Array], first: int) -> dict[str, Array]:
         return sums_of(dict(zip(names, blocks)), scales, record.dy, record.dx)
 
-    parts = segments.pieces([cube[name] for name in names], record, STEPS_AT_A_TIME, of_block)
-    (sums,) = dask.compute(segments.in_order(parts))
+    parts = pieces([cube[name] for name in names], record, STEPS_AT_A_TIME, of_block)
+    (sums,) = dask.compute(in_order(parts))
     gain_of_slopes = sampled_slope_gain(cube["z"], record)
     out = label(sums, scales, record.dt, pixel_size or cube.attrs.get("pixel_size"), gain_of_slopes)
     stds, peak = of_elevation(cube["z"], record)
@@ -409,12 +442,12 @@ def _error_sums(
     if each is not None:
         parts = each(work, [(name, some) for name in names for some in steps])
         for _ in names:
-            yield functools.reduce(segments.add, itertools.islice(parts, len(steps)))
+            yield functools.reduce(add_sums, itertools.islice(parts, len(steps)))
         return
     task = dask.delayed(_survey_errors, pure=False)
     for name in names:
         parts_of_name = [task(work.read(name, some), work.scales[name]) for some in steps]
-        yield from dask.compute(segments.in_order(parts_of_name))
+        yield from dask.compute(in_order(parts_of_name))
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:

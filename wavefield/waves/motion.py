@@ -11,12 +11,12 @@ from scipy import stats
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
-from wavefield.waves.estimation import wave_kernels
-from wavefield.waves.estimation.current import delayed_current
-from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.record import check_axes, whole_record
-from wavefield.waves.estimation.welch import along_paths
+from wavefield.waves import kernels
+from wavefield.waves.current import delayed_current
+from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Product, register
+from wavefield.waves.record import check_axes, whole_record
+from wavefield.waves.welch import along_paths
 
 Array = NDArray[Any]
 
@@ -39,7 +39,7 @@ def _checked(cube: xr.Dataset) -> xr.Dataset:
 def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
     """Slopes z_y, z_x of fields (steps, ny, nx) by central differences of sixth order."""
     z_y, z_x = np.empty_like(z), np.empty_like(z)
-    wave_kernels.gradient(z, dy, dx, z_y, z_x)
+    kernels.gradient(z, dy, dx, z_y, z_x)
     return z_y, z_x
 
 
@@ -216,7 +216,7 @@ def finite_residual_on_grid(
     for field, sign in ((end, 1), (start, -1)):
         out = np.empty(ny * nx)
         places = (row + sign * shift_y).ravel(), (column + sign * shift_x).ravel()
-        wave_kernels.sample(np.ascontiguousarray(field), *places, out, STENCIL)
+        kernels.sample(np.ascontiguousarray(field), *places, out, STENCIL)
         ends.append(out.reshape(ny, nx))
     return (ends[0] - ends[1]) / dt - w
 

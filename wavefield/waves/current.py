@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.waves.estimation.record import Record, piece
-from wavefield.waves.estimation.segments import spatial_window
 from wavefield.waves.products import Product, register
+from wavefield.waves.record import Record, piece
+from wavefield.waves.welch import spatial_window
 
 Array = NDArray[np.float64]
 

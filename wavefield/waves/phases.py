@@ -9,9 +9,9 @@ from scipy import signal
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
-from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.record import Record, find_record
-from wavefield.waves.estimation.segments import Reader
+from wavefield.waves.inputs import a_cube, takes
+from wavefield.waves.record import Record, find_record
+from wavefield.waves.welch import Reader
 
 Array = NDArray[Any]
 

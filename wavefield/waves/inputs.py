@@ -18,8 +18,8 @@ from scipy.interpolate import make_interp_spline
 from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS, annotate, validate
 from wavefield.water import WATER, stated_water, water_of
-from wavefield.waves.estimation.record import check_axes
-from wavefield.waves.estimation.welch import VELOCITY, frames_of_meaning, with_stated
+from wavefield.waves.record import check_axes
+from wavefield.waves.welch import VELOCITY, frames_of_meaning, with_stated
 
 Estimator = TypeVar("Estimator", bound=Callable[..., Any])
 # of what an estimator is given: what it works on, and the parameters that the input states

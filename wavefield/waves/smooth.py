@@ -18,9 +18,9 @@ from wavefield.errors import CubeError
 from wavefield.one_thread import one_thread
 from wavefield.variables import CUBE_DIMS, FrameStatus, Quality, annotate, validate
 from wavefield.water import dispersion, group_velocity, water_of
-from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.record import check_axes
-from wavefield.waves.estimators.kinematics import slopes
+from wavefield.waves.inputs import a_cube, takes
+from wavefield.waves.motion import slopes
+from wavefield.waves.record import check_axes
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""Power and cross spectra of several fields of a cube in one pass, integrated over angle."""
+"""Power and cross spectra of several fields of a cube, and the coherence of z_t with w and u . grad z."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,16 +13,26 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import INSTANTANEOUS, annotate, validate
-from wavefield.waves.estimation import degrees_of_freedom, segments, transfer_functions, wave_kernels
-from wavefield.waves.estimation.current import delayed_current
-from wavefield.waves.estimation.degrees_of_freedom import with_interval
-from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.record import Record
-from wavefield.waves.estimation.rings import Rings, half_plane
-from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
-from wavefield.waves.estimation.window_gain import correction, with_directions
-from wavefield.waves.estimators import field_spectra
+from wavefield.waves import kernels
+from wavefield.waves.current import delayed_current
+from wavefield.waves.dof import accumulate, independent_samples, keep_product, ring_freedom, with_interval
+from wavefield.waves.gains import correction, from_moving_frame, with_directions
+from wavefield.waves.gains import to_frame_time as frame_time_factor
+from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Product, register
+from wavefield.waves.record import Record
+from wavefield.waves.rings import Rings, half_plane
+from wavefield.waves.spectra import E_k, E_omega, finish
+from wavefield.waves.welch import (
+    Reader,
+    TimeTransform,
+    Welch,
+    k_coords,
+    omega_coords,
+    slabs,
+    sum_segments,
+    transform_space,
+)
 
 Array = NDArray[Any]
 
@@ -74,7 +84,7 @@ class _Advection:
         first, end, _ = steps.indices(self.shape[0])
         out = np.empty((end - first, *self.shape[1:]), self.dtype)
         arguments = *self.fields, first, *self.distances, out
-        wave_kernels.advection(*arguments)
+        kernels.advection(*arguments)
         if self.name == "rise":
             out += self.fields[1][first:end]
         return out
@@ -92,12 +102,12 @@ def transforms(
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
     for name in advected:
-        out[name] = segments.transform_space(_Advection(fields, welch, name), memory.get(name))
+        out[name] = transform_space(_Advection(fields, welch, name), memory.get(name))
     requested = {*names} - {*advected} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)
         if name in requested:
-            out[name] = segments.transform_space(block, memory.get(name))
+            out[name] = transform_space(block, memory.get(name))
     return out
 
 
@@ -132,14 +142,14 @@ def add_segment(
     table, dt, names = welch.table, welch.record.dt, requested.names
     cells, half = first[names[0]].shape
     dtype = first[names[0]].dtype
-    transform = segments.TimeTransform(half, dtype, len(names) + 1)
+    transform = TimeTransform(half, dtype, len(names) + 1)
     powers = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
     before = {f"{a}*{b}": sums[f"{a}*{b}"].copy() for a, b in requested.pairs if "nl" in (a, b)}
     omega = 2 * np.pi * np.fft.fftfreq(2 * half, dt)  # signed
-    to_frame_time = transfer_functions.to_frame_time(omega, dt, welch.frames, welch.z_frames).astype(dtype)
+    to_frame_time = frame_time_factor(omega, dt, welch.frames, welch.z_frames).astype(dtype)
     k = half_plane(*welch.record.shape, welch.record.dy, welch.record.dx)
     quadrature = [factor.astype(first[names[0]].real.dtype) for factor in _quadrature(omega * dt / 2)]
-    for slab in segments.slabs(cells):
+    for slab in slabs(cells):
         start = table.start[slab.start : slab.stop + 1]
         lines = {}
         for i, name in enumerate(names):
@@ -150,24 +160,24 @@ def add_segment(
             if name == "z" and welch.frames == INSTANTANEOUS:
                 lines[name] *= np.exp(-0.5j * omega * dt).astype(dtype)
             elif name == "z" and welch.moving:
-                lines[name] *= transfer_functions.from_moving_frame(k[slab, None], omega, dt)
+                lines[name] *= from_moving_frame(k[slab, None], omega, dt)
             elif name == "z" and welch.frames != 2:
                 lines[name] += to_frame_time * transform(first["z_t"][slab], second["z_t"][slab], len(names))
-            wave_kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, powers[name])
+            kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, powers[name])
             if name in requested.planes:
-                wave_kernels.add_powers(lines[name], sums[f"map {name}"][slab])
+                kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for a, b in requested.pairs:
             pair = f"{a}*{b}"
-            wave_kernels.ring_cross_spectra(lines[a], lines[b], start, table.ring, table.weight, sums[pair])
+            kernels.ring_cross_spectra(lines[a], lines[b], start, table.ring, table.weight, sums[pair])
             squares = sums[f"squares {pair}"]
-            wave_kernels.ring_squares(lines[a], lines[b], start, table.ring, table.spread, squares)
+            kernels.ring_squares(lines[a], lines[b], start, table.ring, table.spread, squares)
             if pair in requested.planes:
                 plane = sums[f"map {pair}"][slab]
-                wave_kernels.add_products(lines[a], lines[b], quadrature[0], quadrature[1], plane)
+                kernels.add_products(lines[a], lines[b], quadrature[0], quadrature[1], plane)
     for name in names:
-        degrees_of_freedom.take_in(sums, name, powers[name], begin)
+        accumulate(sums, name, powers[name], begin)
     for pair, earlier in before.items():
-        degrees_of_freedom.keep_product(sums, pair, sums[pair] - earlier, begin)
+        keep_product(sums, pair, sums[pair] - earlier, begin)
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
@@ -186,7 +196,7 @@ def _at_frame_times(
     halves = [part[name].T.view(real) for name in ("z", "z_t") for part in (first, second)]
     starts = [np.empty((steps, slab.stop - slab.start), dtype) for _ in range(2)]
     arguments = *halves, real.type(dt), 2 * slab.start, *(part.view(real) for part in starts)
-    wave_kernels.frames(*arguments)
+    kernels.frames(*arguments)
     return starts[0].T, starts[1].T
 
 
@@ -208,9 +218,7 @@ def label(
     dof_k = {}
     for name in names:
         out[f"E_{name}"] = (dims, sums[name][0].T * factor)
-        dof = (
-            degrees_of_freedom.freedom(sums, name, welch, name != "nl") if freedom is None else freedom[name]
-        )
+        dof = ring_freedom(sums, name, welch, name != "nl") if freedom is None else freedom[name]
         out[f"dof_{name}"] = (dims, dof["both"].T)
         for axis in ("omega", "k"):
             out[f"dof_{axis}_{name}"] = (axis, dof[axis])
@@ -219,7 +227,7 @@ def label(
         real, imaginary = sums[f"{a}*{b}"]
         out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
         of_pair = {} if samples is None else samples[a, b]
-        number = of_pair or degrees_of_freedom.samples(sums, a, b, (dof_k[a], dof_k[b]), welch)
+        number = of_pair or independent_samples(sums, a, b, (dof_k[a], dof_k[b]), welch)
         out[f"samples_{a}_{b}"] = (dims, number["both"].T)
         out[f"samples_k_{a}_{b}"] = ("k", number["k"])
     out["valid"] = (dims, welch.valid)
@@ -278,7 +286,7 @@ def cross_spectra(
     """
     cube = door(cube, names)
     lazy = lazy_cross_spectra(cube, names, pairs, Welch.of(cube, segment, record))
-    return field_spectra.finish(lazy, cube[sources(names)[0]])
+    return finish(lazy, cube[sources(names)[0]])
 
 
 def _transform_blocks(
@@ -307,7 +315,7 @@ def lazy_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> Any:
         make = dask.delayed(partial, pure=False)(make, moving_welch(cube, welch))
     else:
         make = partial(make, welch)
-    return segments.sum_segments(
+    return sum_segments(
         [cube[field] for field in sources(names)],
         welch.record,
         welch.half,
@@ -329,14 +337,12 @@ def lazy_cross_spectra(
     shapes = {"both": shape, "omega": shape[1:], "k": shape[:1]}
     freedom, dof_k = {}, {}
     for name in names:
-        dof = dask.delayed(degrees_of_freedom.freedom, pure=False)(sums, name, moving, name != "nl")
+        dof = dask.delayed(ring_freedom, pure=False)(sums, name, moving, name != "nl")
         freedom[name] = {axes: da.from_delayed(dof[axes], size, float) for axes, size in shapes.items()}
         dof_k[name] = dof["k"]
     samples = {}
     for a, b in pairs:
-        number = dask.delayed(degrees_of_freedom.samples, pure=False)(
-            sums, a, b, (dof_k[a], dof_k[b]), moving
-        )
+        number = dask.delayed(independent_samples, pure=False)(sums, a, b, (dof_k[a], dof_k[b]), moving)
         samples[a, b] = {axes: da.from_delayed(number[axes], shapes[axes], float) for axes in ("both", "k")}
     return label(arrays, names, pairs, welch, freedom, samples)
 
@@ -354,8 +360,8 @@ def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[s
         komega = xr.Dataset({"E": energy, "dof": dof, **sums}, attrs=ring.attrs)
         spectra = {
             f"komega_{name}": with_interval(energy, dof),
-            f"k_{name}": field_spectra.E_k(komega),
-            name: field_spectra.E_omega(komega),
+            f"k_{name}": E_k(komega),
+            name: E_omega(komega),
         }
         for suffix, spectrum in spectra.items():
             stem = suffix if suffix.startswith("komega") else f"E_{suffix}"
@@ -387,3 +393,196 @@ register(
     Product("ring", ("ring_sums", "pairs", "welch"), _ring),
     Product("spectra", ("ring", "gain", "plane_w", "welch", "filled"), _spectra, group="spectra", cost=2),
 )
+
+
+COHERENCE_NAMES = ("rise", "w", "nl")
+MIN_SIGNAL_TO_NOISE = 2.0  # of the energy of a ring over that of its noise
+COHERENCE_PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
+
+
+def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any:
+    """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1))."""
+    more = np.maximum(samples - 1, 1e-9)
+    return 1 - chance ** (1 / more)
+
+
+def _above_noise(energy: xr.DataArray) -> xr.DataArray:
+    """Rings (k,) whose energy (omega, k) exceeds their noise: waves are on few of a ring's lines."""
+    noise = energy.median("omega") * energy.sizes["omega"]
+    return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
+
+
+def coherence_group(ring: xr.Dataset) -> xr.Dataset:
+    """Coherences over k and over (k, omega) from the cross spectra of z_t, w and u . grad z."""
+    total = ring["E_w"] + ring["E_nl"] - 2 * ring["S_w_nl"].real
+    # cross spectrum with z_t and power of each term; the nonlinear term is -u . grad z
+    terms = {
+        "w": (ring["S_rise_w"], ring["E_w"]),
+        "nl": (-ring["S_rise_nl"], ring["E_nl"]),
+        "tot": (ring["S_rise_w"] - ring["S_rise_nl"], total),
+    }
+    rise = ring["E_rise"]
+    over_k = {name: (cross.sum("omega"), power.sum("omega")) for name, (cross, power) in terms.items()}
+    out: dict[str, Any] = {}
+    for ending, sums, rise_power in (("", over_k, rise.sum("omega")), ("_komega", terms, rise)):
+        norm = np.sqrt(rise_power * sums["tot"][1])
+        for name, (cross, power) in sums.items():
+            out[f"C_{name}{ending}"] = cross / norm
+            both = rise_power * power
+            out[f"gamma2_{name}{ending}"] = np.abs(cross) ** 2 / both.where(both > 0)
+            # the sum w - u . grad z has those of w, its largest part
+            pair = "rise_nl" if name == "nl" else "rise_w"
+            samples = ring[f"samples_{pair}" if ending else f"samples_k_{pair}"]
+            samples = samples.clip(min=1)
+            out[f"samples_{name}{ending}"] = samples
+            out[f"bias_{name}{ending}"] = 1 / samples
+            out[f"level_{name}{ending}"] = xr.apply_ufunc(
+                significance_level, samples, dask="parallelized", output_dtypes=[float]
+            )
+    # noise of z_t and w comes from the same images, and is coherent
+    out["valid"] = _above_noise(rise) & _above_noise(ring["E_w"]) & ring["valid"].any("omega")
+    return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
+
+
+@takes(a_cube)
+def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
+    """Coherence of z_t with w, with -u . grad z and with their sum, over k and over (k, omega).
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, u, v, w over (time, y, x), m and m/s. Lazy input gives a lazy result.
+    segment : int, optional
+        Steps of a Welch segment; chosen from the record if not given.
+    record : Record, optional
+        Rectangle and runs; found from the cube if not given.
+
+    Returns
+    -------
+    Dataset
+        ``C_w``, ``C_nl``, ``C_tot`` (k), complex; ``gamma2_w``, ``samples_w``, ``bias_w``, ``level_w`` and
+        likewise ``nl``, ``tot`` (k); the same with ``_komega`` over (omega, k). ``valid`` (k): where the
+        waves exceed the noise, which is coherent too.
+
+    Raises
+    ------
+    CubeError
+        If a variable is missing, the record is shorter than a segment or no full rectangle is left.
+
+    Notes
+    -----
+    All are in the frame that moves with the mean current U, the mean of u, v over the record: z_t is
+    z_t + U . grad z, and u is u - U, since U . grad z is linear.
+    The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged
+    over angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega >= 0, where k
+    points where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard
+    coherence; for unrelated signals its mean is 1 / samples.
+
+    Examples
+    --------
+    A plane tilted by 0.1 that water crosses at a tenth of its rate of rise.
+
+    >>> rise = np.random.default_rng(0).standard_normal((128, 20, 24))
+    >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(20) * 0.04, "x": np.arange(24) * 0.04}
+    >>> fields = {"z_t": rise, "u": 0.1 * rise, "v": 0 * rise, "w": 1.01 * rise}
+    >>> fields["z"] = 0 * rise + 0.1 * axes["x"]
+    >>> units = {"z": {"units": "m"}} | {name: {"units": "m s-1"} for name in ("z_t", "u", "v", "w")}
+    >>> at = ("time", "y", "x")
+    >>> cube = xr.Dataset({name: (at, field, units[name]) for name, field in fields.items()}, axes)
+    >>> C = coherence(cube, segment=32)
+    >>> print(f"{float(C.gamma2_w.min()):.2f}, {float(abs(C.C_w).max()):.2f}, {float(abs(C.C_nl).max()):.2f}")
+    1.00, 1.01, 0.01
+    """
+    cube = door(cube, COHERENCE_NAMES)
+    ring = lazy_cross_spectra(cube, COHERENCE_NAMES, COHERENCE_PAIRS, Welch.of(cube, segment, record))
+    return finish(coherence_group(ring), cube["z_t"])
+
+
+register(Product("coherence", ("ring",), coherence_group, group="coherence", pairs=COHERENCE_PAIRS))
+
+
+STEPS_AT_A_TIME = 128
+
+
+@takes(a_cube)
+def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
+    """Coherence at each wave vector, averaged over time, and its mean over angle taken after the ratio.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, u, v, w over (time, y, x), m and m/s. Read once, in pieces; computed at once.
+    record : Record, optional
+        Rectangle and runs; found from the cube if not given.
+
+    Returns
+    -------
+    Dataset
+        ``plane_C_w``, ``plane_C_nl``, ``plane_C_tot`` (ky, kx), moduli, for kx >= 0 (a real field has the
+        same at -k), and their means over rings ``mean_C_w`` ... (k). Attribute ``steps``.
+
+    Raises
+    ------
+    CubeError
+        If a variable is missing or no full rectangle is left.
+
+    Notes
+    -----
+    |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) of Hann-windowed transforms in space, <> over time,
+    less the means over time: the equation of Aubourg et al. The modulus of a mean of few samples is never
+    zero: N independent ones leave about 0.9 / sqrt(N), which `coherence`, averaged over angle before the
+    ratio, does not have.
+    """
+    cube = door(cube, COHERENCE_NAMES)
+    welch = Welch.of(cube, None, record)
+    (welch,) = dask.compute(moving_welch(cube, welch))
+    record, fields = welch.record, sources(COHERENCE_NAMES)
+    read = Reader([cube[field] for field in fields], record)
+    sums: dict[str, Array] = {}
+    for run in record.runs:
+        for blocks in read.blocks(run, STEPS_AT_A_TIME):
+            parts = transforms(dict(zip(fields, blocks)), COHERENCE_NAMES, welch)
+            precise = {n: part.astype(np.complex128) for n, part in parts.items()}
+            for name, values in _plane_sums(precise).items():
+                sums[name] = sums[name] + values if name in sums else values
+    steps = sum(b - a for a, b in record.runs)
+    ny, nx = record.shape
+    kx = 2 * np.pi * np.fft.rfftfreq(nx, record.dx)
+    ky = np.fft.fftshift(2 * np.pi * np.fft.fftfreq(ny, record.dy))
+    table = welch.table
+    ring = np.rint(np.hypot(ky[:, None], kx) / table.dk - table.k[0] / table.dk).astype(int)
+    inside = (ring >= 0) & (ring < table.k.size)
+    count = np.bincount(ring[inside], minlength=table.k.size)
+    out: dict[str, Any] = {}
+    for name, values in _plane_coherences({n: part / steps for n, part in sums.items()}).items():
+        plane = np.fft.fftshift(values.reshape(ny, nx // 2 + 1), axes=0)
+        out[f"plane_C_{name}"] = (("ky", "kx"), plane)
+        total = np.bincount(ring[inside], plane[inside], table.k.size)
+        mean = np.divide(total, count, out=np.full(count.size, np.nan), where=count > 0)
+        out[f"mean_C_{name}"] = ("k", mean)
+    coords = {"ky": ky, "kx": kx} | k_coords(table.k)
+    return annotate(xr.Dataset(out, coords, {"steps": steps}), "wave_vectors")
+
+
+def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
+    """Sums over steps of each term, of their products with z_t and of the powers, (cells,)."""
+    z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
+    return {
+        "z_t": z_t.sum(axis=1),
+        "w": w.sum(axis=1),
+        "nl": -nl.sum(axis=1),
+        "z_t*w": (z_t.conj() * w).sum(axis=1),
+        "z_t*nl": -(z_t.conj() * nl).sum(axis=1),
+        "power": (np.abs(z_t) ** 2).sum(axis=1),
+        "total": (np.abs(w - nl) ** 2).sum(axis=1),
+    }
+
+
+def _plane_coherences(mean: dict[str, Array]) -> dict[str, Array]:
+    """Moduli of the coherence of each term and of their sum, (cells,), from the means of `_plane_sums`."""
+    power = mean["power"] - np.abs(mean["z_t"]) ** 2
+    total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
+    norm = np.sqrt(np.maximum(power * total, 1e-300))
+    cross = {n: mean[f"z_t*{n}"] - mean["z_t"].conj() * mean[n] for n in ("w", "nl")}
+    cross["tot"] = cross["w"] + cross["nl"]
+    return {name: np.abs(values) / norm for name, values in cross.items()}

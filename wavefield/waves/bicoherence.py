@@ -11,10 +11,9 @@ from scipy import fft, special
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
-from wavefield.waves.estimation.segments import hann, segment_count
-from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
-from wavefield.waves.estimators.coherence import significance_level
+from wavefield.waves.cross import significance_level
 from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.welch import LEAST_COUNT, Welch, hann, segment_count
 
 APART = 2  # lines: nearer ones share waves under a Hann window
 SHARED = 0.1  # of the correlation by chance: pairs whose lines share more are no test of coupling

@@ -17,30 +17,36 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
-from wavefield.waves.estimation import rings
-from wavefield.waves.estimation.current import NO_CURRENT, CurrentUsed
-from wavefield.waves.estimation.degrees_of_freedom import with_interval
-from wavefield.waves.estimation.inputs import a_cube, takes
-from wavefield.waves.estimation.record import Record
-from wavefield.waves.estimation.segments import hann, richardson_lucy
-from wavefield.waves.estimation.transfer_functions import (
+from wavefield.waves import rings
+from wavefield.waves.cross import Requested, door, label, lazy_sums
+from wavefield.waves.current import NO_CURRENT, CurrentUsed
+from wavefield.waves.dispersion_fit import fit_dispersion
+from wavefield.waves.dof import with_interval
+from wavefield.waves.gains import (
+    MIN_POWER_GAIN,
     MIN_SIGNAL_TO_NOISE,
     elevation_from_w,
+    is_predicted,
     noise_of_displacement,
     path_factor,
-)
-from wavefield.waves.estimation.welch import LOWEST, MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
-from wavefield.waves.estimation.window_gain import (
-    MIN_POWER_GAIN,
-    is_predicted,
     read_gain,
     ring_gain,
     with_directions,
 )
-from wavefield.waves.estimators.cross_spectra import Requested, door, label, lazy_sums
-from wavefield.waves.estimators.dispersion_fit import fit_dispersion
-from wavefield.waves.estimators.field_spectra import E_omega, density, plane_density
+from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Product, register
+from wavefield.waves.record import Record
+from wavefield.waves.spectra import E_omega, density, plane_density
+from wavefield.waves.welch import (
+    LOWEST,
+    MIN_OVER_FILLED,
+    Welch,
+    hann,
+    inner,
+    k_coords,
+    omega_coords,
+    richardson_lucy,
+)
 
 Array = NDArray[Any]
 

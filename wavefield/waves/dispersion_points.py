@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.water import dispersion, group_velocity, wavenumber
-from wavefield.waves.estimation import wave_kernels
-from wavefield.waves.estimation.segments import hann_power, richardson_lucy
+from wavefield.waves import kernels
+from wavefield.waves.welch import hann_power, richardson_lucy
 
 _CURRENT_NAMES = ("current_x", "current_y")
 
@@ -323,7 +323,7 @@ def windowed_waves(energy: Array, noise: Array, cells: SpectralCells, depth: flo
 
     def spread(power: Array) -> Array:
         out = np.zeros((cells.omega.size, *measured.shape))
-        wave_kernels.spread_waves(first - REACH, weights, power, out)
+        kernels.spread_waves(first - REACH, weights, power, out)
         return out.reshape(cells.omega.size, -1)
 
     logs = np.log(np.maximum(measured, floor))
@@ -420,7 +420,7 @@ def centroids(
         first = np.searchsorted(sector.k, middle - reach, "right")
         last = np.searchsorted(sector.k, middle + reach, "left")
         sums = np.empty((8, omega.size))
-        wave_kernels.windowed_sums(
+        kernels.windowed_sums(
             spectrum.energy, spectrum.noise, sector.cells, sector.k, sector.heading, first, last, sums
         )
         usable = (last - first >= MIN_CELLS) & (sums[0] > MIN_SIGNAL_TO_NOISE * sums[7]) & (sums[0] > 0)

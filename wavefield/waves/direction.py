@@ -11,17 +11,16 @@ from scipy import ndimage
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
-from wavefield.waves.estimation import rings
-from wavefield.waves.estimation.current import CurrentUsed
-from wavefield.waves.estimation.degrees_of_freedom import correlation_at, expected_segment_correlation
-from wavefield.waves.estimation.inputs import is_cube
-from wavefield.waves.estimation.segments import interval
-from wavefield.waves.estimation.transfer_functions import elevation_from_w
-from wavefield.waves.estimation.welch import Welch, frames_of
-from wavefield.waves.estimators.dispersion_fit import fit_dispersion
-from wavefield.waves.estimators.dispersion_points import PlaneSpectrum
-from wavefield.waves.estimators.field_spectra import plane_of
+from wavefield.waves import rings
+from wavefield.waves.current import CurrentUsed
+from wavefield.waves.dispersion_fit import fit_dispersion
+from wavefield.waves.dispersion_points import PlaneSpectrum
+from wavefield.waves.dof import correlation_at, expected_segment_correlation
+from wavefield.waves.gains import elevation_from_w
+from wavefield.waves.inputs import is_cube
 from wavefield.waves.products import Product, register
+from wavefield.waves.spectra import plane_of
+from wavefield.waves.welch import Welch, frames_of, interval
 
 Array = NDArray[Any]
 

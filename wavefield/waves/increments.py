@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
-from wavefield.waves.estimation.inputs import a_field, takes
-from wavefield.waves.estimation.record import Record, find_record
-from wavefield.waves.estimation.segments import Reader
+from wavefield.waves.inputs import a_field, takes
+from wavefield.waves.record import Record, find_record
+from wavefield.waves.welch import Reader
 
 Array = NDArray[Any]
 

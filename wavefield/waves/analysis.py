@@ -1,0 +1,376 @@
+"""The analysis of one cube: one pass in bounded memory, then all registered products.
+
+The store that `wavefield.analyze` writes of it is a Zarr hierarchy;
+``xarray.open_datatree(path, engine="zarr")`` reads it without this package. Its groups and variables are
+those of `wavefield.variables`, listed on the documentation's page on waves.
+
+Conventions. k points where the wave goes: f = Re sum F exp(i (k . x - omega t)), omega > 0. Spectra are
+densities in rad/m and rad/s, one-sided in omega, so that the sum of E over its axes times the cell is the
+variance. Coordinates: ``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres of rings) with
+``cycles`` (m-1), ``kx`` and ``ky`` (rad m-1). Intervals are factors: the truth is in [low E, high E] with
+95 % confidence. ``valid`` masks show where a spectrum can be trusted.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
+from operator import add
+from pathlib import Path
+from typing import Any, Literal, TypedDict, Unpack
+
+import dask
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+import wavefield
+from wavefield.errors import CubeError
+from wavefield.variables import GROUPS, annotate, validate
+from wavefield.water import water_of
+from wavefield.waves import moments, motion, products
+from wavefield.waves.cross import NAMES, Requested, add_segment, empty_sums, transforms
+from wavefield.waves.current import delayed_current
+from wavefield.waves.gains import gain_of
+from wavefield.waves.inputs import described
+from wavefield.waves.record import Each, Record, filled_density, filled_error, find_record
+from wavefield.waves.welch import (
+    Link,
+    Reader,
+    UnlikeFirst,
+    Welch,
+    add_sums,
+    cut_chains,
+    steps_in_no_segment,
+    with_velocity,
+)
+
+Array = NDArray[Any]
+
+FIELDS = ("z", "z_t", "u", "v", "w")
+BALANCE_STEPS = 200  # at which the kinematic balance is taken
+POINT_DISTANCE = 0.08  # m, between the points of the higher-order spectra
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What one pass over a cube gives."""
+
+    scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
+    ring_sums: dict[str, Array]  # as `segment_sums.sum_segment` gives it, over all segments
+    survey_sums: dict[str, Array]  # as `moments.sums_of` gives it
+    balance_rows: list[dict[str, float]]  # of `motion.balance`, each with its "step"
+    point_series: Array  # (time, points), w at points far apart
+
+
+@dataclass
+class _Partial:
+    """Sums of one chain, or of several."""
+
+    ring_sums: dict[str, Array] = field(default_factory=dict)
+    survey_sums: dict[str, Array] = field(default_factory=dict)
+    balance_rows: list[dict[str, float]] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
+
+    def __add__(self, other: "_Partial") -> "_Partial":
+        return _Partial(
+            add_sums(self.ring_sums, other.ring_sums),
+            add_sums(self.survey_sums, other.survey_sums),
+            self.balance_rows + other.balance_rows,
+            self.points + other.points,
+        )
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Sums over the half segments of a chain, one after the other."""
+
+    read: Reader
+    welch: Welch
+    scale: dict[str, tuple[float, float]]
+    requested: Requested
+    every: int  # steps from one kinematic balance to the next
+    report_progress: Callable[[], None] | None = None
+
+    def __call__(self, links: Sequence[Link]) -> _Partial:
+        out = _Partial()
+        previous: dict[str, Array] = {}
+        oldest: dict[str, Array] = {}  # its memory is used again
+        for start, stop, run, new in links:
+            fields = dict(zip(FIELDS, self.read(start, stop, run)))
+            if new:
+                self._survey(fields, start, out)
+            # transforms come last: they release the fields
+            half = transforms(fields, self.requested.names, self.welch, oldest)
+            if previous:
+                if not out.ring_sums:
+                    out.ring_sums = empty_sums(half["z"], self.requested, self.welch.table)
+                begin = start - self.welch.half
+                add_segment(out.ring_sums, previous, half, self.requested, self.welch, begin)
+            previous, oldest = half, previous
+            if self.report_progress:
+                self.report_progress()
+        return out
+
+    def _survey(self, fields: dict[str, Array], start: int, out: _Partial) -> None:
+        record, welch = self.welch.record, self.welch
+        surveyed = {name: fields[name] for name in self.scale}
+        out.survey_sums = add_sums(
+            out.survey_sums, moments.sums_of(surveyed, self.scale, record.dy, record.dx)
+        )
+        out.balance_rows += [
+            {"step": float(start + i)}
+            | motion.balance(fields, i, record.dt, record.dy, record.dx, welch.frames, welch.current)
+            for i in range(1, fields["z"].shape[0] - 1)
+            if (start + i) % self.every == 0
+        ]
+        apart = [max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx)]
+        points = fields["w"][:, :: apart[0], :: apart[1]]
+        out.points.append(points.reshape(points.shape[0], -1).copy())
+
+
+class _Counter:
+    """Reports how many parts are done; parts end in any thread."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress, self._total, self._done, self._lock = progress, total, 0, threading.Lock()
+
+    def __call__(self) -> None:
+        with self._lock:
+            self._done += 1
+            self._progress(self._done, self._total)
+
+
+def _check_piece(read: Reader, piece: tuple[int, int, tuple[int, int]]) -> None:
+    read(*piece)  # raises `UnlikeFirst` if a field lacks values there
+
+
+def one_pass(
+    cube: xr.Dataset,
+    welch: Welch,
+    alike: bool,
+    requested: Requested,
+    progress: Progress | None,
+    each: Each | None = None,
+) -> Sums:
+    """Read a cube once; with ``alike`` all fields are taken to have values where the first one has them."""
+    record = welch.record
+    scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
+    read = Reader([cube[name] for name in FIELDS], record, alike)
+    chain = partial(_Chain, read, welch, scale, requested, max(1, record.steps_in_runs() // BALANCE_STEPS))
+    chains = cut_chains(record, welch.segment)
+    # steps that no segment holds could end a run as well
+    remainders = steps_in_no_segment(record, welch.segment) if alike else []
+    check = partial(_check_piece, read)
+    if each is None:
+        count = None if progress is None else _Counter(progress, sum(len(links) for links in chains))
+        dask.compute(*(dask.delayed(check, pure=False)(piece) for piece in remainders))
+        task = dask.delayed(chain(count), pure=False)
+        (total,) = dask.compute(reduce(dask.delayed(add, pure=False), [task(links) for links in chains]))
+    else:
+        deque(each(check, remainders), maxlen=0)
+        count = None if progress is None else _Counter(progress, len(chains))
+        total = reduce(add, _counted(each(chain(), chains), count))
+    return Sums(scale, total.ring_sums, total.survey_sums, total.balance_rows, np.concatenate(total.points))
+
+
+def _counted(results: Iterator[_Partial], count: _Counter | None) -> Iterator[_Partial]:
+    for result in results:
+        yield result
+        if count:
+            count()
+
+
+MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
+
+
+class AnalysisOptions(TypedDict, total=False):
+    """What of an analysis can be chosen; all of it is optional."""
+
+    probes: xr.Dataset | None
+    segment: int | None
+    depth: float | None
+    velocity: Literal["instantaneous", "displacement"] | None
+    pixel_size: float | None
+    gain: str | Path | xr.Dataset | Literal[False] | None
+    fit: object
+    maps: Sequence[float]
+
+
+def analyze(
+    cube: xr.Dataset,
+    *,
+    progress: Progress | None = None,
+    each: Each | None = None,
+    **options: Unpack[AnalysisOptions],
+) -> xr.DataTree:
+    """Compute all wave products of a cube that is in memory or opened lazily.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, u, v, w over (time, y, x), m and m/s.
+    progress : callable, optional
+        Called with the parts done and all parts.
+    each : callable, optional
+        Does the work on workers, as in `wavefield.analyze`.
+    **options
+        As in `wavefield.analyze`, which also opens stores and writes the result.
+
+    Returns
+    -------
+    DataTree
+        One group for each subject.
+
+    Raises
+    ------
+    CubeError
+        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle.
+    """
+    unknown = options.keys() - AnalysisOptions.__annotations__
+    if unknown:
+        raise TypeError(f"analyze() has no option {', '.join(sorted(unknown))}")
+    gain = options.get("gain")
+    if not isinstance(cube, xr.Dataset):
+        raise CubeError(f"analyze needs a cube, got {described(cube)}: give the cube itself")
+    complete, unstated = with_velocity(cube, options.get("velocity"))
+    for name in FIELDS:
+        if name not in complete:
+            raise CubeError(
+                f"the cube has no {name!r}: the analysis needs {', '.join(FIELDS)} over time, y and x"
+            )
+    fields = validate(complete, *FIELDS)
+    with np.errstate(all="ignore"):
+        depth, gamma = water_of(complete.attrs, options.get("depth"))
+        given = {
+            "cube": fields,
+            "complete_cube": complete,
+            "each": each,
+            "depth": depth,
+            "gamma": gamma,
+            "pixel_size": options.get("pixel_size") or complete.attrs.get("pixel_size"),
+            "gain": gain_of(complete, gain),
+            "probes": options.get("probes"),
+            "fit": options.get("fit"),
+            "map_frequencies": options.get("maps", MAP_FREQUENCIES),
+        }
+        status = {name: complete[name] for name in ("frame_status", "quality") if name in complete}
+        # a cube has all fields where it has z: the pass checks that, so the others need not be read twice
+        try:
+            record = find_record(fields[["z"]].assign(status), each=each)
+            tree = _analyze(given, record, options.get("segment"), True, progress)
+        except UnlikeFirst:
+            record = find_record(fields.assign(status), each=each)
+            tree = _analyze(given, record, options.get("segment"), False, progress)
+    if unstated:
+        tree.attrs["notes"] = "\n".join(filter(None, [tree.attrs["notes"], unstated]))
+    return tree
+
+
+def _analyze(
+    given: Mapping[str, Any], record: Record, segment: int | None, alike: bool, progress: Progress | None
+) -> xr.DataTree:
+    cube, each = given["cube"], given["each"]
+    welch = Welch.of(cube, segment, record)
+    mean, mean_std = dask.compute(delayed_current(cube, record))[0]
+    welch = replace(welch, current=(float(mean[0]), float(mean[1])), depth=given["depth"])
+    registered = products.registered()
+    pairs = tuple(dict.fromkeys(pair for product in registered for pair in product.pairs))
+    planes = tuple(dict.fromkeys(plane for product in registered for plane in product.planes))
+    filled = {name: filled_density(record, cube[name]) for name in ("z", "w")}
+    values = {**given, "filled": filled, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
+    waiting = list(registered)
+    notes = products.compute_ready(waiting, values, each)  # mistakes are found before the long pass
+    values |= vars(one_pass(cube, welch, alike, Requested(NAMES, pairs, planes), progress, each))
+    notes |= products.compute_ready(waiting, values, each)
+
+    order = list(GROUPS)
+    stored = [product for product in registered if product.group]
+    stored.sort(key=lambda p: (order.index(p.group) if p.group in order else len(order), p.name != p.group))
+    groups: dict[str, xr.Dataset] = {}
+    text = record_notes(welch, cube, given["depth"])
+    for product in stored:
+        text += notes.get(product.name, [])
+        if product.name in values:
+            value, group = values[product.name], product.group
+            groups[group] = groups[group].assign(value.data_vars) if group in groups else value
+    attrs = _attributes(given, welch) | {"notes": "\n".join(text)}
+    return xr.DataTree.from_dict(
+        {"/": xr.Dataset(attrs=attrs)} | {f"/{name}": annotate(group, name) for name, group in groups.items()}
+    )
+
+
+def _attributes(given: Mapping[str, xr.Dataset], welch: Welch) -> dict[str, Any]:
+    cube, complete, record = given["cube"], given["complete_cube"], welch.record
+    depth, gain = given["depth"], given["gain"]
+    return {
+        "title": "waves of a cube",
+        "source": str(complete.attrs.get("experiment", complete.encoding.get("source", ""))),
+        "frame_rate": 1 / record.dt,
+        "water_depth": depth if np.isfinite(depth) else "deep",
+        "surface_tension_over_density": given["gamma"],
+        "windows_undone": "no" if gain is None else str(gain.attrs.get("origin", "yes")),
+        "segment": welch.segment,
+        "segments": welch.count,
+        "frames_of_velocities": welch.frames,
+        "degrees_of_freedom": welch.dof,
+        "steps": record.steps,
+        "steps_used": record.steps_in_runs(welch.segment),
+        "steps_bridged": len(record.bridged),
+        "nodes_filled": record.holes,
+        "runs": len(record.runs),
+        "x": [float(cube["x"][record.x[0]]), float(cube["x"][record.x[1] - 1])],
+        "y": [float(cube["y"][record.y[0]]), float(cube["y"][record.y[1] - 1])],
+        "wavefield_version": wavefield.__version__,
+    }
+
+
+FEW_SEGMENTS = 7  # with fewer, single cells of a spectrum are uncertain
+
+
+def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
+    """Notes on what of a cube was used, and how much it can show."""
+    record, count, sizes = welch.record, welch.count, cube.sizes
+    used = record.steps_in_runs(welch.segment)
+    out = []
+    if count < FEW_SEGMENTS:
+        out.append(
+            f"The record holds {count} segment{'s' if count > 1 else ''} of"
+            f" {welch.segment * record.dt:.3g} s: a single cell has {welch.dof:.1f} degrees of freedom,"
+            " so trust averages over rings and bands, not single values."
+        )
+    if used < record.steps:
+        out.append(
+            f"{record.steps - used} of {record.steps} steps are missing or in pieces too short for a segment."
+        )
+    if record.bridged:
+        out.append(
+            f"{len(record.bridged)} missing steps in short gaps were bridged by interpolation in time."
+        )
+    if record.holes:
+        out.append(_note_on_holes(record, cube["z"]))
+    if record.shape != (sizes["y"], sizes["x"]):
+        out.append(
+            f"Of {sizes['y']} x {sizes['x']} nodes (y, x) the largest full rectangle was used,"
+            f" {record.shape[0]} x {record.shape[1]}."
+        )
+    if not np.isfinite(depth):
+        out.append("The depth of the water is not known to the cube: deep water was assumed.")
+    return out
+
+
+def _note_on_holes(record: Record, z: xr.DataArray) -> str:
+    """How many nodes were filled, how well, and what that adds to the spectrum of the elevation."""
+    share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
+    text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
+    error = filled_error(record, z)
+    if not np.isfinite(error):
+        return f"{text}."
+    return (
+        f"{text}, with an error of {1e3 * error:.2g} mm (found on nodes that are there): it adds up to"
+        f" {2 * record.dt * share * error**2:.1g} m2/Hz to the spectrum of the elevation. Lines with"
+        " less than four times that are not valid."
+    )

@@ -1,1 +1,0 @@
-"""What all wave estimators share: records, segments, windows, rings, degrees of freedom, gains."""
