@@ -556,6 +556,103 @@ def unweighted_sums(
             _fold(sums[k], out[k, by])
 
 
+# Whole beads: what a pixel contributes counts in the block in which the top of its bead lies, to which the
+# steepest way leads from it. Over a whole bead a gain of its light contributes no score.
+
+
+@njit
+def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.int32, out: Array) -> None:
+    """Number in the image of the largest of every pixel and its eight neighbours, for a row of pixels.
+    The rows of the image begin one pixel earlier; `first` is the number of the first pixel.
+    """
+    for x in range(len(out)):
+        at = np.int32(first + x)
+        best, to = row[x + 1], at
+        for k in range(3):
+            to = np.int32(at - width + k - 1) if above[x + k] > best else to
+            best = max(best, above[x + k])
+        for k in range(0, 3, 2):
+            to = np.int32(at + k - 1) if row[x + k] > best else to
+            best = max(best, row[x + k])
+        for k in range(3):
+            to = np.int32(at + width + k - 1) if below[x + k] > best else to
+            best = max(best, below[x + k])
+        out[x] = to
+
+
+@njit
+def bead_tops(image: Array, out: Array) -> None:
+    """Number of the pixel at the top of every pixel's bead, (h, w); the image (h + 2, w + 2) has a border."""
+    h, w = out.shape
+    for y in range(h):
+        _uphill(image[y], image[y + 1], image[y + 2], np.int32(y * w), np.int32(w), out[y])
+    to = out.ravel()
+    for start in range(len(to)):
+        top = to[start]
+        while to[top] != top:
+            top = to[top]
+        to[start] = top
+
+
+@njit
+def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
+    """Sums of gx gx, gx gy, gy gy over the beads of blocks, (ny nx, 3); block (h, w) is a pixel's."""
+    h, n = block.shape
+    out[:] = F(0)
+    gx, gy = work.rows[3], work.rows[4]
+    for y in range(h):
+        _spline_row(image, y, work.rows, n)
+        for x in range(n):
+            to = out[block[y, x]]
+            to[0] += gx[x] * gx[x]
+            to[1] += gx[x] * gy[x]
+            to[2] += gy[x] * gy[x]
+
+
+@njit
+def _scores_of_pixels(
+    splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
+) -> None:
+    s, d = splines
+    ux, uy, vx, vy = slopes
+    along, down = to
+    for x in range(len(along)):
+        gx, gy = _slope(s, x), _value(d, x)
+        r = _value(s, x) - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
+        along[x] = gx * r
+        down[x] = gy * r
+
+
+@njit
+def bead_scores(
+    first: Array,
+    second: Array,
+    u: Array,
+    v: Array,
+    slopes: Array,
+    block: Array,
+    work: WorkSpace,
+    out: Array,
+) -> None:
+    """Sums of gx r and gy r over the beads of every block, (ny nx, 2); as in `unweighted_sums`."""
+    n = u.shape[1] * BLOCK
+    rows = work.rows
+    splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
+    along, down = rows[9][:n], rows[10][:n]
+    out[:] = F(0)
+    for by in range(len(u)):
+        _warp_strip(second, by, u[by], v[by], work)
+        _spread_slopes(slopes, by, rows)
+        for j in range(BLOCK):
+            y = by * BLOCK + j
+            _spline_columns(first, y, splines[0], splines[1])
+            _scores_of_pixels(splines, spread, work.strip[j], F(j) - MID, (along, down))
+            for x in range(n):
+                to = out[block[y, x]]
+                to[0] += along[x]
+                to[1] += down[x]
+
+
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
     """Sums per block of a b for b shifted by dy rows and by `first`, `first` + 1, ... columns.

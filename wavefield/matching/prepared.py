@@ -10,7 +10,15 @@ import numpy as np
 
 from wavefield.compiled import compiled
 from wavefield.errors import FrameError
-from wavefield.matching.kernels import BLOCK, PAD, gradient_moments, strain_moments, work_space
+from wavefield.matching.kernels import (
+    BLOCK,
+    PAD,
+    bead_hessians,
+    bead_tops,
+    gradient_moments,
+    strain_moments,
+    work_space,
+)
 from wavefield.matching.settings import MatchSettings
 
 F = np.float32
@@ -21,6 +29,7 @@ MIN_LEVEL_SIDE = 8 * BLOCK  # px: pyramid levels with a smaller side are left ou
 MAX_CELL_SIDE = 8  # px: side of the cells
 MIN_RELATIVE_CONTRAST = F(0.05)  # of the image's median local standard deviation: less is not amplified
 MIN_USABLE_SHARE = F(1e-3)  # of the pixels around a cell
+BEAD_SMOOTHING = 1.0  # px: beads' tops are found in the image smoothed by this; noise has tops of its own
 NO_MASK = np.empty((0, 0), np.uint8)
 
 # pixels that are not finite must reach the sums as they are: no fast-math but fused multiply-adds
@@ -63,6 +72,20 @@ class Level:
         out = np.empty((8, *self.blocks), np.float32)
         strain_moments(self.padded, work_space(self.blocks[1]), out)
         return out
+
+    @cached_property
+    def beads(self) -> tuple[np.ndarray, np.ndarray]:
+        """Block of each pixel's bead, (h, w), and Hessians over the beads of blocks, (3, ny, nx)."""
+        ny, nx = self.blocks
+        h, w = ny * BLOCK, nx * BLOCK
+        smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
+        inside = np.full((h + 2, w + 2), -np.inf, np.float32)
+        inside[1:-1, 1:-1] = smooth[PAD : PAD + h, PAD : PAD + w]
+        tops, hessian = np.empty((h, w), np.int32), np.empty((ny * nx, 3), np.float32)
+        bead_tops(inside, tops)
+        block = block_of_pixels(ny, nx)[tops]
+        bead_hessians(self.padded, block, work_space(nx), hessian)
+        return block, np.ascontiguousarray(hessian.T).reshape(3, ny, nx)
 
 
 @dataclass(frozen=True)
@@ -385,6 +408,13 @@ class NormalizationCells:
         cv2.resize(field, (n, ny), dst=out[:, :n], interpolation=cv2.INTER_LINEAR)
         out[:, n:] = out[:, n - 1 : n]
         return out
+
+
+@lru_cache(maxsize=16)
+def block_of_pixels(ny: int, nx: int) -> np.ndarray:
+    """Number of the block of every pixel, (ny nx BLOCK^2,)."""
+    numbers = np.arange(ny * nx, dtype=np.int32).reshape(ny, nx)
+    return np.repeat(np.repeat(numbers, BLOCK, axis=0), BLOCK, axis=1).ravel()
 
 
 def usable_share(usable: np.ndarray, width: float) -> np.ndarray:

@@ -27,6 +27,7 @@ from wavefield.matching.kernels import (
     BLOCK,
     F,
     WorkSpace,
+    bead_scores,
     final_sums,
     plain_sums,
     robust_sums,
@@ -343,7 +344,7 @@ def reevaluate(
     are not strained: the residual contains e_jk (delta_jk a + s^2 a_jk), with s^2 the variance of a bead's
     image; of a blurred texture s^2 e_jk a_jk alone. That is even around every bead, so that a complete bead
     contributes no score; beads cut by a block's edge do. So c e_jj a + s^2 e_jk a_jk is subtracted from the
-    scores, here and in `scores_at`, with c from 0 to 1 and s^2 by least squares.
+    scores, with c from 0 to 1 and s^2 by least squares.
 
     Examples
     --------
@@ -375,8 +376,9 @@ def scores_at(
 ) -> Displacement:
     """Scores of the usable blocks at a displacement near the one that was found, for images of two cameras.
 
-    Unlike `reevaluate` it does not assess the blocks again, which costs half as much: those that the match
-    rejected stay rejected.
+    Every pixel counts in the block in which the top of its bead lies: cameras see beads unequally bright, and
+    a block that contains a part of one would seem to move. Blocks are not assessed again as by `reevaluate`:
+    those that the match rejected stay rejected.
 
     Parameters
     ----------
@@ -413,12 +415,15 @@ def scores_at(
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
-    slope = _slopes(u, v)
-    score = _plain_scores(pair, u, v, slope)
-    subtract_strain(score, pair.a.strain, slope, pair.count)
-    own = pair.a.moments[:3]
+    block, hessian = pair.a.beads
+    sums = np.empty((u.size, 2), np.float32)
+    bead_scores(pair.a.padded, pair.b.padded, u, v, _slopes(u, v), block, pair.work, sums)
+    # a bead reaches into the next block, which has to be usable as well
+    usable = cv2.erode(pair.count, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    score = np.ascontiguousarray(sums.T).reshape(2, *u.shape) * usable
+    own = pair.a.moments
     shared = (found.hessian[0] + found.hessian[2]) / np.maximum(own[0] + own[2], F(1e-12))
-    return replace(found, u=u, v=v, score=score, hessian=own * (shared * pair.count))
+    return replace(found, u=u, v=v, score=score, hessian=hessian * (shared * usable))
 
 
 def search(

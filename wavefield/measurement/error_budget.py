@@ -39,8 +39,10 @@ from wavefield.water import dispersion
 Float = NDArray[Any]
 
 TERMS = "noise", "prior", "frames", "ripples", "setup"
-MARGIN = 1.25  # on the error of frame weights: the spectrum in a step differs from that of the sample steps
+CHANCE_MISFIT = 3.0  # of the factor by the misfit of three cameras: one node of a hundred has more by chance
+MARGIN = 1.25  # on what frames lose of velocities: a step's spectrum differs from that of the sample steps
 CHANGE_RATIO = 2.0  # error of z over its departure where waves start within 0.25 s at 20 frames/s: 1 to 4
+CHANGE_DETECTED = 2.0  # departure over that expected: 1.0 to 1.1 on beads, to 1.5 on texture; more is change
 CORRELATION_OF_DIRECTIONS = 0.75  # of two waves: 1/2 in all directions, 1 in one
 HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images: 0.17 to 0.20 when path-traced
 RELATIVE_HEIGHT_STD = 0.2  # of the visible part of a bead, which changes with light and view
@@ -79,12 +81,14 @@ def noise(estimate: StepEstimate) -> Float:
     """Noise of the blocks, F^2 A / (F^2 A + 1/S)^2 summed over the modes, through the paths of the cameras.
 
     Where displacements contradict each other by more than this, chi^2 > 1, it is larger by
-    (1 + (2N - 3) chi^2) / (2N - 2), that of z as well: cameras show other water or other beads.
+    (1 + (2N - 3) chi^2) / (2N - 2): cameras show other water or other beads. That of z is larger where this
+    is more than chance, by the factor over `CHANCE_MISFIT`.
     """
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
     chi2 = np.nan_to_num(motion.noise_factor, nan=1.0)
-    return np.asarray(np.concatenate([z[None], motion.noise]) * chi2)
+    z *= np.maximum(chi2 / np.float32(CHANCE_MISFIT), np.float32(1))
+    return np.concatenate([z[None], motion.noise * chi2])
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
@@ -107,26 +111,23 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
         out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)
     for count in np.unique(estimate.motion.frames).tolist():
         code = max(path_frames, count) if count == 6 else count
-        lost = lost_by_paths(waves, code, times) * WAVE_VARIANCES.astype(np.float32)
+        lost = MARGIN**2 * lost_by_paths(waves, code, times) * WAVE_VARIANCES.astype(np.float32)
         out[1:] += np.where(estimate.motion.frames == count, lost[:, None, None], np.float32(0))
     change = changed_waves(estimate, waves, times)
-    return (
-        np.float32(MARGIN**2) * out
-        + np.array([change, *(change * WAVE_VARIANCES)], np.float32)[:, None, None]
-    )
+    return out + np.array([change, *(change * WAVE_VARIANCES)], np.float32)[:, None, None]
 
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
     """Variance of z, m^2, by waves that start or stop within the six frames, which no spectrum foresees.
 
-    Then z by six frames departs from that by four by more than noise and waves explain,
+    Then z by six frames departs from that by four by more than twice what noise and waves explain,
     noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, and is itself off by some times as much.
     """
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
     expected = waves.variance @ np.square(np.abs(apart))
     expected += float(np.mean([one.noise.mean() for one in estimate.nearest])) * np.sum((six - four) ** 2)
-    return CHANGE_RATIO**2 * max(estimate.mid_time.departure - MARGIN**2 * float(expected), 0.0)
+    return CHANGE_RATIO**2 * max(estimate.mid_time.departure - CHANGE_DETECTED**2 * float(expected), 0.0)
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:
