@@ -113,9 +113,3 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
     if steps.size == 0:
         raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
     return int(steps[np.argmin(np.abs(steps - len(complete) // 2))])
-
-
-def fraction_measured(quality: np.ndarray) -> float:
-    """Fraction of the nodes in view that were measured; filled nodes do not count."""
-    visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
-    return float((quality[visible] & Quality.MEASURED != 0).mean()) if visible.any() else 0.0

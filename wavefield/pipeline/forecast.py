@@ -12,7 +12,7 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.process import one_thread
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
-from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, fraction_measured, measure_cost, spell_size
+from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, measure_cost, spell_size
 from wavefield.pipeline.magnitudes import (
     expected_coverage,
     refuse_small_fields,
@@ -21,7 +21,7 @@ from wavefield.pipeline.magnitudes import (
 )
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.pipeline.probe_check import check_probes
-from wavefield.pipeline.run_quality import clocks, compare_cameras, record_span
+from wavefield.pipeline.run_quality import clocks, compare_cameras, fraction_measured, record_span
 from wavefield.quality.record import (
     FrameInspection,
     inspect_frames,

@@ -9,7 +9,6 @@ import xarray as xr
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_thread
 from wavefield.measurement.error_budget import fast_waves, level_std, ripples
-from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.magnitudes import expected_coverage
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.quality.camera_motion import (
@@ -227,3 +226,9 @@ def _stored_values(cube: xr.Dataset, sample: xr.Dataset, checked: RecordCheck) -
     pixel = float(cube.attrs["pixel_size"])
     yield from remark_on_level(checked.level_motion, checked.z_std, pixel)
     yield from remark_on_mean_plane(cube)
+
+
+def fraction_measured(quality: np.ndarray) -> float:
+    """Fraction of the nodes in view that were measured; filled nodes do not count."""
+    visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
+    return float((quality[visible] & Quality.MEASURED != 0).mean()) if visible.any() else 0.0
