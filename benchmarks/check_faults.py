@@ -398,7 +398,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--names", nargs="+", help="of faults; all if left out")
     parser.add_argument("--width", type=int, default=150, help="characters of the words that are printed")
     options = parser.parse_args(words)
-    with mock.patch("wavefield.pipeline.cost.shutil.disk_usage", free_bytes):
+    with mock.patch("wavefield.pipeline.checking.shutil.disk_usage", free_bytes):
         for name in options.only:
             began = time.process_time()
             with tempfile.TemporaryDirectory() as folder:

@@ -50,7 +50,7 @@ def _remembered(compute):
 def learned_once():
     """Spectra, noise and errors of pairs of the same frames are computed once for all runs: 40 % of a run."""
     import wavefield.measurement
-    import wavefield.pipeline.pair_statistics as pairs
+    import wavefield.pipeline.assess as pairs
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wavefield.measurement, "learn", _remembered(wavefield.measurement.learn))

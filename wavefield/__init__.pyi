@@ -7,12 +7,12 @@ from wavefield.execution.workflow import Workflow
 from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
 from wavefield.pipeline.analysis import analyze, analyze_on_workers
+from wavefield.pipeline.assess import uncertainty_terms
 from wavefield.pipeline.catalog import run_catalog
-from wavefield.pipeline.forecast import check
+from wavefield.pipeline.checking import check
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import open_run
 from wavefield.pipeline.running import run
-from wavefield.pipeline.uncertainty_terms import uncertainty_terms
 from wavefield.reports.compose import report
 from wavefield.reports.paper import paper
 from wavefield.rig.formats import load_rig

@@ -132,7 +132,7 @@ def test_images_without_common_features_are_not_blamed_on_the_rig(sea):
 
 
 def test_a_rig_in_the_frame_of_a_camera_is_to_be_levelled():
-    from wavefield.pipeline.magnitudes import refuse_own_frame
+    from wavefield.pipeline.prepare import refuse_own_frame
 
     cameras = sea_rig()
     refuse_own_frame(Rig(cameras), "rig.yaml")

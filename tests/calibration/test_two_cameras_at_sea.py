@@ -8,8 +8,8 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.measurement.settings import Settings
+from wavefield.pipeline.assess import fraction_measured
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
-from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size

@@ -11,7 +11,7 @@ from wavefield.explorer.masks import MaskPanel
 from wavefield.explorer.record import LookSession
 from wavefield.images import write_image
 from wavefield.pipeline import open_run
-from wavefield.pipeline.experiment_of_cube import fingerprints, image_names, labels
+from wavefield.pipeline.opened_run import fingerprints, image_names, labels
 from wavefield.series import Experiment
 
 PLACES = ["cube.zarr", "results/cube.zarr", "1a2b3c4d/cube.zarr"]

@@ -42,7 +42,7 @@ def test_faults_that_prevent_a_run_are_refused_with_the_remedy(lab, name):
 
 
 def test_several_faults_at_once_are_all_named(lab, monkeypatch):
-    monkeypatch.setattr("wavefield.pipeline.cost.shutil.disk_usage", free_bytes)
+    monkeypatch.setattr("wavefield.pipeline.checking.shutil.disk_usage", free_bytes)
     for name in FOUND:
         FAULTS[name](lab)
     status, words = outcome(lab / "experiment.yaml")

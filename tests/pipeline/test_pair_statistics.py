@@ -8,7 +8,7 @@ import pytest
 from cube_cases import FOURS
 
 import wavefield as wf
-from wavefield.pipeline import pair_statistics as module
+from wavefield.pipeline import assess as module
 from wavefield.store import camera_pairs
 from wavefield.store.camera_pairs import GROUP
 

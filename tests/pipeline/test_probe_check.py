@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from wavefield.pipeline.experiment_of_cube import image_names, labels
-from wavefield.pipeline.probe_check import check_probes
+from wavefield.pipeline.checking import check_probes
+from wavefield.pipeline.opened_run import image_names, labels
 from wavefield.series import Experiment
 
 SPAN = (0.0, 5.0)

@@ -4,8 +4,8 @@ import pytest
 import yaml
 
 from wavefield.images import write_image
+from wavefield.pipeline.assess import compare_cameras
 from wavefield.pipeline.prepare import prepare
-from wavefield.pipeline.run_quality import compare_cameras
 from wavefield.tank import Scene
 from wavefield.tank.tank import Tank
 

@@ -160,7 +160,7 @@ def test_passwords_in_addresses_of_images_stay_out_of_messages(tmp_path):
 
 
 def test_passwords_in_addresses_of_images_stay_out_of_attributes(tmp_path):
-    from wavefield.pipeline.experiment_of_cube import image_names
+    from wavefield.pipeline.opened_run import image_names
 
     address = "https://user:secret@host/cam1/img_{frame:03d}.tif?token=hidden"
     experiment = Experiment.load(note(tmp_path, f"a: '{address}'", "frame_rate: 20\n"))

@@ -123,8 +123,8 @@ def _report(
 ) -> None:
     click.echo(str(found))
     if pairs and not found.problems:
+        from wavefield.pipeline.assess import synchrony_of
         from wavefield.pipeline.prepare import prepare
-        from wavefield.pipeline.run_quality import synchrony_of
         from wavefield.quality.camera_motion import spell_delays
 
         prepared = prepare(experiment, rig, workflow)

@@ -38,7 +38,7 @@ def experiment_file(source: Path) -> Path:
     if source.is_file():
         return source
     if is_store(source):
-        from wavefield.pipeline.experiment_of_cube import load_experiment
+        from wavefield.pipeline.opened_run import load_experiment
         from wavefield.store.read import open_group
 
         return load_experiment(source, open_group(source).attrs).path

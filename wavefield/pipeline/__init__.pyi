@@ -2,7 +2,7 @@
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.analysis import analyze_on_workers
 from wavefield.pipeline.catalog import catalog_add, is_catalog, run_catalog
-from wavefield.pipeline.forecast import Check, check
+from wavefield.pipeline.checking import Check, check
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.running import run

@@ -21,10 +21,9 @@ from wavefield.execution.process import deferred_signals, stop_signals, stopped_
 from wavefield.execution.run_log import jobs_folder, log_file, log_path
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.chunk import Chunk, Work, make_chunk, read_frame
-from wavefield.pipeline.experiment_of_cube import check_images, fingerprints, labels
 from wavefield.pipeline.learning import learn_record, once_per_cube
-from wavefield.pipeline.magnitudes import refuse_small_fields
-from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
+from wavefield.pipeline.opened_run import check_images, fingerprints, labels
+from wavefield.pipeline.prepare import PreparedRun, load_files, prepare, refuse_small_fields
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
 from wavefield.series import Experiment, FrameSeries
@@ -163,8 +162,7 @@ def process(
                 f"{stopped_by(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
             ) from None
     with deferred_signals():  # what only the end needs comes when the rest is done
-        from wavefield.pipeline.pair_statistics import store_pair_statistics
-        from wavefield.pipeline.run_quality import assess_run, check_record
+        from wavefield.pipeline.assess import assess_run, check_record, store_pair_statistics
     found = status(path)
     checked = check_record(prepared, found)
     if found.complete:
