@@ -46,23 +46,6 @@ def spline_matrix(places, n):
     return quintic(places[:, None] - np.arange(n))
 
 
-def test_spline_rows_are_the_quintic_spline_and_its_derivatives(case):
-    a, *_, smooth, gx, gy = case
-    h, w = smooth.shape
-
-    def at(dx, dy):
-        return (
-            spline_matrix(np.arange(h) + 8 + dy, h + 16)
-            @ a.astype(float)
-            @ spline_matrix(np.arange(w) + 8 + dx, w + 16).T
-        )
-
-    e = 1e-4
-    np.testing.assert_allclose(smooth, at(0, 0), atol=1e-6)
-    np.testing.assert_allclose(gx, (at(e, 0) - at(-e, 0)) / (2 * e), atol=1e-5)
-    np.testing.assert_allclose(gy, (at(0, e) - at(0, -e)) / (2 * e), atol=1e-5)
-
-
 def expected_sums(case):
     """The sums of every block by plain numpy in double precision."""
     _, b, u, v, slope, c2, smooth, gx, gy = case

@@ -10,7 +10,6 @@ from wavefield.matching import (
     Modes,
     PosteriorVariance,
     Prior,
-    first_prior,
     noise_factor_near_holes,
     noise_of_scores,
     refined_prior,
@@ -18,7 +17,6 @@ from wavefield.matching import (
 )
 from wavefield.matching.map_field import cosines
 from wavefield.matching.map_variance import hole_variance
-from wavefield.matching.spectrum import SECTORS
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 
@@ -154,28 +152,6 @@ def test_a_corner_that_does_not_match_leaves_the_noise_of_the_rest_alone():
     assert np.abs(found / sound - 1.0).max() < 0.1
 
 
-def test_field_and_spectrum_follow_from_each_other():
-    rng = np.random.default_rng(4)
-    shape, noise = (64, 72), 0.1
-    fields = sea(shape, steep_law, rng, 6).astype(np.float32)
-    a = np.full(shape, 1 / noise**2, np.float32)
-    prior = first_prior([f[None] for f in fields], np.ones(shape), 1 / noise**2)
-    # a first guess that is five times off
-    prior = Prior.isotropic(prior.k, [5.0 * p for p in prior.power[0][0]], prior.information)
-    exact = Modes(prior_of(steep_law, 1 / noise**2), shape)
-    data = exact.seen(exact.waves(fields)) + noise * rng.standard_normal(fields.shape).astype(np.float32)
-    for _ in range(3):
-        modes = Modes(prior, shape)
-        waves = [modes.solve(a[None], a * f[None], modes.waves(f[None]), 1e-3, modes.factor(a)) for f in data]
-        prior = refined_prior(prior, modes, waves, 1 / noise**2)
-    k = np.array(prior.k[2:14])
-    ratio = [prior.spectrum(k * np.cos(turn), k * np.sin(turn)) for turn in np.linspace(0.1, 1.5, 6)]
-    assert np.abs(np.log(np.mean(ratio, axis=0) / steep_law(k))).max() < np.log(1.5)
-    assert np.abs(np.log(ratio / steep_law(k))).max() < np.log(2.3)
-    again = Prior.from_dict(prior.to_dict())
-    assert again == prior
-
-
 def directed(kx, ky):
     """Spectra of two components: each moves along its own axis, and waves along y are longer."""
     k = np.maximum(np.hypot(kx, ky), 0.02)
@@ -236,39 +212,6 @@ def test_waves_have_a_direction_and_components_a_spectrum_of_their_own():
     np.testing.assert_allclose(stated, true, rtol=0.25)
 
 
-def test_noise_that_is_thought_too_small_is_not_taken_for_waves():
-    rng = np.random.default_rng(7)
-    shape, noise = (60, 70), 0.05
-    prior = prior_of(lambda k: max(steep_law(k), 1e-4 * noise**2), information=4 / noise**2)
-    for _ in range(4):
-        modes = Modes(prior, shape)
-        found = []
-        for truth in sea(shape, steep_law, np.random.default_rng(8), 3):
-            data = modes.seen(modes.waves(truth[None].astype(np.float32)))
-            data = data + noise * rng.standard_normal(shape).astype(np.float32)
-            gain = prior.gain(modes.kx, modes.ky)
-            found.append(modes.waves(data) * gain / modes.foot)
-        prior = refined_prior(prior, modes, found, prior.information)
-    assert prior.mean_gain(np.array([2.2]))[0] < 0.1
-
-
-def test_the_mean_gain_is_that_of_directions_with_waves():
-    power = np.full((1, SECTORS, 2), 1e-6)
-    power[0, 2] = 100.0
-    prior = Prior((0.1, 1.0), tuple(tuple(map(tuple, one)) for one in power.tolist()), 1.0)
-    assert prior.mean_gain(np.array([0.5]))[0] > 0.95
-
-
-def test_a_hole_is_solved_more_closely_but_not_some_blocks_of_which_little_is_known():
-    modes = Modes(prior_of(steep_law), (40, 60))
-    information = np.ones((40, 60), np.float32)
-    evenly = modes.tolerances(information)
-    information[18:26, 30:38] = 0.0  # bare with all their surroundings: 3 x 3 blocks
-    assert modes.tolerances(information) == evenly
-    information[14:26, 30:42] = 0.0
-    assert all(close < loose for close, loose in zip(modes.tolerances(information), evenly))
-
-
 def test_noise_is_thought_larger_around_a_hole_only():
     information = np.ones((60, 80), np.float32)
     information[:3] = 0  # the lattice's edge is no hole
@@ -278,27 +221,6 @@ def test_noise_is_thought_larger_around_a_hole_only():
     assert factor[31, 28] > 2.5
     assert factor[31, 8] == pytest.approx(1.0, abs=1e-3)
     assert (np.diff(factor[31, 8:28]) >= -1e-6).all()
-
-
-def test_a_field_goes_on_into_a_hole_better_where_neighbours_that_err_alike_are_trusted_less():
-    """Errors that the blocks of a rim share grow where the field is continued."""
-    rng = np.random.default_rng(11)
-    shape = (60, 80)
-    prior = prior_of(steep_law, information=400.0)
-    modes = Modes(prior, shape)
-    error = {1.0: [], 3.0: []}
-    for field in sea(shape, steep_law, rng, 12):
-        a = np.full(shape, 400.0, np.float32)
-        a[22:38, 32:48] = 0
-        shared = sea(shape, lambda k: np.exp(-0.5 * (2.5 * k) ** 2), rng)[0]
-        data = modes.seen(modes.waves(field[None].astype(np.float32)))[0] + 0.1 * shared / shared.std()
-        for factor, found in error.items():
-            information = (a / noise_factor_near_holes(a, factor))[None]
-            start = np.zeros((1, *modes.shape), np.float32)
-            right = information * data[None].astype(np.float32)
-            waves = modes.solve(information, right, start, 1e-4, modes.factor(information[0]))
-            found.append(np.mean((modes.field(waves)[0] - field)[22:38, 32:48] ** 2))
-    assert np.mean(error[3.0]) < 0.95 * np.mean(error[1.0])
 
 
 def test_what_fields_have_not_in_common_is_no_wave():

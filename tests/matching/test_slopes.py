@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from matching_cases import interior, particle_pair, truth
 
-from wavefield.matching import MatchSettings, match, prepare, reevaluate
 from wavefield.matching.blocks import slopes
 from wavefield.matching.kernels import BLOCK
 
-SETTINGS = MatchSettings.piv()
 VARIANCE = 5.0
 
 
@@ -40,31 +37,3 @@ def test_slopes_of_a_plane_are_exact_up_to_its_edges(variance):
     found = slopes(0.3 * x - 0.2 * y, 0.1 * y, variance)
     expected = np.array([0.3, -0.2, 0.0, 0.1])
     np.testing.assert_allclose(found, np.broadcast_to(expected[:, None, None], found.shape), atol=1e-5)
-
-
-def by_neighbours(u, v, variance):
-    rows_and_columns = [np.gradient(field, BLOCK) for field in (u, v)]
-    return np.array([part for y, x in rows_and_columns for part in (x, y)], np.float32)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_beads_anywhere_in_blocks_agree_on_short_waves(seed, monkeypatch):
-    rng = np.random.default_rng(seed)
-    length, towards = BLOCK * rng.uniform(5, 6), rng.uniform(0, 2 * np.pi)
-    k = 2 * np.pi / length * np.array([np.cos(towards), np.sin(towards)])
-
-    def move(x, y):
-        return np.cos(k[0] * x + k[1] * y), 0.5 * np.sin(k[0] * x + k[1] * y)
-
-    a, b = (prepare(image, SETTINGS) for image in particle_pair(move, density=0.02, seed=seed))
-    d = match(a, b, SETTINGS)
-    u, v = (np.exp(-0.5 * VARIANCE * np.sum(k**2)) * part for part in truth(d, move))
-    inside = interior(d, a.shape)
-
-    def scatter():
-        score = reevaluate(a, b, u, v, SETTINGS).score
-        return float(np.sqrt(np.mean(np.square(score[:, inside]))))
-
-    now = scatter()
-    monkeypatch.setattr("wavefield.matching.pyramid.slopes", by_neighbours)
-    assert now < 0.9 * scatter()

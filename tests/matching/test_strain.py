@@ -7,7 +7,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from matching_cases import interior, particle_pair, truth, uniform
+from matching_cases import interior, particle_pair, truth
 
 from wavefield.matching import (
     MatchSettings,
@@ -68,12 +68,6 @@ def test_what_blurs_a_texture_is_not_strained_but_the_texture_is(monkeypatch):
     assert (less.std(axis=1) < 0.9 * more.std(axis=1)).all()
     assert c < 0.1
     assert spread == pytest.approx(0.5, abs=0.1)  # that of the B-spline
-
-
-def test_scores_of_a_displacement_without_slopes_stay(monkeypatch):
-    move = uniform(1.3, -0.4)
-    less, more, _ = with_and_without(particle_pair(move, SHAPE), move, monkeypatch)
-    np.testing.assert_allclose(less, more, atol=1e-8)  # rounding; scores are of 1e-2
 
 
 def test_strain_moments_follow_their_definition():

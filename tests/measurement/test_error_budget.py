@@ -131,12 +131,6 @@ def test_rings_have_the_variance_of_the_spectrum_as_far_as_waves_are_expected():
     np.testing.assert_allclose(waves.phase, dispersion(k / 9e-3) / 20.0)
 
 
-def test_still_water_and_slow_waves_lose_nothing_and_fast_ones_most():
-    assert lost_by_paths(WaveRings(*np.zeros((3, 1))), 6) == lost_by_elevation(rings(20.0, []), 6) == 0.0
-    lost = [lost_by_elevation(rings(rate, [(0.1, 1.0, 0, 0)]), 6) for rate in (80.0, 20.0, 10.0)]
-    assert lost == sorted(lost)
-
-
 def test_smooth_paths_are_best_in_noise_and_exact_ones_where_waves_turn_fast():
     fast, slow = (rings(rate, [(0.1, 0.002, 0, 0)]) for rate in (15.0, 60.0))
     assert best_path_frames(fast, 1e-12) == EXACT_SIX

@@ -31,12 +31,6 @@ def test_two_cameras_make_one_direct_pair(rig):
     assert GridGeometry(Rig({n: rig[n] for n in ("cam1", "cam2")}), GRID).pairs == (("cam1", "cam2"),)
 
 
-def test_the_camera_common_to_all_pairs_comes_first(rig):
-    geometry = GridGeometry(rig, GRID, Settings(pairs=(("cam1", "cam3"), ("cam3", "cam2"))))
-    assert geometry.pairs == (("cam3", "cam1"), ("cam3", "cam2"))
-    assert geometry.reference == "cam3"
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -128,21 +122,6 @@ def test_a_plan_travels_as_its_parameters(rig):
     assert copy.settings == geometry.settings
     np.testing.assert_array_equal(copy.views["cam1"].maps[0], geometry.views["cam1"].maps[0])
     assert pickle.loads(data) is copy  # computed once per process
-
-
-def test_lengths_follow_from_the_rig(rig):
-    small = Rig({n: _shrunk(camera, 0.01) for n, camera in rig.cameras.items()})
-    big = GridGeometry(rig, GRID)
-    geometry = GridGeometry(small, Grid(x=(-0.001, 0.001), y=(-0.0008, 0.0008), step=0.0001))
-    assert geometry.pixel == pytest.approx(0.01 * big.pixel, rel=1e-6)
-    assert geometry.z_range == pytest.approx(tuple(0.01 * z for z in big.z_range), rel=1e-6)
-    assert geometry.lattice.shape == big.lattice.shape
-
-
-def _shrunk(camera, factor):
-    from dataclasses import replace
-
-    return replace(camera, translation=tuple(factor * t for t in camera.translation))
 
 
 def test_a_sharper_camera_is_binned_and_blurred_until_beads_look_alike():

@@ -4,7 +4,7 @@ import numpy as np
 from measurement_cases import RATE
 
 from wavefield.measurement import measure
-from wavefield.measurement.outliers import inconsistent_scores, widened
+from wavefield.measurement.outliers import inconsistent_scores
 from wavefield.variables import Quality
 
 SHAPE = 60, 80
@@ -23,23 +23,6 @@ def test_pairs_that_place_the_surface_elsewhere_are_found_where_they_do():
     apart = inconsistent_scores(*scores_of_pairs(1.3, np.random.default_rng(1)))
     assert apart[:, :36].all()
     assert not apart[:, 48:].any()
-
-
-def test_pairs_that_differ_by_noise_do_not_contradict():
-    assert not inconsistent_scores(*scores_of_pairs(0.0, np.random.default_rng(2))).any()
-
-
-def test_one_pair_and_pairs_without_beads_contradict_nobody():
-    scores, hessians, lengths = scores_of_pairs(1.3, np.random.default_rng(3))
-    assert not inconsistent_scores(scores[:1], hessians[:1], lengths[:1]).any()
-    empty = [0 * h for h in hessians]
-    assert not inconsistent_scores([0 * s for s in scores], empty, lengths).any()
-
-
-def test_what_windows_pull_along_is_widened_by_two_blocks():
-    where = np.zeros(SHAPE, bool)
-    where[30, 40] = True
-    assert widened(where).sum() == 25
 
 
 def test_a_camera_moved_by_one_pixel_in_half_its_picture_is_left_out_there(series, geometry, model):

@@ -5,12 +5,11 @@ import pytest
 
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import frames_used, rise_of_water, slope, z_by_orders
-from wavefield.measurement.paths import elevation_gain, path_gain
+from wavefield.measurement.paths import elevation_gain
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
 from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry
-from wavefield.waves.motion import slopes
 
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 
@@ -31,13 +30,6 @@ def surfaces(field, lost=()):
             else Surface(z, z, z, z, 0.0, places.astype(np.uint16), places, read, everywhere)
         )
     return out
-
-
-def moving(chord=(0.0, 0.0, 0.0), bend=(0.0, 0.0, 0.0), d=(0.0, 0.0, 0.0)):
-    """Water that moves so."""
-    chord, bend, d = (np.array(part, float)[:, None, None] for part in (chord, bend, d))
-    one = np.zeros((1, 1), np.uint8)
-    return Motion(d, d, d, d[0], d[0], d[0], one.astype(np.uint16), one, chord, bend)
 
 
 AT = np.zeros((1, 1))
@@ -68,24 +60,6 @@ def test_a_wave_keeps_what_theory_states_of_how_it_turns_beside_the_mean_flow(fr
         kept = z_of(lambda t, p=phase: np.cos(p * t), lost, speed)  # it passes the node with its crest
         turns = phase * (1 - speed)
         assert kept == pytest.approx(float(elevation_gain(np.array([turns]), frames)[0]), abs=1e-6)
-
-
-def test_the_rise_is_that_of_the_surface_along_the_path_of_the_water():
-    def surface(x, t):
-        return 0.3 * t**3 + 0.2 * x * t + 0.1 * x
-
-    for chord, bend in ((0.0, 0.0), (1.5, 0.0), (1.5, 0.2)):
-        moved = moving((chord, 0, 0.4), (bend, 0, 0), (0, 0, 0.5))
-        rise = float(rise_of_water(*surfaces(surface)[2:4], moved, (0.0, 0.0), AT, AT)[0, 0])
-        exact = surface(0.5 * chord + bend, 0.5) - surface(-0.5 * chord + bend, -0.5)
-        # and what the velocity at mid-time rises beyond the displacement over the step
-        assert rise == pytest.approx(exact + 0.1, abs=1e-6)
-
-
-def test_slopes_are_those_of_the_kinematics():
-    z = np.random.default_rng(0).normal(size=(12, 9)).astype(np.float32)
-    for axis, exact in enumerate(slopes(z[None], 0.01, 0.01)):
-        np.testing.assert_allclose(slope(z, 0.01, axis), exact[0], rtol=1e-4, atol=1e-2)
 
 
 CURRENTS = [(0.0, 0.0), (0.4, -0.2), (0.66, 0.45)]
@@ -127,9 +101,3 @@ def test_surface_and_kinematics_are_exact_to_the_interpolation_on_any_current(cu
     assert rms(z_t - exact["z_t"]) < 0.02 * rms(exact["z_t"])
     residual = z_t - exact["w"] + nonlinear
     assert rms(residual) < 1e-3 * rms(exact["w"])
-
-
-def test_a_displacement_keeps_what_theory_states():
-    p = np.array([0.5, 1.0])
-    np.testing.assert_allclose(path_gain(p, 2), 2 * np.sin(p / 2) / p)
-    np.testing.assert_allclose(1 - path_gain(p[:1], 4), 3 / 640 * p[:1] ** 4, rtol=0.1)

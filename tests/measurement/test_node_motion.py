@@ -35,11 +35,6 @@ def test_what_all_cameras_miss_does_not_average_out():
     assert 0.005 < u < 0.01
 
 
-def test_a_camera_that_misses_most_counts_by_its_weight():
-    one_blind, none_blind = variance([0.01, 0.01, 1.0]), variance([0.01, 0.01, 0.01])
-    assert (one_blind < 1.5 * none_blind).all()
-
-
 @pytest.mark.parametrize("cameras", [2, 3, 4])
 def test_nodes_at_which_cameras_contradict_each_other_are_less_certain(cameras):
     rng = np.random.default_rng(cameras)
@@ -54,11 +49,3 @@ def test_nodes_at_which_cameras_contradict_each_other_are_less_certain(cameras):
     beyond, without = ((np.abs(found) > 5.0 * np.sqrt(part)).mean() for part in (stated, of_even))
     assert without > 0.03
     assert beyond < (0.5 if cameras == 2 else 0.1) * without
-
-
-def test_what_the_prior_removes_does_not_grow_with_the_misfit():
-    moved = np.random.default_rng(0).normal(0.0, 1.0, (6, 1000))
-    _, alone, _, factor = solved(moved, 1e-6)
-    _, both, _, _ = solved(moved, 1e-6, 0.01)
-    assert factor.max() > 1e4
-    np.testing.assert_allclose(both - alone, variance([0.01] * 3)[:, None].repeat(1000, axis=1), rtol=0.6)

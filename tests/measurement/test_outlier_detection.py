@@ -68,12 +68,6 @@ def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model)
         np.testing.assert_allclose(out[name][0][sound], same[name][0][sound], atol=close)
 
 
-def test_cameras_without_faults_are_not_accused(series, geometry, model):
-    out = measure(series.block(1), geometry, RATE, model)
-    assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()
-    assert ((out["quality"][0] & Quality.MEASURED) > 0)[series.inside].mean() > 0.99
-
-
 def test_water_that_stands_where_none_was_searched_is_not_called_measured(
     series, geometry, model, monkeypatch
 ):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from wavefield.measurement.paths import noise_weights, path_weights, place_weights, read_path
+from wavefield.measurement.paths import path_weights, place_weights, read_path
 from wavefield.measurement.regrid import BlockLattice, coefficients
-from wavefield.variables import EXACT_SIX, PATH_WEIGHTS
+from wavefield.variables import EXACT_SIX
 
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (60, 60))
 MIDDLE = 150.0
@@ -54,15 +54,6 @@ def test_weights_of_paths_are_exact_to_their_degree():
     assert error(0.4, *beside[:3], frames=EXACT_SIX) == error(0.4, *beside[:3])
 
 
-@pytest.mark.parametrize("there", [(False, True), (True, False)])
-def test_at_an_end_a_parabola_finds_the_place_and_leaves_the_chord(there):
-    # p^2/24 of the velocity is missing, and the particle is p^3/16 of its way beside
-    before, after = there
-    assert error(0.2, before, True, after) == pytest.approx(0.2**2 / 24 + 0.2**3 / 16, rel=0.2)
-    # what lies beyond the end is not asked either
-    assert error(0.2, True, before, True, after, True) == error(0.2, before, True, after)
-
-
 def test_what_was_not_measured_is_not_asked():
     spline = turned(0.3)
     wrong = turned(-0.3)
@@ -96,19 +87,6 @@ def test_water_that_was_not_in_the_image_was_not_measured():
     inside[[0, 4]] = inside[[0, 1, 3, 4]].all(axis=0)
     np.testing.assert_array_equal((block >= 0)[[0, 1, 3, 4]], inside[[0, 1, 3, 4]])
     assert 0 < inside[1].sum() < inside[2].sum() < 400
-
-
-@pytest.mark.parametrize("places", PATH_WEIGHTS)
-def test_noise_passes_a_path_as_its_weights_state(places):
-    # a fifth of the variance comes from frames, which two displacements share with opposite signs, twice that
-    rng = np.random.default_rng(places)
-    own = rng.normal(size=(5, 400_000)) * np.sqrt(0.6)
-    d = own + np.diff(rng.normal(size=(6, own.shape[1])) * np.sqrt(0.2), axis=0)
-    weights = np.zeros(5)
-    for n, weight in enumerate(PATH_WEIGHTS[places]):
-        weights[[2 - n, 2 + n]] = weight
-    here, *beside = noise_weights(places)
-    assert here + 2 * sum(beside) == pytest.approx(np.var(weights @ d), rel=0.01)
 
 
 @pytest.mark.parametrize("places", [2, 4, 6])

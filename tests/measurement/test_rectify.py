@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from wavefield.measurement.rectify import bin_pixels, binned, double, rectify, sight_map, widen
+from wavefield.measurement.rectify import bin_pixels, binned, rectify, sight_map, widen
 from wavefield.tank import paper_rig
 
 
@@ -11,16 +11,6 @@ def spots(X, Y, shape, sigma=0.9):
     for x, y in zip(X, Y):
         image += 180 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * sigma**2))
     return image
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_doubling_moves_nothing(dtype):
-    rows, columns = np.mgrid[:40, :60]
-    ramp = (2 * columns + rows).astype(dtype)
-    scale = 256 if dtype == np.uint8 else 1
-    fine = double(ramp) / scale
-    y, x = np.mgrid[10:60, 10:100] / 2.0
-    np.testing.assert_allclose(fine[10:60, 10:100], 2 * x + y, atol=0.51 / scale)
 
 
 def test_a_spot_stays_where_it_is_to_a_hundredth_of_a_pixel():

@@ -11,7 +11,7 @@ from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
 from wavefield.measurement.error_budget import ripples
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.ripples import SharedMotion, ripple_rise, shared_motion
+from wavefield.measurement.ripples import ripple_rise, shared_motion
 from wavefield.tank import Scene, Tank
 
 SIDE = 60
@@ -79,10 +79,6 @@ def test_waves_that_the_prior_removes_are_not_stated_twice():
         assert shares[3] < 0.25 * shares[0]
 
 
-def test_without_blocks_in_common_no_waves_are_found():
-    assert found(1, 1e-3, 0.1, ("cam1",)) == (0.0, 0.0)
-
-
 def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch):
     """Two cameras at sea see the same reflections change: nothing shows that water rises."""
     turned = np.array(SIGHTS["cam1"]) @ [[1, 0, 0], [0, 1, 0.05], [0, 0, 1]]
@@ -121,15 +117,3 @@ def test_short_waves_that_blocks_resolve_are_not_found_as_unresolved_ones(seed):
     geometry = GridGeometry(tank.rig, Grid(x=(-0.24, 0.24), y=(-0.18, 0.18), step=0.01))
     record = learn([(images[0], images[1]), (images[2], images[3])], geometry)
     assert record.ripples == (0.0, 0.0)
-
-
-def one_pair(share, total=1.0):
-    return SharedMotion(share * total, total, 0.0, 0.05)
-
-
-def test_what_sound_seas_share_is_below_the_gate_and_ripples_are_above():
-    for share in (-0.1, 0.05, 0.13, 0.19):  # gaps, short steep waves
-        assert ripple_rise([one_pair(share)]) == (0.0, 0.0)
-    assert ripple_rise(()) == (0.0, 0.0)
-    rises = [ripple_rise([one_pair(share), one_pair(share)])[0] for share in (0.29, 0.4, 0.47)]
-    assert 1.0 < rises[0] < rises[1] < rises[2] < 3.0

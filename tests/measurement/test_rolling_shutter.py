@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from test_paths import LATTICE, MIDDLE, turned
 
 from wavefield.errors import ExperimentError
@@ -12,7 +10,6 @@ from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.paths import (
     common_lateness,
     elevation_errors,
-    frame_weights,
     lateness,
     path_weights,
     read_path,
@@ -21,18 +18,6 @@ from wavefield.series import Experiment
 from wavefield.tank import Scene
 
 EVEN = np.arange(6) - 2.5
-USED = {2: (2, 3), 3: (1, 2, 3), 4: (1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
-
-
-@given(st.sampled_from([2, 3, 4, 6]), st.lists(st.floats(-0.4, 0.4), min_size=1, max_size=4), st.booleans())
-@settings(max_examples=40, deadline=None)
-def test_weights_at_other_times_are_exact_for_polynomials(frames, at, smooth):
-    smooth, at = smooth and frames == 6, np.array(at)
-    value, rate = frame_weights(EVEN, USED[frames], smooth, at)
-    for degree in range(frames):
-        np.testing.assert_allclose(EVEN**degree @ value, at**degree, atol=1e-9)
-        if degree < frames - smooth:
-            np.testing.assert_allclose(EVEN**degree @ rate, degree * at ** max(degree - 1, 0), atol=1e-8)
 
 
 @pytest.mark.parametrize("places", [4, 6])

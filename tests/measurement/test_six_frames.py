@@ -77,16 +77,6 @@ def test_exact_paths_are_taken_where_waves_turn_fast():
     assert exact["w"] < four["w"]
 
 
-def test_paths_of_six_frames_are_the_same_whatever_the_block(fast, cube):
-    _, frames, geometry, model = fast
-    for step in range(STEPS):
-        alone = measure(
-            {name: images[step : step + 6] for name, images in frames.items()}, geometry, RATE, model
-        )
-        for name, field in alone.items():
-            np.testing.assert_array_equal(field[0], cube[name][step], err_msg=name)
-
-
 def test_beside_a_lost_frame_paths_have_four(fast, cube):
     _, frames, geometry, model = fast
     lost = {name: [None, *images[1:]] for name, images in frames.items()}

@@ -12,35 +12,14 @@ from wavefield.measurement.midtime import z_by_orders
 from wavefield.measurement.paths import (
     EVEN_TIMES,
     frame_weights,
-    noise_of_displacements,
-    noise_weights,
     path_weights,
     place_weights,
     read_path,
 )
 
 EVEN = EVEN_TIMES
-ELEVATION = {  # polynomials through even frames at mid-time
-    2: (1 / 2, 1 / 2),
-    3: (-1 / 8, 6 / 8, 3 / 8),
-    4: (-1 / 16, 9 / 16, 9 / 16, -1 / 16),
-    6: np.array([3, -25, 150, 150, -25, 3]) / 256,
-}
 JITTER = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6).map(lambda e: EVEN + e)
 USED = {2: (2, 3), 3: (1, 2, 3), 4: (1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
-
-
-def test_even_times_have_the_weights_of_even_paths():
-    for frames, used in USED.items():
-        value, rate = frame_weights(EVEN, used, smooth=frames == 6)
-        np.testing.assert_allclose(value[list(used)], ELEVATION[frames], atol=1e-12)
-        if frames != 3:
-            np.testing.assert_allclose(rate[list(used)], place_weights(frames)[1], atol=1e-12)
-            later = np.cumsum(rate[::-1])[::-1][1:]
-            own, *beside = noise_weights(frames)
-            found = noise_of_displacements(later)
-            assert found[2] == pytest.approx(own)
-            assert found.sum() == pytest.approx(own + 2 * sum(beside))
 
 
 @given(JITTER, st.sampled_from([2, 3, 4, 6]), st.booleans())

@@ -29,7 +29,6 @@ MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise 
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
 
-SECTOR_ANGLES = (np.arange(SECTORS) + 0.5) * np.pi / (2 * SECTORS)  # middle of every sector, rad
 FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value represents in the elevation by two cameras
 # px^2: empirical widening of the footprint that offsets the damping of short waves by the prior; tuned on
 # random and steep simulated seas
@@ -145,12 +144,6 @@ class Prior:
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
-    def mean_gain(self, k: Float) -> NDArray[np.float64]:
-        """`gain` at wavenumbers k, rad per block, mean over components and directions by their power."""
-        at = _in_all_directions(k)
-        power = self.spectrum(*at)
-        return np.asarray((self.gain(*at) * power).sum(axis=(0, 1)) / power.sum(axis=(0, 1)))
-
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Variance of the MAP field by waves, G^2 S, and by noise, G^2 / (F^2 A), each (1 or c,).
 
@@ -161,15 +154,6 @@ class Prior:
         squared_gain[:, 0, 0] = 0.0
         noise = squared_gain / (self.footprint(kx, ky) ** 2 * self.information)
         return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
-
-    def noise_power(self, k: Float) -> NDArray[np.float64]:
-        """Noise G^2 / (F^2 A) in the power of the MAP field's cosines, mean over directions and components.
-
-        0 beyond the shortest wave of the lattice.
-        """
-        total_weight = self.footprint(k, np.zeros(1)) ** 2 * self.information
-        squared_gain = np.square(self.gain(*_in_all_directions(k))).mean(axis=(0, 1))
-        return np.where(k < np.pi, squared_gain / np.maximum(total_weight, 1e-30), 0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe."""
@@ -190,12 +174,6 @@ class Prior:
         numbers = {name: float(data[name]) for name in names}
         information = float(data["information"])
         return cls(tuple(map(float, data["k"])), power, information, detected=detected, **numbers)
-
-
-def _in_all_directions(k: Float) -> tuple[Float, Float]:
-    """Wavenumbers (directions,) + S of waves in all directions."""
-    direction = SECTOR_ANGLES.reshape(-1, *(1,) * np.ndim(k))
-    return k * np.cos(direction), k * np.sin(direction)
 
 
 def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

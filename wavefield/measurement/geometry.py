@@ -61,12 +61,6 @@ class Sight:
         """
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
-    def at_middle(self) -> NDArray[np.float64]:
-        """Jacobian (2, 3) of the node in the middle at z = 0, px per metre."""
-        ny, nx = self._polynomial.shape[-2:]
-        here = self._polynomial[2:, :, ny // 2, nx // 2]
-        return self._evaluate(np.zeros(()), here).reshape(2, 3).astype(np.float64)
-
     def position(self, z: Float) -> NDArray[np.float32]:
         """Image position X, Y of the nodes at heights z (ny, nx), metres: (2, ny, nx), px."""
         return self._evaluate(z, self._polynomial[:2])
