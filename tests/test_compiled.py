@@ -123,24 +123,6 @@ def test_damaged_code_is_compiled_again(folder):
         assert path.read_bytes()[-100:] == whole[-100:]
 
 
-def test_code_that_two_processes_write_in_turn_is_never_taken_for_the_others(tmp_path):
-    """Every order of reading and writing, of two kinds of arguments: what is read is what was asked for."""
-    here, there = (
-        wavefield.compiled._CompiledFiles(tmp_path, "loop", test_damaged_code_is_compiled_again)
-        for _ in range(2)
-    )
-    here.save("contiguous", 1)
-    there.save("strided", 2)
-    assert [one.load(key) for one in (here, there) for key in ("contiguous", "strided", "other")] == [
-        1,
-        2,
-        None,
-        1,
-        2,
-        None,
-    ]
-
-
 def test_clearing_removes_compiled_code_and_nothing_else(tmp_path, monkeypatch):
     package = tmp_path / "package"
     (package / "room" / "__pycache__").mkdir(parents=True)

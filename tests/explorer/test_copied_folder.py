@@ -14,7 +14,7 @@ from wavefield.pipeline import open_run
 from wavefield.pipeline.opened_run import fingerprints, image_names, labels
 from wavefield.series import Experiment
 
-PLACES = ["cube.zarr", "results/cube.zarr", "1a2b3c4d/cube.zarr"]
+PLACES = ["cube.zarr", "1a2b3c4d/cube.zarr"]
 
 
 def write_experiment(folder, seed=1, pattern="{folder}/img_{{frame:05d}}.tif", more=""):

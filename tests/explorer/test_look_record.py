@@ -10,7 +10,7 @@ from wavefield.errors import StoreError
 from wavefield.explorer.record import CubeRecord
 from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
-from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
+from wavefield.store.preview import open_preview, preview_path, thinning
 from wavefield.store.read import open_group
 from wavefield.waves.motion import kinematic_fields
 
@@ -33,26 +33,6 @@ def test_the_preview_holds_every_second_node_of_a_cube_of_3000(cube):
         expected = np.moveaxis(fields[name][:, ::2, ::2], 0, -1)
         np.testing.assert_allclose(values, expected, atol=0.51 * scale, rtol=1e-6, err_msg=name)
     assert np.asarray(preview["done"][:]).all()
-
-
-def test_cube_and_ledger_are_the_same_with_and_without_a_preview(tmp_path):
-    files = []
-    for name, preview in (("a", True), ("b", False)):
-        make_cube(tmp_path / name / "cube.zarr", preview=preview)
-        root = tmp_path / name / "cube.zarr"
-        own = [p for p in sorted(root.rglob("*")) if p.is_file() and "preview" not in p.parts]
-        files.append({p.relative_to(root): p.read_bytes() for p in own})
-    assert files[0] == files[1]
-    assert not preview_path(tmp_path / "b" / "cube.zarr").exists()
-
-
-def test_memory_holds_what_the_preview_holds(cube):
-    path, fields = cube
-    record = CubeRecord(path)
-    record.preview.load()
-    assert record.preview.complete
-    np.testing.assert_allclose(record.preview.series("w", 12, 14), fields["w"][:, 24, 28], atol=5.1e-5)
-    assert np.isnan(record.preview.series("z", 0, 0)).all()  # outside the view
 
 
 def test_a_cube_without_a_preview_gets_the_same_one_on_first_look(cube, tmp_path):
@@ -120,14 +100,6 @@ def test_another_cubes_preview_is_not_taken(tmp_path):
     record = CubeRecord(path)
     record.preview.load()
     np.testing.assert_allclose(record.preview.series("z", 6, 6), fields["z"][:, 6, 6], atol=5.1e-6)
-
-
-def test_a_new_cube_replaces_an_old_preview(tmp_path):
-    path = tmp_path / "cube.zarr"
-    make_cube(path)
-    group = open_group(path)
-    create_preview(path, group)
-    assert not np.asarray(open_preview(path, group)["done"][:]).any()
 
 
 def test_a_preview_that_cannot_be_kept_is_a_sentence_and_memory_has_it_all(tmp_path):

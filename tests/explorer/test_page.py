@@ -9,19 +9,15 @@ import xarray as xr
 from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from explorer_cases import create_cube, make_cube, write_cube_block
-from matplotlib import colormaps
-from matplotlib.colors import to_rgb
 from scipy import signal
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.map import arrows
-from wavefield.explorer.node import longest_run, nearest_probe, spectrum
+from wavefield.explorer.node import nearest_probe, spectrum
 from wavefield.explorer.page import LookPage
-from wavefield.explorer.parts import envelope, image_data, palette
-from wavefield.explorer.place import COLOUR_MAPS, TABS, Place
+from wavefield.explorer.place import TABS, Place
 from wavefield.explorer.record import LookSession
 from wavefield.explorer.save import FILES, as_csv, node_series, step_fields
-from wavefield.explorer.server import make_server, middle_node
+from wavefield.explorer.server import make_server
 from wavefield.explorer.waves import log_density
 from wavefield.figures.display import DERIVED, display
 from wavefield.pipeline.analysis import analyze
@@ -65,16 +61,6 @@ def test_a_place_is_shown_at_once_and_counted_from_one(cube):
     assert page.controls["step"].title == "Step 18 of 120, t = 0.875 s"
     assert page.link.text == page.place.query()
     assert len(page.map.sources["node"].data["x"]) == 1
-
-
-def test_it_opens_at_the_measured_node_nearest_to_the_middle(cube):
-    record = LookSession(cube).record
-    x, y = middle_node(record, 0)
-    assert abs(x - record.x.mean()) <= 0.026
-    assert abs(y - record.y.mean()) <= 0.026
-    record._cache["z", 0] = np.full((16, 20), np.nan, np.float32)
-    record._cache["z", 0][3, 4] = 0.0
-    assert middle_node(record, 0) == (record.x[4], record.y[3])
 
 
 def test_a_node_shows_its_values_series_and_spectrum(tmp_path):
@@ -193,12 +179,6 @@ def test_probes_are_marked_and_only_one_at_the_node_is_drawn_over_it(cube):
 # -- what is drawn and saved -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [name for name in COLOUR_MAPS if name])
-def test_colours_are_those_of_matplotlib_which_saved_maps_have(name):  # of two versions of cividis
-    drawn = np.array([to_rgb(colour) for colour in palette(name)])
-    np.testing.assert_allclose(drawn, colormaps[name](np.linspace(0, 1, 256))[:, :3], atol=0.1)
-
-
 def test_colours_are_balanced_where_there_is_a_sign():
     values = np.linspace(-1, 3, 1000)
     low, high = display("w").limits(values)
@@ -206,38 +186,6 @@ def test_colours_are_balanced_where_there_is_a_sign():
     assert display("z_std").limits(np.abs(values))[0] == 0.0
     assert display("z_std").limits(np.linspace(0.9, 1.0, 50)) == (0.9, 1.0)  # a map of more than one colour
     assert display("z_std").limits(np.full(50, 0.9)) == (0.0, 0.9)
-
-
-def test_arrows_point_where_the_water_goes_and_are_as_long_as_it_is_fast():
-    x, y = np.linspace(0, 1, 25), np.linspace(0, 1, 25)
-    u, v = np.full((25, 25), 0.3), np.full((25, 25), -0.4)
-    u[3, 4] = np.nan
-    xs, ys, metres = arrows(u, v, x, y, 0.5)
-    xs, ys = xs.reshape(-1, 7), ys.reshape(-1, 7)
-    assert len(xs) == 25 * 25 - 1
-    np.testing.assert_allclose(xs[:, 1] - xs[:, 0], 0.3 * metres)
-    np.testing.assert_allclose(ys[:, 1] - ys[:, 0], -0.4 * metres)
-    assert np.isnan(np.concatenate([xs[:, 6], ys[:, 6]])).all()  # no line from arrow to arrow
-    assert metres * 0.5 == pytest.approx(1.2 / 24)
-
-
-def test_images_are_centred_on_their_nodes():
-    data = image_data(np.zeros((3, 5)), np.linspace(-1, 1, 5), np.linspace(0, 1, 3))
-    assert (data["x"], data["dw"]) == ([-1.25], [2.5])
-    assert (data["y"], data["dh"]) == ([-0.25], [1.5])
-
-
-def test_an_envelope_keeps_extremes_gaps_and_ends():
-    rng = np.random.default_rng(3)
-    x, y = np.arange(12000.0), rng.normal(size=12000)
-    y[5000:6000] = np.nan
-    thin_x, thin_y, other = envelope(x, y, 2 * y)
-    assert thin_x.size <= 1000
-    assert np.nanmax(thin_y) == np.nanmax(y)
-    assert np.nanmin(thin_y) == np.nanmin(y)
-    assert np.isnan(thin_y[(thin_x > 5050) & (thin_x < 5950)]).all()
-    np.testing.assert_array_equal(other, 2 * thin_y)
-    assert np.all(np.diff(thin_x) > 0)
 
 
 def test_spectra_are_those_of_scipy_and_their_intervals_hold_the_truth():
@@ -253,15 +201,6 @@ def test_spectra_are_those_of_scipy_and_their_intervals_hold_the_truth():
     _, density = signal.welch(values, fs=1 / DT, nperseg=round(1 / (found.frequency[0] * DT)))
     np.testing.assert_allclose(found.density, density[1:], rtol=1e-10)
     assert spectrum(np.full(50, np.nan), DT) is None
-
-
-def test_gaps_are_bridged_up_to_two_steps_and_split_the_record_beyond():
-    values = np.sin(np.arange(100) / 5.0)
-    holed = values.copy()
-    holed[[20, 21, 60, 61, 62]] = np.nan
-    run = longest_run(holed)
-    assert run.size == 60
-    np.testing.assert_allclose(np.delete(run, [20, 21]), np.delete(values[:60], [20, 21]))
 
 
 def test_saved_files_hold_what_is_shown(tmp_path):

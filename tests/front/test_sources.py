@@ -82,12 +82,6 @@ def given(monkeypatch):
     return calls
 
 
-def test_run_takes_the_folder_it_is_in(folder, given, monkeypatch):
-    monkeypatch.chdir(folder)
-    assert main(["-q", "run", "."]) == 1
-    assert given[0][0].resolve() == folder / "experiment.yaml"
-
-
 @pytest.mark.parametrize(("words", "kept"), [("0:7", (3, 7)), ("5:50", (5, 14)), ("4:5", (4, 5))])
 def test_a_trial_measures_some_frames_into_a_cube_of_its_own(folder, given, words, kept):
     assert main(["-q", "run", str(folder), "--frames", words]) == 1

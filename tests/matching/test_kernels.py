@@ -187,6 +187,7 @@ np.save(sys.argv[2], [match(a, b, s).u for s in (MatchSettings.piv(), MatchSetti
 """
 
 
+@pytest.mark.slow
 def test_another_processor_gives_the_same_to_rounding(tmp_path):
     a, b = particle_pair(wave(2.0, 200.0), shape=(150, 170))
     np.save(tmp_path / "pair.npy", [a, b])

@@ -106,6 +106,7 @@ print(hashlib.sha256(first.tobytes() + second.tobytes()).hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_a_process_that_compiles_adds_in_the_order_of_those_that_read_what_it_kept(tmp_path):
     place = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     found = [

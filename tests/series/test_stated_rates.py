@@ -143,10 +143,10 @@ def test_frame_rates_that_no_camera_has_are_refused(tmp_path, rate):
 
 
 def test_a_polygon_of_many_corners_is_refused_at_once(tmp_path):
-    angle = np.linspace(0, 6, 30_000)
+    angle = np.linspace(0, 6, 3_000)
     corners = np.c_[4 + 3 * np.cos(angle), 3 + 2 * np.sin(angle)].tolist()
     path = note(tmp_path, "a: a.h5", f"frame_rate: 20\nmask: {{a: {{polygon: {corners}}}}}\n")
-    with pytest.raises(ExperimentError, match="a polygon of 30000 corners; give 2000 at most"):
+    with pytest.raises(ExperimentError, match="a polygon of 3000 corners; give 2000 at most"):
         Experiment.load(path)
 
 

@@ -26,6 +26,7 @@ from wavefield.explorer.record import CubeRecord
 from wavefield.pipeline import open_cube, open_run, run, status
 from wavefield.store.layout import CHUNKED
 
+pytestmark = pytest.mark.slow
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "20"))
 PRODUCTS = ("cube.zarr", "waves.zarr", "verdict.json")
 

@@ -23,6 +23,7 @@ def white_cube(seed, steps=512, ny=24, nx=30):
     return cube(fields, t, y, x)
 
 
+@pytest.mark.slow
 def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predicted():
     names = ("rise", "u", "v", "w")
     pairs = tuple(combinations(names, 2))
@@ -148,6 +149,7 @@ def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
     assert np.isfinite(C["gamma2_w"]).sum() == np.isfinite(C["gamma2_tot"]).sum() > 0
 
 
+@pytest.mark.slow
 def test_of_linear_seas_the_nonlinear_term_exceeds_its_level_in_about_five_percent():
     # neither too often nor, as with samples counted from cells that share no ridge, hardly ever
     over = {"": [], "_komega": []}

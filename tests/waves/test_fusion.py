@@ -161,6 +161,7 @@ def test_what_the_measurement_takes_comes_back_in_a_field_of_few_wavelengths():
         np.testing.assert_allclose(ratio, 1, atol=0.06)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_error_of_a_predicted_gain():
     """Signal over noise is learned within a factor: spectra of many waves are no more certain than that."""
 
