@@ -19,11 +19,11 @@ HERE = Path(__file__).resolve().parent
 TASKS = {
     "Describe an experiment": ("series.", "grid", "measurement.", "execution."),
     "Calibrate the cameras": ("calibration.", "rig."),
-    "Plan and simulate": ("tank.", "pipeline.forecast"),
+    "Plan and simulate": ("tank.", "pipeline.checking"),
     "Measure": ("pipeline.lazy", "pipeline.running", "pipeline.catalog", "matching.", "store.ledger"),
     "Open, check and export": (
         "pipeline.opened_run",
-        "pipeline.uncertainty_terms",
+        "pipeline.assess",
         "store.",
         "waves.inputs",
     ),
