@@ -5,18 +5,19 @@ import numpy as np
 from matching_cases import interior, particle_pair, truth, uniform
 
 from wavefield.matching import MatchSettings, match, prepare, reevaluate, scores_at
-from wavefield.matching.kernels import BLOCK, bead_tops
+from wavefield.matching.kernels import BLOCK, PAD, bead_blocks
 
 SETTINGS = MatchSettings.stereo(search_x=(-6.0, 6.0), search_y=(-6.0, 6.0))
 MOVE = uniform(1.3, -0.4)
 
 
-def test_every_pixel_belongs_to_the_top_that_the_steepest_way_leads_to():
+def test_every_pixel_counts_where_the_steepest_way_leads_to():
     rng = np.random.default_rng(4)
-    image = cv2.GaussianBlur(rng.normal(0, 1, (42, 57)).astype(np.float32), (0, 0), 1.0)
+    padded = cv2.GaussianBlur(rng.normal(0, 1, (40 + 2 * PAD, 55 + 2 * PAD)).astype(np.float32), (0, 0), 1.0)
+    image = padded[PAD - 1 : 41 + PAD, PAD - 1 : 56 + PAD]
     image[0] = image[-1] = image[:, 0] = image[:, -1] = -np.inf
     found = np.empty((40, 55), np.int32)
-    bead_tops(image, found)
+    bead_blocks(padded, found)
     for y, x in np.ndindex(found.shape):
         at, before = (y, x), None
         while at != before:
@@ -24,7 +25,7 @@ def test_every_pixel_belongs_to_the_top_that_the_steepest_way_leads_to():
             around = image[at[0] : at[0] + 3, at[1] : at[1] + 3]
             j, i = np.unravel_index(around.argmax(), around.shape)
             at = at[0] + int(j) - 1, at[1] + int(i) - 1
-        assert divmod(found[y, x], 55) == at
+        assert divmod(found[y, x], 11) == (at[0] // BLOCK, at[1] // BLOCK)
 
 
 def test_beads_that_cameras_see_unequally_bright_move_blocks_less():

@@ -581,17 +581,24 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 
 
 @njit
-def bead_tops(image: Array, out: Array) -> None:
-    """Number of the pixel at the top of every pixel's bead, (h, w); the image (h + 2, w + 2) has a border."""
+def bead_blocks(image: Array, out: Array) -> None:
+    """Number of the block that holds the top of each pixel's bead, (h, w); nothing beside out is higher."""
     h, w = out.shape
     for y in range(h):
-        _uphill(image[y], image[y + 1], image[y + 2], np.int32(y * w), np.int32(w), out[y])
+        r = y + PAD
+        above, row, below = image[r - 1][PAD - 1 :], image[r][PAD - 1 :], image[r + 1][PAD - 1 :]
+        _uphill(above, row, below, np.int32(y * w), np.int32(w), out[y])
+        for x in range(w):  # tops hold their block, below 0, all others the number of a pixel
+            if out[y, x] == y * w + x:
+                out[y, x] = -1 - (y // BLOCK * (w // BLOCK) + x // BLOCK)
     to = out.ravel()
     for start in range(len(to)):
         top = to[start]
-        while to[top] != top:
+        while top >= 0:
             top = to[top]
         to[start] = top
+    for k in range(len(to)):
+        to[k] = -1 - to[k]
 
 
 @njit

@@ -13,8 +13,8 @@ from wavefield.errors import FrameError
 from wavefield.matching.kernels import (
     BLOCK,
     PAD,
+    bead_blocks,
     bead_hessians,
-    bead_tops,
     gradient_moments,
     strain_moments,
     work_space,
@@ -79,11 +79,9 @@ class Level:
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
-        inside = np.full((h + 2, w + 2), -np.inf, np.float32)
-        inside[1:-1, 1:-1] = smooth[PAD : PAD + h, PAD : PAD + w]
-        tops, hessian = np.empty((h, w), np.int32), np.empty((ny * nx, 3), np.float32)
-        bead_tops(inside, tops)
-        block = block_of_pixels(ny, nx)[tops]
+        smooth[PAD - 1] = smooth[PAD + h] = smooth[:, PAD - 1] = smooth[:, PAD + w] = -np.inf
+        block, hessian = np.empty((h, w), np.int32), np.empty((ny * nx, 3), np.float32)
+        bead_blocks(smooth, block)
         bead_hessians(self.padded, block, work_space(nx), hessian)
         return block, np.ascontiguousarray(hessian.T).reshape(3, ny, nx)
 
@@ -408,13 +406,6 @@ class NormalizationCells:
         cv2.resize(field, (n, ny), dst=out[:, :n], interpolation=cv2.INTER_LINEAR)
         out[:, n:] = out[:, n - 1 : n]
         return out
-
-
-@lru_cache(maxsize=16)
-def block_of_pixels(ny: int, nx: int) -> np.ndarray:
-    """Number of the block of every pixel, (ny nx BLOCK^2,)."""
-    numbers = np.arange(ny * nx, dtype=np.int32).reshape(ny, nx)
-    return np.repeat(np.repeat(numbers, BLOCK, axis=0), BLOCK, axis=1).ravel()
 
 
 def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
