@@ -40,41 +40,6 @@ def ranges(fused: xr.Dataset, elevation: xr.DataArray, how: str, asked: dict[str
         )
 
 
-def compare_gains(measured: xr.Dataset, predicted: xr.Dataset) -> None:
-    """The gain measured against the truth beside the one of linear theory, over k / 2 pi."""
-    predicted = predicted.interp(k=measured.k)
-    for title_, pick in (
-        ("rms over direction", lambda g: np.sqrt((g**2).mean("direction"))),
-        ("waves along x", lambda g: g.isel(direction=0)),
-        ("waves along y", lambda g: g.isel(direction=g.sizes["direction"] // 2)),
-    ):
-        print(f"\n  amplitude gain of the windows, {title_}: measured against the truth | linear theory")
-        print(
-            f"  {'1/m':>8s}"
-            + "".join(f"{name:>8s}" for name in "zuvw")
-            + " |"
-            + f"{'z':>7s}{'u':>8s}{'v':>8s}{'w':>8s}"
-        )
-        for j in range(3, measured.sizes["k"], 3):
-            if not np.isfinite(pick(measured.gain_w)[j]):
-                break
-            values = [
-                "".join(f"{float(pick(g[f'gain_{n}'])[j]):8.3f}" for n in "zuvw")
-                for g in (measured, predicted)
-            ]
-            print(f"  {float(measured.cycles[j]):8.2f}{values[0]} |{values[1]}")
-    for name in "zw":
-        power = [(g[f"gain_{name}"] ** 2).mean("direction") for g in (measured, predicted)]
-        inside = ((power[0] > 0.1) & (measured.cycles > 2)).values
-        error = np.abs(np.sqrt(power[1] / power[0]) - 1).values[inside]
-        row(
-            f"linear theory against measured gain of {name}, amplitude, rms where |H|^2 > .1, %",
-            "5",
-            f"{100 * np.sqrt(np.mean(error**2)):.1f}",
-        )
-        row("  largest, %", "", f"{100 * error.max():.1f}")
-
-
 def show_ridge(mine: xr.Dataset, theirs: xr.Dataset) -> None:
     """The ridge by bands of half a hertz: measured, and from the exact fields."""
     inside = (mine.band_frequency > 1.5) & (mine.band_frequency < 5)
@@ -165,12 +130,10 @@ def experiment(
     plain = out["fusion"].to_dataset().assign(out["spectra"].to_dataset().data_vars)
     asked = {"stereo": "4.0", "w": "5.0", "fusion": "6.0"}
     ranges(plain, elevation, "as measured", asked)
-    measured = wv.window_gain(cube, exact, segment=segment, record=record)
     predicted = wv.read_gain(cube)
     results = {"as measured": plain}
     for how, gain in (
         ("windows undone by theory", predicted),
-        ("windows undone as measured here", measured),
         ("windows undone as kept", kept),
     ):
         if gain is not None:
@@ -182,7 +145,6 @@ def experiment(
         crossed = np.flatnonzero((noise > elevation).values & (omega > 2 * np.pi).values)
         hertz = float(omega[crossed[0]]) / (2 * np.pi) if crossed.size else np.inf
         row(f"noise, summed over all k, exceeds the true E^z from, {name}, Hz", "", f"{hertz:.1f}")
-    compare_gains(measured, predicted)
     row("noise of z, cm", "", f"{100 * float(undone.sigma_z):.4f}")
     row("noise of dz, cm", "", f"{100 * float(undone.sigma_dz):.4f}")
     row("correlation of the two noises", "", f"{float(undone.noise_coherence):.3f}")

@@ -76,8 +76,9 @@ BOX_Z, BOX_W = 0.05, 0.035
 def box_gain():
     """What boxes of two sizes leave of z and w."""
     k, angle = np.linspace(0, 220, 111), np.arange(8)[:, None] * np.pi / 8
+    kx, ky = (k * part / (2 * np.pi) for part in (np.cos(angle), np.sin(angle)))
     gains = {
-        name: (("direction", "k"), np.sqrt(wv.gain_box(k * np.cos(angle), k * np.sin(angle), box)))
+        name: (("direction", "k"), np.sinc(kx * box) * np.sinc(ky * box))
         for name, box in (("gain_z", BOX_Z), ("gain_w", BOX_W))
     }
     return xr.Dataset(gains, {"k": k})
@@ -325,16 +326,6 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
 def test_what_is_missing_is_named(measured):
     with pytest.raises(CubeError, match="no 'w'"):
         wv.fused_spectra(measured.drop_vars("w"))
-
-
-def test_a_correction_is_masked_where_it_would_blow_up_noise():
-    omega = xr.DataArray(np.linspace(1, 60, 50), dims="omega", name="omega")
-    gain = wv.gain_frame_mean(omega, 0.05, 2)
-    out = wv.undo(omega**-4.0 * gain + 1e-6, gain, 1e-6)
-    assert bool(out.valid[0])
-    assert not bool(out.valid[-1])
-    np.testing.assert_allclose(out.E[0], omega[0] ** -4.0, rtol=1e-6)
-    assert np.isnan(out.E[-1])
 
 
 @pytest.fixture(scope="module", params=[(0.1, 0.0), (0.2, -0.1)])

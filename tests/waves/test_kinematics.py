@@ -149,9 +149,6 @@ def test_gains_are_those_of_the_measurement():
     np.testing.assert_allclose(wv.gain_frame_mean(hertz, dt, 2), [0.79, 0.50, 0.095], atol=0.005)
     np.testing.assert_allclose(wv.gain_frame_mean(hertz, dt, 4), [0.97, 0.78, 0.20], atol=0.005)
     np.testing.assert_allclose(wv.gain_displacement(hertz, dt), [0.93, 0.81, 0.57], atol=0.005)
-    np.testing.assert_allclose(
-        wv.gain_box(2 * np.pi / np.array([0.1, 0.06]), 0.0, 0.04), [0.57, 0.17], atol=0.005
-    )
 
 
 @pytest.mark.parametrize("frequency", [1.37, 2.9, 4.83, 7.1])

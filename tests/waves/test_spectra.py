@@ -8,7 +8,6 @@ from independent_seas import LatticeSea
 from waves_cases import GaussianSea, Waves, axes, random_waves, seen
 
 import wavefield.waves as wv
-from wavefield.errors import CubeError
 from wavefield.waves import rings
 from wavefield.waves import welch as welch_module
 from wavefield.waves.cross import significance_level
@@ -226,14 +225,6 @@ def test_velocity_and_elevation_shares_follow_linear_theory(depth):
     deep = over.sel(k=slice(25, 45)).sum()
     assert (deep.u / deep.z_t).item() == pytest.approx(0.5, rel=0.02)
     assert (deep.v / deep.z_t).item() == pytest.approx(0.5, rel=0.02)
-
-
-def test_a_frequency_is_cut_out_and_one_beyond_nyquist_refused():
-    E = wv.spectrum(plane_wave(40.0, 0.3, 2 * np.pi * 2.5), segment=128).E
-    assert float(wv.at_frequency(E, 2.5).sum()) > 100 * float(wv.at_frequency(E, 5.0).sum())
-    assert float(wv.at_frequency(E, 2.5, bandwidth=0.5).frequency) == pytest.approx(2.5, abs=0.1)
-    with pytest.raises(CubeError, match="11 Hz is outside"):
-        wv.at_frequency(E, 11.0)
 
 
 def test_the_frequency_spectrum_is_that_of_the_nodes():

@@ -80,8 +80,8 @@ def analyze(
             Size of a pixel on the water, m; by default the attribute ``pixel_size`` of the cube.
         ``gain`` : path, Dataset or False
             Response of the measurement to waves, undone in the spectra where it is half or more; shorter
-            waves are not valid. By default that stored with the cube; `window_gain` measures one on a
-            simulated experiment; False leaves the spectra as they were measured.
+            waves are not valid. By default that stored with the cube; False leaves the spectra as they were
+            measured.
         ``fit`` : FitSettings or mapping
             How the current is fitted, such as ``{"lowest": 1.5, "highest": 4.0}``, Hz; by default the band
             follows from the spectrum. ``current_x`` and ``current_y``, m/s, are used where the fit is

@@ -61,7 +61,6 @@ rows("", ("omega2",), ("omega2", OMEGA_UNITS, "angular frequency"))
 rows("", ("theta",), ("theta", "rad", "direction of propagation, from x towards y"))
 rows("", ("step",), ("step", "1", "step of the cube"), dtype="int64")
 rows("", ("band",), ("band_frequency", "Hz", "middle of the band"))
-rows("", ("line",), ("line_frequency", "Hz", "frequency of the line"))
 rows("", ("bin",), ("bin", "1", "(value - mean) / standard deviation"))
 rows("", ("eps_bin",), ("eps_bin", "1", "(value - mean) / standard deviation"))
 rows("", ("quantity",), ("quantity", "", "elevation, and displacement over one time step"), dtype="str")
@@ -115,8 +114,6 @@ for _m, _text in METHODS.items():
     _flag = _TRUST if _m == "probes" else "right within a factor 2"
     rows("spectra", ("omega",), (f"valid_{_m}", "1", _flag), dtype="bool", family="valid_*")
 rows("spectra", ("probe", "omega"), ("Ez_probe", ELEVATION_UNITS, "elevation spectrum of each probe"))
-for _g in ("two_frames", "four_frames", "six_frames", "displacement"):
-    rows("spectra", ("omega",), (f"gain_{_g}", "1", f"power gain: {_g.replace('_', ' ')}"), family="gain_*")
 for _f in ("z", "w"):
     rows(
         "spectra",

@@ -10,12 +10,9 @@ from wavefield.waves.dispersion_points import FitSettings
 from wavefield.waves.elevation import fused_spectra
 from wavefield.waves.gains import (
     elevation_from_w,
-    gain_box,
     gain_displacement,
     gain_frame_mean,
     read_gain,
-    undo,
-    window_gain,
 )
 from wavefield.waves.increments import structure_functions
 from wavefield.waves.inputs import cube
@@ -28,7 +25,6 @@ from wavefield.waves.spectra import (
     E_k,
     E_omega,
     angular_integral,
-    at_frequency,
     komega,
     spectrum,
     total,
@@ -42,7 +38,6 @@ __all__ = [
     "Record",
     "analyze",
     "angular_integral",
-    "at_frequency",
     "coherence",
     "crest_statistics",
     "cross_spectra",
@@ -54,7 +49,6 @@ __all__ = [
     "finite_residual",
     "fit_dispersion",
     "fused_spectra",
-    "gain_box",
     "gain_displacement",
     "gain_frame_mean",
     "group_velocity",
@@ -70,8 +64,6 @@ __all__ = [
     "statistics",
     "structure_functions",
     "total",
-    "undo",
     "wavenumber",
     "whole_record",
-    "window_gain",
 ]

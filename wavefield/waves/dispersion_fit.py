@@ -167,23 +167,6 @@ def distance_from_relation(points: RelationPoints, depth: float, fit: Array, lea
     return float(np.sqrt(np.average(relative**2, weights=1 / points.k_std**2)))
 
 
-def line_quality(points: RelationPoints, depth: float, fit: Array) -> dict[str, tuple[str, Array]]:
-    """Variables of each line: signal to noise, share of the information on the current, and mean misfit."""
-    lines, number = np.unique(points.omega, return_inverse=True)
-    misfit = _misfit(points, depth, fit)(fit * _UNITS)
-    energy = np.bincount(number, points.energy)
-    information = np.bincount(number, _information(points, depth, fit))
-    return {
-        "line_frequency": ("line", lines / (2 * np.pi)),
-        "line_signal_to_noise": (
-            "line",
-            energy / np.bincount(number, points.energy / points.signal_to_noise),
-        ),
-        "line_weight": ("line", information / information.sum()),
-        "line_misfit": ("line", np.bincount(number, misfit) / np.sqrt(np.bincount(number))),
-    }
-
-
 def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
     """Variables ``ridge_error`` and ``band_frequency``, Hz, (band,): points against theory by bands.
     The error is the energy-weighted mean of k over the theory's k for that omega and direction, less 1.
@@ -250,9 +233,7 @@ def fit_dispersion(
         The points: ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point). The fit:
         ``current_x``, ``current_y`` (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_fraction``, the
         fraction of the variance near the relation; ``ridge_error`` (band), k of the points against the theory
-        with the fitted current and the water's gamma, relative; ``depth``. Of each line: ``line_frequency``,
-        Hz, ``line_signal_to_noise``, ``line_weight``, its share of the information on the current, and
-        ``line_misfit``, the mean misfit of its points over its standard deviation.
+        with the fitted current and the water's gamma, relative; ``depth``.
 
     Raises
     ------
@@ -394,11 +375,9 @@ def _fit_band(
         "ridge_fraction": ((), fraction(spectrum, fit)),
         "depth": ((), depth),
     }
-    out |= against_theory(points, depth, fit, gamma) | line_quality(points, depth, fit)
+    out |= against_theory(points, depth, fit, gamma)
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
-    return annotate(
-        xr.Dataset(out, attrs=attrs).set_coords(["band_frequency", "line_frequency"]), "dispersion"
-    )
+    return annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
 
 
 def _between(limits: tuple[float, float]) -> str:

@@ -616,8 +616,8 @@ def fused_spectra(
     cube : Dataset
         z, z_t, w over (time, y, x), m and m/s.
     gain : path or Dataset, optional
-        Gain of the matching windows (`window_gain`): it is corrected, and noise subtracted from all
-        four, where half of the amplitude is left and the signal is 3 times the noise.
+        Gain of the matching windows, as a cube holds it: it is corrected, and noise subtracted
+        from all four, where half of the amplitude is left and the signal is 3 times the noise.
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     current : tuple of float, optional

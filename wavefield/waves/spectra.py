@@ -338,40 +338,6 @@ def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataA
     return out
 
 
-def at_frequency(density: xr.DataArray, frequency: float, bandwidth: float | None = None) -> xr.DataArray:
-    """Cut E(ky, kx) out of E(ky, kx, omega) at a frequency.
-
-    Parameters
-    ----------
-    density : DataArray, (omega, ...)
-        A spectrum.
-    frequency : float
-        Hz.
-    bandwidth : float, optional
-        Width of the band that is averaged, Hz; by default the nearest line alone.
-
-    Returns
-    -------
-    DataArray
-        Mean density over the band.
-
-    Raises
-    ------
-    CubeError
-        If the frequency lies beyond the Nyquist frequency.
-    """
-    lines = density["omega"].values / (2 * np.pi)
-    if not 0 <= frequency <= lines[-1]:
-        raise CubeError(f"{frequency:g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
-    distance = np.abs(lines - frequency)
-    chosen = np.flatnonzero(distance <= (bandwidth or 0.0) / 2 + 1e-9)
-    if bandwidth is None or not chosen.size:
-        chosen = np.array([distance.argmin()])
-    out = density.isel(omega=chosen).mean("omega")
-    out.attrs = dict(density.attrs)
-    return out.assign_coords(frequency=float(lines[chosen].mean()))
-
-
 def _of_what(komega: xr.DataArray | xr.Dataset) -> str:
     return str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
 
