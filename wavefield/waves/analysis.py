@@ -30,7 +30,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import moments, motion, products
-from wavefield.waves.cross import NAMES, Requested, add_segment, empty_sums, transforms
+from wavefield.waves.cross import NAMES, Requested, add_segment, transforms
 from wavefield.waves.current import delayed_current
 from wavefield.waves.gains import gain_of
 from wavefield.waves.inputs import described
@@ -43,6 +43,7 @@ from wavefield.waves.welch import (
     add_sums,
     cut_chains,
     steps_in_no_segment,
+    sum_chain,
     with_velocity,
 )
 
@@ -60,7 +61,7 @@ class Sums:
     """What one pass over a cube gives."""
 
     scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
-    ring_sums: dict[str, Array]  # as `segment_sums.sum_segment` gives it, over all segments
+    ring_sums: dict[str, Array]  # as `cross.add_segment` gives it, over all segments
     survey_sums: dict[str, Array]  # as `moments.sums_of` gives it
     balance_rows: list[dict[str, float]]  # of `motion.balance`, each with its "step"
     point_series: Array  # (time, points), w at points far apart
@@ -97,23 +98,22 @@ class _Chain:
 
     def __call__(self, links: Sequence[Link]) -> _Partial:
         out = _Partial()
-        previous: dict[str, Array] = {}
-        oldest: dict[str, Array] = {}  # its memory is used again
-        for start, stop, run, new in links:
-            fields = dict(zip(FIELDS, self.read(start, stop, run)))
-            if new:
-                self._survey(fields, start, out)
-            # transforms come last: they release the fields
-            half = transforms(fields, self.requested.names, self.welch, oldest)
-            if previous:
-                if not out.ring_sums:
-                    out.ring_sums = empty_sums(half["z"], self.requested, self.welch.table)
-                begin = start - self.welch.half
-                add_segment(out.ring_sums, previous, half, self.requested, self.welch, begin)
-            previous, oldest = half, previous
-            if self.report_progress:
-                self.report_progress()
+        add_powers = partial(add_segment, self.requested, self.welch)
+        out.ring_sums = sum_chain(self.read, partial(self._transform, out), add_powers, links)
         return out
+
+    def _transform(
+        self, out: _Partial, blocks: list[Array], link: Link, memory: dict[str, Array]
+    ) -> dict[str, Array]:
+        fields = dict(zip(FIELDS, blocks))
+        blocks.clear()
+        if link.new:
+            self._survey(fields, link.start, out)
+        # transforms come last: they release the fields
+        half = transforms(fields, self.requested.names, self.welch, memory)
+        if self.report_progress:
+            self.report_progress()
+        return half
 
     def _survey(self, fields: dict[str, Array], start: int, out: _Partial) -> None:
         record, welch = self.welch.record, self.welch

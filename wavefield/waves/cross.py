@@ -24,6 +24,7 @@ from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.spectra import E_k, E_omega, finish
 from wavefield.waves.welch import (
+    Link,
     Reader,
     TimeTransform,
     Welch,
@@ -111,15 +112,6 @@ def transforms(
     return out
 
 
-def sum_segment(
-    first: dict[str, Array], second: dict[str, Array], requested: Requested, welch: Welch, begin: int
-) -> dict[str, Array]:
-    """Sums of one segment from the transforms (cells, n / 2) of its halves; it begins at step ``begin``."""
-    sums = empty_sums(first[requested.names[0]], requested, welch.table)
-    add_segment(sums, first, second, requested, welch, begin)
-    return sums
-
-
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
     """Zeros for `add_segment`; ``half`` is any half segment's transform, (cells, n / 2)."""
     cells, steps = half.shape
@@ -131,14 +123,16 @@ def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Arr
 
 
 def add_segment(
+    requested: Requested,
+    welch: Welch,
     sums: dict[str, Array],
     first: dict[str, Array],
     second: dict[str, Array],
-    requested: Requested,
-    welch: Welch,
     begin: int,
 ) -> None:
-    """Add the powers and products of a segment, transformed in time, to ``sums``."""
+    """Add the powers and products of a segment, from transforms (cells, n / 2) of its halves, to ``sums``."""
+    if not sums:
+        sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names
     cells, half = first[names[0]].shape
     dtype = first[names[0]].dtype
@@ -166,18 +160,29 @@ def add_segment(
             kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, powers[name])
             if name in requested.planes:
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
-        for a, b in requested.pairs:
-            pair = f"{a}*{b}"
-            kernels.ring_cross_spectra(lines[a], lines[b], start, table.ring, table.weight, sums[pair])
-            squares = sums[f"squares {pair}"]
-            kernels.ring_squares(lines[a], lines[b], start, table.ring, table.spread, squares)
-            if pair in requested.planes:
-                plane = sums[f"map {pair}"][slab]
-                kernels.add_products(lines[a], lines[b], quadrature[0], quadrature[1], plane)
+        for pair in requested.pairs:
+            _add_products(sums, lines, pair, slab, table, quadrature)
     for name in names:
         accumulate(sums, name, powers[name], begin)
     for pair, earlier in before.items():
         keep_product(sums, pair, sums[pair] - earlier, begin)
+
+
+def _add_products(
+    sums: dict[str, Array],
+    lines: Mapping[str, Array],
+    pair: tuple[str, str],
+    slab: slice,
+    table: Rings,
+    quadrature: Sequence[Array],
+) -> None:
+    """Add the products of two fields in a slab of cells: over rings, and in each cell where that is held."""
+    first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
+    start = table.start[slab.start : slab.stop + 1]
+    kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])
+    kernels.ring_squares(first, second, start, table.ring, table.spread, sums[f"squares {name}"])
+    if f"map {name}" in sums:
+        kernels.add_products(first, second, quadrature[0], quadrature[1], sums[f"map {name}"][slab])
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
@@ -211,7 +216,7 @@ def label(
     freedom: Mapping[str, Mapping[str, Array]] | None = None,
     samples: Mapping[tuple[str, str], Mapping[str, Array]] | None = None,
 ) -> xr.Dataset:
-    """Labelled spectra from the sums of `sum_segment` over all segments."""
+    """Labelled spectra from the sums of `add_segment` over all segments."""
     factor = welch.ring_density
     dims = ("omega", "k")
     out: dict[str, Any] = {}
@@ -290,11 +295,11 @@ def cross_spectra(
 
 
 def _transform_blocks(
-    names: Sequence[str], welch: Welch, blocks: list[Array], first: int
+    names: Sequence[str], welch: Welch, blocks: list[Array], link: Link, memory: dict[str, Array]
 ) -> dict[str, Array]:
     fields = dict(zip(sources(names), blocks))
     blocks.clear()  # so that `transforms` can release them
-    return transforms(fields, names, welch)
+    return transforms(fields, names, welch, memory)
 
 
 def moving_welch(cube: xr.Dataset, welch: Welch) -> Any:
@@ -308,7 +313,7 @@ def moving_welch(cube: xr.Dataset, welch: Welch) -> Any:
 
 
 def lazy_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> Any:
-    """Sums of `sum_segment` over all segments of a cube that came through `door`; delayed."""
+    """Sums of `add_segment` over all segments of a cube that came through `door`; delayed."""
     names = requested.names
     make: Any = partial(_transform_blocks, names)
     if {"nl", "rise"} & {*names}:
@@ -318,9 +323,9 @@ def lazy_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> Any:
     return sum_segments(
         [cube[field] for field in sources(names)],
         welch.record,
-        welch.half,
+        welch.segment,
         make,
-        partial(sum_segment, requested=requested, welch=welch),
+        partial(add_segment, requested, welch),
     )
 
 

@@ -23,7 +23,7 @@ from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Noted, Product, register
 from wavefield.waves.record import Each, Record, find_record, piece
 from wavefield.waves.spectra import E_omega, komega
-from wavefield.waves.welch import CORRELATED_CELLS, Welch, add_sums, in_order, pieces, spatial_window
+from wavefield.waves.welch import CORRELATED_CELLS, Reader, Welch, add_sums, spatial_window
 
 Array = NDArray[Any]
 
@@ -382,11 +382,11 @@ def statistics(
     record = find_record(cube) if record is None else record
     scales = rough_scales(cube, record, names)
 
-    def of_block(blocks: list[Array], first: int) -> dict[str, Array]:
-        return sums_of(dict(zip(names, blocks)), scales, record.dy, record.dx)
-
-    parts = pieces([cube[name] for name in names], record, STEPS_AT_A_TIME, of_block)
-    (sums,) = dask.compute(in_order(parts))
+    sums: dict[str, Array] = {}
+    read = Reader([cube[name] for name in names], record)
+    for run in record.runs:
+        for blocks in read.blocks(run, STEPS_AT_A_TIME):
+            sums = add_sums(sums, sums_of(dict(zip(names, blocks)), scales, record.dy, record.dx))
     gain_of_slopes = sampled_slope_gain(cube["z"], record)
     out = label(sums, scales, record.dt, pixel_size or cube.attrs.get("pixel_size"), gain_of_slopes)
     stds, peak = of_elevation(cube["z"], record)
@@ -439,15 +439,9 @@ def _error_sums(
     work: _ErrorSurvey, names: Sequence[str], steps: Sequence[tuple[int, int]], each: Each | None
 ) -> Iterator[dict[str, Array]]:
     """Sums over the record for each name."""
-    if each is not None:
-        parts = each(work, [(name, some) for name in names for some in steps])
-        for _ in names:
-            yield functools.reduce(add_sums, itertools.islice(parts, len(steps)))
-        return
-    task = dask.delayed(_survey_errors, pure=False)
-    for name in names:
-        parts_of_name = [task(work.read(name, some), work.scales[name]) for some in steps]
-        yield from dask.compute(in_order(parts_of_name))
+    parts = iter((each or map)(work, [(name, some) for name in names for some in steps]))
+    for _ in names:
+        yield functools.reduce(add_sums, itertools.islice(parts, len(steps)))
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:

@@ -45,6 +45,7 @@ from wavefield.waves.products import Product, register
 from wavefield.waves.record import Record, filled_density
 from wavefield.waves.welch import (
     MIN_OVER_FILLED,
+    Link,
     TimeTransform,
     Welch,
     effective_duration,
@@ -81,17 +82,20 @@ def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
     return dataset if field.chunks is not None else dataset.compute()
 
 
-def _transform(blocks: list[Array], first: int) -> dict[str, Array]:
-    return {"f": transform_space(blocks.pop())}
+def _transform(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
+    return {"f": transform_space(blocks.pop(), memory.get("f"))}
 
 
-def _powers(first: dict[str, Array], second: dict[str, Array], begin: int) -> dict[str, Array]:
+def _add_powers(
+    sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
+) -> None:
     cells, half = first["f"].shape
     power = np.zeros((cells, 2 * half), first["f"].real.dtype)
     transform = TimeTransform(half, first["f"].dtype)
     for slab in slabs(cells):
         kernels.add_powers(transform(first["f"][slab], second["f"][slab]), power[slab])
-    return {"power": power} | keep_lines(power, begin)
+    sums["power"] = sums["power"] + power if "power" in sums else power
+    sums |= keep_lines(power, begin)
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
@@ -167,7 +171,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     1.0
     """
     welch = Welch.of(field, segment, record)
-    summed = sum_segments([field], welch.record, welch.half, _transform, _powers)
+    summed = sum_segments([field], welch.record, welch.segment, _transform, _add_powers)
     lazy = dask.delayed(_map, pure=False)(summed, welch)
     dtype = np.float32 if field.dtype == np.float32 else np.float64
     shape = (welch.omega.size, *welch.record.shape)
@@ -208,9 +212,9 @@ def total(density: xr.DataArray) -> xr.DataArray:
     return out
 
 
-def _ring_powers(
-    table: rings.Rings, first: dict[str, Array], second: dict[str, Array], begin: int
-) -> dict[str, Array]:
+def _add_ring_powers(
+    table: rings.Rings, sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
+) -> None:
     cells, half = first["f"].shape
     power = np.zeros((2, table.k.size, half + 1))
     transform = TimeTransform(half, first["f"].dtype)
@@ -218,9 +222,8 @@ def _ring_powers(
         lines = transform(first["f"][slab], second["f"][slab])
         start = table.start[slab.start : slab.stop + 1]
         kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
-    out = {"f": np.zeros_like(power)}
-    accumulate(out, "f", power, begin)
-    return out
+    sums.setdefault("f", np.zeros_like(power))
+    accumulate(sums, "f", power, begin)
 
 
 def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
@@ -279,8 +282,8 @@ def komega(
     """
     welch = Welch.of(field, segment, record, dk)
     table = welch.table
-    ring_powers = partial(_ring_powers, table)
-    summed = sum_segments([field], welch.record, welch.half, _transform, ring_powers)
+    add_powers = partial(_add_ring_powers, table)
+    summed = sum_segments([field], welch.record, welch.segment, _transform, add_powers)
     found = dask.delayed(_estimates, pure=False)(summed, welch)
     parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
     names = ("E", "dof", "low", "high")

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import count, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,10 +88,8 @@ def richardson_lucy(
 STEPS_AT_ONCE = 4  # transformed in space: they fit the cache
 CELLS = 128  # cells transformed in time at once: so do their segments
 CHAIN_LENGTH = 8  # segments in a row that are summed one after the other
-SHORT_SEGMENTS, MAX_SHORT_SEGMENT = 12, 256  # that a record is cut into for a change in time; steps
 
 Sums = dict[str, np.ndarray]  # by name, of one half segment or of many
-Transform = Callable[..., Sums]  # of the blocks of half a segment
 
 
 def segment_length(record: Record, segment: int | None) -> int:
@@ -120,12 +117,6 @@ def _values(part: object) -> np.ndarray:
     return block if block.dtype.kind == "f" else block.astype(np.float64)
 
 
-def _prepared(
-    make: Transform, pieces: Sequence[object], missing: np.ndarray, inner: slice, first: int
-) -> Sums:
-    return make([np.ascontiguousarray(fill(_values(part), missing)[inner]) for part in pieces], first)
-
-
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
@@ -138,19 +129,6 @@ def _span(
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
     missing = np.isin(np.arange(lo, hi), bridged)
     return (slice(lo, hi), slice(*record.y), slice(*record.x)), missing, slice(a - lo, b - lo)
-
-
-def _task(
-    arrays: Sequence[xr.DataArray],
-    record: Record,
-    a: int,
-    b: int,
-    run: tuple[int, int],
-    make: Transform,
-) -> Any:
-    area, missing, inner = _span(record, a, b, run)
-    pieces = [piece(array, *area) for array in arrays]
-    return delayed(_prepared, pure=False)(make, pieces, missing, inner, a)
 
 
 class Link(NamedTuple):
@@ -169,16 +147,20 @@ class UnlikeFirst(Exception):
 class Reader:
     """Reads pieces of a record inside a task: nothing is read before it is needed."""
 
-    def __init__(self, arrays: Sequence[xr.DataArray], record: Record, alike: bool = False) -> None:
+    def __init__(
+        self, arrays: Sequence[xr.DataArray], record: Record, alike: bool = False, first: int = 0
+    ) -> None:
         self.arrays, self.record, self.alike = list(arrays), record, alike
+        self.first = first  # step of the record that the arrays begin with
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
         """Blocks (b - a, ny, nx) of the steps a to b of a run, without gaps."""
-        area, missing, inner = _span(self.record, a, b, run)
+        (steps, *nodes), missing, inner = _span(self.record, a, b, run)
+        steps = slice(steps.start - self.first, steps.stop - self.first)
         blocks: list[np.ndarray] = []
         holes = np.zeros((), bool)  # of the first field
         for array in self.arrays:
-            part = piece(array, *area)
+            part = piece(array, steps, *nodes)
             if hasattr(part, "dask"):
                 part = part.compute(scheduler="synchronous")
             block = _values(part)
@@ -222,47 +204,44 @@ def cut_chains(record: Record, segment: int) -> list[list[Link]]:
     return out
 
 
-def half_segments(
-    arrays: Sequence[xr.DataArray], record: Record, half: int, make: Transform
-) -> list[list[Any]]:
-    """Tasks, by run, that turn half segments of a record into what ``make(blocks, first step)`` gives."""
-    return [
-        [_task(arrays, record, a, a + half, run, make) for a in range(run[0], run[1] - half + 1, half)]
-        for run in record.runs
-    ]
+def sum_chain(
+    read: Reader,
+    transform: Callable[[list[np.ndarray], Link, Sums], Sums],
+    accumulate: Callable[[Sums, Sums, Sums, int], None],
+    links: Sequence[Link],
+) -> Sums:
+    """Sums over the segments of a chain, read half by half.
+    ``transform(blocks, link, memory)`` transforms a half, into older transforms that may be overwritten;
+    ``accumulate(sums, first, second, begin)`` adds the segment of two halves, from step ``begin`` on.
+    """
+    sums: Sums = {}
+    previous: Sums = {}
+    oldest: Sums = {}
+    for link in links:
+        half = transform(read(link.start, link.stop, link.run), link, oldest)
+        if previous:
+            accumulate(sums, previous, half, 2 * link.start - link.stop)
+        previous, oldest = half, previous
+    return sums
 
 
 def sum_segments(
-    arrays: Sequence[xr.DataArray],
-    record: Record,
-    half: int,
-    make: Transform,
-    combine: Transform,
+    arrays: Sequence[xr.DataArray], record: Record, segment: int, transform: Any, accumulate: Any
 ) -> Any:
-    """Delayed sum over all segments of ``combine(first, second, begin=step)`` of halves from `make`."""
-    task = delayed(combine, pure=False)
-    runs = zip(half_segments(arrays, record, half, make), record.runs)
-    return in_order(
-        [
-            task(first, second, begin=begin)
-            for halves, run in runs
-            for begin, (first, second) in zip(count(run[0], half), pairwise(halves))
-        ]
-    )
+    """Delayed sum over all chains; stored fields are read half by half, lazy ones by chains."""
 
+    def work(transform: Any, parts: Sequence[xr.DataArray], first: int, links: Sequence[Link]) -> Sums:
+        return sum_chain(Reader(parts, record, first=first), transform, accumulate, links)
 
-def pieces(arrays: Sequence[xr.DataArray], record: Record, length: int, make: Transform) -> list[Any]:
-    """Tasks as of `half_segments`, over every step of all runs; the last of a run may be shorter."""
-    return [
-        _task(arrays, record, a, min(a + length, run[1]), run, make)
-        for run in record.runs
-        for a in range(run[0], run[1], length)
-    ]
-
-
-def in_order(parts: Sequence[object]) -> Any:
-    """Sum delayed dictionaries of arrays one after the other, in their order."""
-    return reduce(delayed(add_sums, pure=False), parts)
+    task, sums = delayed(work, pure=False), []
+    for links in cut_chains(record, segment):
+        if any(array.chunks is not None for array in arrays):
+            (steps, *_), *_ = _span(record, links[0].start, links[-1].stop, links[0].run)
+            parts = [array.isel(time=steps) for array in arrays]
+            sums.append(task(transform, parts, steps.start, links))
+        else:
+            sums.append(task(transform, arrays, 0, links))
+    return reduce(delayed(add_sums, pure=False), sums)
 
 
 def add_sums(a: Sums, b: Sums) -> Sums:
@@ -323,11 +302,6 @@ class TimeTransform:
         kernels.join(first, second, self.window, joined.view(self.real))
         out: np.ndarray = fft.fft(joined, axis=-1, overwrite_x=True)
         return out
-
-
-def transform_time(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Transform a slab of a segment in time, as `TimeTransform` does."""
-    return TimeTransform(first.shape[1], first.dtype)(first, second)
 
 
 Array = NDArray[np.float64]
