@@ -195,6 +195,7 @@ def test_slopes_of_long_waves_are_no_disagreement():
     assert [one.subject for one in found(late, frames=(0,)).remarks] == ["cam2"]
 
 
+@pytest.mark.slow
 def test_waves_higher_than_the_search_reaches_are_no_disagreement():
     wave = {"kind": "single", "wavelength": 12.0, "amplitude": 0.16, "phase": 0.0}
     tank = Tank(SOUND.tank.scene.with_(sea=wave))
