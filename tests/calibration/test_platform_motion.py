@@ -27,7 +27,7 @@ def scene(**changes):
 @pytest.fixture(scope="module")
 def swaying(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sea")
-    wf.simulate(scene(), folder / "raw")
+    wf.simulate(scene(), folder / "raw", workers=1)
     moved = wf.level_frames(
         folder / "raw" / "experiment.yaml", folder / "level", folder / "raw/truth/rig.yaml"
     )
@@ -82,7 +82,7 @@ def test_turned_frames_are_an_experiment_of_their_own(swaying):
 
 
 def test_without_a_horizon_nothing_is_turned(tmp_path):
-    wf.simulate(scene(pitch=50.0), tmp_path / "raw")
+    wf.simulate(scene(pitch=50.0), tmp_path / "raw", workers=1)
     with pytest.raises(RigError, match="no frame shows the horizon"):
         wf.level_frames(
             tmp_path / "raw" / "experiment.yaml", tmp_path / "level", tmp_path / "raw/truth/rig.yaml"

@@ -66,7 +66,7 @@ def test_an_open_sea_is_measured_from_lenses_and_a_baseline_alone(tmp_path, caps
     scene = Scene.load("sea").with_(
         frames=2, rig={"focal": 300.0, "size": (320, 240)}, sea={"shortest": 2.0}, seed=3
     )
-    experiment = simulate(scene, tmp_path / "sea")
+    experiment = simulate(scene, tmp_path / "sea", workers=1)
     true, found = Tank(scene), tmp_path / "rig.yaml"
     assert main(["-q", "rig", "level", str(experiment), "--distance", "2.5", "-o", str(found)]) == 0
     assert "the horizon in left, right gives the vertical" in capsys.readouterr().out

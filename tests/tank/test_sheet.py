@@ -67,6 +67,6 @@ def test_its_experiment_file_asks_for_the_measurement_of_a_sheet(tmp_path):
 
     small = {"frames": 2, "rig": {"size": [64, 48]}, "calibration": {"tilted": 0}}
     grid = {"x": (-0.004, 0.004), "y": (-0.004, 0.004), "step": 0.002}
-    simulate(Scene.load("sheet").with_(grid=grid, **small), tmp_path)
+    simulate(Scene.load("sheet").with_(grid=grid, **small), tmp_path, workers=1)
     loaded = Experiment.load(tmp_path / "experiment.yaml")
     assert loaded.settings == {"preset": "sheet", "sheet_thickness": 0.001}

@@ -101,7 +101,7 @@ def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):
 def test_faults_of_cameras_are_in_the_images_that_are_written(tmp_path):
     faults = {"cam1": {"late": 1}, "cam2": {"mirrored": True, "shift": (3.0, 0.0)}}
     scene = SCENE.with_(frames=3, calibration={"tilted": 0}, faults=faults)
-    simulate(scene, tmp_path / "faulty")
+    simulate(scene, tmp_path / "faulty", workers=1)
     tank = Tank(scene)
     for frame in range(3):
         for name, image in tank.render(frame).items():
@@ -126,7 +126,7 @@ def test_chessboard_16_bit_and_two_cameras_make_an_experiment_too(tmp_path):
             "level": 0.015,
         },
     )
-    simulate(scene, tmp_path / "two")
+    simulate(scene, tmp_path / "two", workers=1)
     experiment = Experiment.load(tmp_path / "two" / "experiment.yaml")
     target = {"kind": "chessboard", "mesh": 0.02, "shape": [5, 4], "origin": [-0.04, -0.03]}
     assert experiment.calibration.target == target
