@@ -9,7 +9,7 @@ from click.testing import CliRunner
 import wavefield as wf
 from wavefield.calibration import platform
 from wavefield.calibration.horizon import find_horizon
-from wavefield.commands.level_command import level as command
+from wavefield.commands.rig_commands import level as command
 from wavefield.errors import RigError
 from wavefield.images import read_image
 from wavefield.series import Experiment

@@ -203,7 +203,7 @@ def test_a_file_that_is_no_rig_is_named_with_what_it_is(tmp_path, capsys, name, 
 def test_the_next_command_is_one_of_this_folder(tmp_path, monkeypatch, capsys):
     import click
 
-    from wavefield.commands.next_command import print_next
+    from wavefield.commands.progress import print_next
 
     monkeypatch.chdir(tmp_path)
     with click.Context(click.Command("run")):

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from wavefield.commands.level_command import level, sheet
-from wavefield.commands.next_command import print_next
-from wavefield.commands.progress import Progress
+from wavefield.commands.progress import Progress, print_next
+from wavefield.commands.rig_commands import level, sheet
 from wavefield.commands.sources import CUBE, EXPERIMENT, FILE, PATH, find_cube
 
 if TYPE_CHECKING:

@@ -14,14 +14,11 @@ import click
 import wavefield
 from wavefield.commands import (
     archive,
-    background_command,
-    calibrate_command,
     check_command,
+    demo,
     experiment_commands,
-    explain_command,
-    level_command,
     look,
-    simulate_command,
+    rig_commands,
     wave_commands,
 )
 from wavefield.errors import WavefieldError
@@ -89,14 +86,14 @@ def cli(quiet: bool, verbose: bool, debug: bool) -> None:
 
 
 for _command in (
-    simulate_command.demo,
+    demo.demo,
     experiment_commands.init,
-    calibrate_command.calibrate,
-    level_command.refine,
+    rig_commands.calibrate,
+    rig_commands.refine,
     archive.rig,
-    background_command.background,
+    experiment_commands.background,
     check_command.check,
-    explain_command.explain,
+    check_command.explain,
     look.follow,
     experiment_commands.run,
     experiment_commands.status,
@@ -108,7 +105,7 @@ for _command in (
     wave_commands.smooth,
     wave_commands.paper,
     archive.catalog,
-    simulate_command.simulate,
+    demo.simulate,
 ):
     cli.add_command(_command)
 

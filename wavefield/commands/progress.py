@@ -1,15 +1,17 @@
-"""Progress of long work: one moving line on a terminal, plain lines elsewhere."""
+"""Progress of long work, on a terminal or in a log, and the line `Next:` that ends a command."""
 
+import shlex
 import shutil
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
 import click
 
-from wavefield.text import spell_time
+from wavefield.text import short_path, spell_time
 
 
 class Progress:
@@ -98,3 +100,22 @@ class Progress:
         counted = f", {self.total} {unit}" if self.total and self.unit else ""
         word = f"done in {spent}{counted}" if kind is None else f"stopped after {spent}"
         self._write(f"{self.stage}: {word}", final=True)
+
+
+def command_line(*words: object) -> str:
+    """A command as a shell reads it.
+
+    Examples
+    --------
+    >>> command_line("check", "run 7/experiment.yaml")
+    "wavefield check 'run 7/experiment.yaml'"
+    """
+    return shlex.join(["wavefield", *(str(word) for word in words)])
+
+
+def print_next(*words: object, first: str = "") -> None:
+    """Print the command that usually follows, after what is to be done first; nothing with `--quiet`."""
+    context = click.get_current_context(silent=True)
+    if not (context and context.meta.get("wavefield.quiet")):
+        shown = (short_path(word) if isinstance(word, Path) else word for word in words)
+        click.echo(f"Next: {first}{', then: ' if first else ''}{command_line(*shown)}")

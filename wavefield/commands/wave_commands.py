@@ -6,8 +6,7 @@ from typing import Any, TypedDict, Unpack
 import click
 
 from wavefield.commands import campaign_commands
-from wavefield.commands.next_command import print_next
-from wavefield.commands.progress import Progress
+from wavefield.commands.progress import Progress, print_next
 from wavefield.commands.sources import CUBE, FILE, STORE, find_cube
 from wavefield.store.store_paths import beside
 from wavefield.text import short_path
