@@ -8,8 +8,8 @@ from wavefield.measurement.midtime import frames_used, rise_of_water, slope, z_b
 from wavefield.measurement.paths import elevation_gain
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
-from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry
+from wavefield.tank.sea import Basin
 
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 

@@ -5,8 +5,8 @@ import pytest
 
 from wavefield.grid import Grid
 from wavefield.tank import Scene, Sea, Tank
-from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry
+from wavefield.tank.sea import Basin
 from wavefield.tank.truth import truth
 
 SMALL = {"rig": {"crop": 0.2}, "grid": {"x": (-0.1, 0.1), "y": (-0.1, 0.1), "step": 0.02}}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from wavefield.tank import Scene, Tank, sea_surface
+from wavefield.tank import Scene, Tank, texture
 
 SMALL = {"focal": 190.0, "size": (200, 150)}
 
@@ -17,7 +17,7 @@ def tank():
 @pytest.mark.parametrize("name", ["left", "right"])
 def test_pixels_show_the_first_water_on_their_sight_lines(tank, name):
     camera = tank.rig[name]
-    seen = sea_surface.meet(camera, tank.basin.snapshot(0.0, ("z", "z_x", "z_y")), tank.sea.reach)
+    seen = texture.meet(camera, tank.basin.snapshot(0.0, ("z", "z_x", "z_y")), tank.sea.reach)
     known = np.isfinite(seen.z)
     assert 0.5 < known.mean() < 0.8  # the rest is sky, or beyond the waves
     row, column = np.nonzero(known)
@@ -35,7 +35,7 @@ def test_the_horizon_is_where_the_dip_puts_it(tank):
         a, b = camera.tangents(float(column), row + 0.5)
         ray = np.array([a, b, 1.0]) @ camera.R
         down = -np.degrees(np.arcsin(ray[2] / np.linalg.norm(ray)))
-        assert down == pytest.approx(np.degrees(sea_surface.horizon_dip(12.0)), abs=0.25)
+        assert down == pytest.approx(np.degrees(texture.horizon_dip(12.0)), abs=0.25)
 
 
 def test_foam_is_carried_by_the_water(tank):

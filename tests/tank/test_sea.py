@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefield.tank import Scene, Sea
-from wavefield.tank.sea_models import PowerLaw, RandomSea
+from wavefield.tank.scene_parts import PowerLaw, RandomSea
 from wavefield.water import GAMMA, dispersion
 
 DEEP = 10.0

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 import wavefield as wf
 from wavefield.errors import CubeError
-from wavefield.tank.sea_models import RandomSea
+from wavefield.tank.scene_parts import RandomSea
 from wavefield.variables import FrameStatus, Quality
 
 DIMS, STEP = ("time", "y", "x"), 0.02

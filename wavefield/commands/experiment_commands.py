@@ -1,4 +1,4 @@
-"""`wavefield init`, `run`, `status` and `verify`: from images to a cube."""
+"""`wavefield init`, `background`, `run`, `status` and `verify`: from images to a cube."""
 
 from __future__ import annotations
 

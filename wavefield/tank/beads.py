@@ -7,9 +7,9 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.tank.basin import Basin
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Beads
+from wavefield.tank.sea import Basin
 
 T = TypeVar("T")
 

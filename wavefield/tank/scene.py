@@ -21,16 +21,18 @@ from wavefield.tank.scene_parts import (
     PaperRig,
     PlatformRig,
     Probes,
+    RandomSea,
     RigFile,
     SceneRecord,
     SeaSurface,
     Sheet,
     SheetRig,
+    SingleWave,
+    StillSea,
     Texture,
     Timing,
 )
 from wavefield.tank.sea import Sea
-from wavefield.tank.sea_models import RandomSea, SingleWave, StillSea
 
 
 def _kind_of_rig(value: object) -> str:

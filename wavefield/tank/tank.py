@@ -13,13 +13,12 @@ from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import view_on_water
-from wavefield.tank import rigs, sea_surface, sensor, targets, texture
-from wavefield.tank.basin import Basin
+from wavefield.tank import rigs, sensor, targets, texture
 from wavefield.tank.beads import BeadField, FrameHistory, Population, carry
 from wavefield.tank.light_sheet_scene import Particles
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Fault, PlatformRig, SeaSurface, Sheet, Strings, Texture
-from wavefield.tank.sea import Sea
+from wavefield.tank.sea import Basin, Sea
 from wavefield.tank.truth import Truth, truth
 
 Array = NDArray[np.float64]
@@ -198,14 +197,14 @@ class Tank:
         """Light of the open sea and of the sky on the pixels of a camera."""
         camera = self.rig_at(frame)[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
-        seen = sea_surface.meet(camera, snapshot, self.sea.reach)
+        seen = texture.meet(camera, snapshot, self.sea.reach)
         moved = self._drift_since_start(frame)
         far = float(np.hypot(*view_on_water(camera).T).max())
         ripples, foam = (
-            sea_surface.texture_at(seen, moved, paints, far) / np.float32(np.sqrt(len(paints)))
+            texture.texture_at(seen, moved, paints, far) / np.float32(np.sqrt(len(paints)))
             for paints in self._sea_paints
         )
-        image = sea_surface.light(camera, seen, settings, foam, ripples)
+        image = texture.light(camera, seen, settings, foam, ripples)
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def rig_at(self, frame: int) -> Rig:

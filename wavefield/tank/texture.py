@@ -1,12 +1,21 @@
-"""White noise painted on the surface, and where the sight line of each pixel meets the water."""
+"""Water without beads: noise painted on the surface, and the open sea towards the horizon.
 
+The sight line of each pixel is followed to the water; there the pixel shows painted texture, or the sky's
+reflection by the slope of the water with foam that it carries.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
 from wavefield.rig import Camera
-from wavefield.tank.basin import Snapshot
+from wavefield.tank.scene_parts import SeaSurface
+from wavefield.tank.sea import Snapshot
 
 Array = NDArray[np.float64]
 
@@ -58,3 +67,128 @@ def _meet(
         if change < 1e-7:
             break
     return xa + dx * z, ya + dy * z, z
+
+
+Image = NDArray[np.float32]
+
+EARTH_RADIUS = 6.371e6  # m
+COARSE = 4  # px between the sight lines that are followed down step by step
+HEIGHTS = 24  # at which they are compared with the water
+NEWTON_STEPS = 4
+SUPERSAMPLING = 3  # rows per pixel: towards the horizon a pixel is much longer than wide
+FADE = 0.25  # share of the distance to the end of the waves over which the texture fades
+REFRACTIVE = 0.02  # reflected at normal incidence (Schlick 1994)
+ROUGHNESS = 0.15  # rms of slopes too fine to be drawn: they keep the far sea darker than the sky
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the sight line of each pixel meets, (row, column); NaN where it is the sky or beyond the waves."""
+
+    x: Array  # m
+    y: Array
+    z: Array
+    z_x: Array  # slopes
+    z_y: Array
+
+
+def horizon_dip(height: float) -> float:
+    """Angle of the horizon below the horizontal, rad, from a height above the sea, m (without refraction)."""
+    return float(np.sqrt(2.0 * height / EARTH_RADIUS))
+
+
+def meet(camera: Camera, snapshot: Snapshot, reach: float) -> Seen:
+    """The first water that each pixel's sight line meets, waves that hide others included.
+    `snapshot` gives z, z_x and z_y; `reach` bounds the elevation, m.
+    """
+    width, height = camera.size
+    x, y = camera.unproject(np.arange(float(width)), np.arange(float(height))[:, None])
+    rows, columns = np.arange(0, height, COARSE), np.arange(0, width, COARSE)
+    # every few pixels the sight line is followed down; from there Newton's steps of Z(x_a + D z) - z
+    start = _first_crossing(camera, snapshot, reach, x[rows[:, None], columns], y[rows[:, None], columns])
+    z = start[(np.arange(height) // COARSE)[:, None], np.arange(width) // COARSE]
+    dx, dy = camera.sight_line(x, y)
+    z_x = z_y = np.zeros_like(z)
+    for _ in range(NEWTON_STEPS):
+        found, z_x, z_y = snapshot(x + dx * z, y + dy * z)
+        steepness = np.clip(1.0 - dx * z_x - dy * z_y, 0.2, 5.0)  # towards hidden water it goes to 0
+        z = z + (found - z) / steepness
+    return Seen(x + dx * z, y + dy * z, z, z_x, z_y)
+
+
+def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, y: Array) -> Array:
+    dx, dy = camera.sight_line(x, y)
+    out = np.full(x.shape, np.nan)
+    above = np.full(x.shape, np.nan)
+    levels = np.linspace(reach, -reach, HEIGHTS)
+    for level in levels:
+        over = level - snapshot(x + dx * level, y + dy * level)[0]
+        crossed = np.isnan(out) & (over <= 0) & (above > 0)
+        step = levels[0] - levels[1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out = np.where(crossed, level - step * over / (over - above), out)
+        above = over
+    return out
+
+
+def light(camera: Camera, seen: Seen, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
+    """Grey levels, (row, column), of what each pixel shows, without the camera's own noise.
+    Sky, its mirror reflection by facets of slope (z_x, z_y) with Fresnel's reflectance, dark water, foam.
+    """
+    width, height = camera.size
+    a, b = camera.tangents(np.arange(float(width)), np.arange(float(height))[:, None])
+    ray = np.stack([a, b, np.ones_like(a)], -1) @ camera.R  # away from the camera
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    sky = settings.sky * _radiance(ray[..., 2])
+    known = np.isfinite(seen.z)
+    slope_x, slope_y = (
+        np.where(known, s, 0.0) + settings.ripple_slope * ripples for s in (seen.z_x, seen.z_y)
+    )
+    normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    facing = np.clip(np.hypot(np.maximum(-np.sum(ray * normal, axis=-1), 0.0), ROUGHNESS), 0.0, 1.0)
+    upward = ray[..., 2] + 2.0 * facing * normal[..., 2]
+    reflectance = REFRACTIVE + (1.0 - REFRACTIVE) * (1.0 - facing) ** 5
+    water = settings.water + reflectance * settings.sky * _radiance(np.abs(upward))
+    # foam covers the water where its texture is above a threshold
+    cover = np.clip(foam - settings.foam_threshold, 0.0, 1.0)
+    water += (settings.foam - water) * cover
+    # the horizon crosses pixels: what of each is below it
+    under = -np.sin(horizon_dip(camera.centre[2])) - ray[..., 2]
+    below = np.clip(0.5 + under * camera.fy, 0.0, 1.0)
+    return np.asarray(sky + below * (water - sky), np.float32)
+
+
+def _radiance(upward: Array) -> Array:
+    """Of the sky over that at the horizon, by the sine of the angle above it."""
+    out: Array = 0.45 + 0.55 * (1.0 - np.clip(upward, 0.0, 1.0)) ** 3
+    return out
+
+
+def texture_at(
+    seen: Seen, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
+) -> Image:
+    """Sum of paints, mean over each pixel, (row, column), carried by the water since the first frame.
+    `drift`, of (y, x), gives where the water was minus where it is, m; waves end at the distance `far`, m.
+    """
+    width, height = seen.x.shape[1], seen.x.shape[0]
+    fine = []
+    for place, moved in zip((seen.x, seen.y), drift, strict=True):
+        known = np.nan_to_num(place)
+        part = moved.ev(np.nan_to_num(seen.y)[::COARSE, ::COARSE], np.nan_to_num(seen.x)[::COARSE, ::COARSE])
+        back = _enlarged(part, seen.x.shape)
+        enlarged = cv2.resize(known + back, (width, SUPERSAMPLING * height), interpolation=cv2.INTER_LINEAR)
+        fine.append(np.asarray(enlarged, float))
+    total = np.sum([paint(fine[0], fine[1]) for paint in paints], axis=0)
+    mean = total.reshape(height, SUPERSAMPLING, width).mean(axis=1)
+    visible = np.clip((far - np.hypot(seen.x, seen.y)) / (FADE * far), 0.0, 1.0)
+    return np.where(np.isfinite(seen.z), mean * visible, 0.0).astype(np.float32)
+
+
+def _enlarged(coarse: Array, shape: tuple[int, ...]) -> Array:
+    """A field (row, column) of every few pixels on every pixel, linear between and beyond them."""
+    rows, columns = (np.arange(n) / COARSE for n in shape[:2])
+    at = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
+    return np.asarray(
+        cv2.remap(coarse, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), float
+    )

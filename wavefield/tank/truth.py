@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.grid import Grid
-from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry, centred_path
+from wavefield.tank.sea import Basin
 
 Array = NDArray[np.float64]
 
