@@ -4,7 +4,7 @@ from wavefield.calibration.light_sheet import find_sheet
 from wavefield.calibration.platform import level_frames
 from wavefield.calibration.target_images import calibrate_experiment as calibrate
 from wavefield.execution.workflow import Workflow
-from wavefield.explorer.notebook import look
+from wavefield.explorer.server import look
 from wavefield.grid import Grid
 from wavefield.pipeline.analysis import analyze, analyze_on_workers
 from wavefield.pipeline.assess import uncertainty_terms

@@ -51,7 +51,7 @@ def whole(tmp_path_factory, tank_rig):
 @pytest.fixture(scope="session")
 def served(whole):
     """The page of that cube, served as in a notebook."""
-    from wavefield.explorer.notebook import look
+    from wavefield.explorer.server import look
 
     page = look(whole[0])
     yield page

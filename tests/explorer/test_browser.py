@@ -370,7 +370,7 @@ def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
     from browser import Browser
     from explorer_cases import create_cube
 
-    from wavefield.explorer.notebook import look
+    from wavefield.explorer.server import look
 
     tag = "<img src=x onerror=hit()>"
     folder = tmp_path / tag
@@ -395,7 +395,7 @@ def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
 def test_a_lost_connection_is_reported_and_the_page_stays(chrome, whole):
     from browser import Browser
 
-    from wavefield.explorer.notebook import look
+    from wavefield.explorer.server import look
 
     served = look(whole[0])
     window = Browser(chrome.new_page())
@@ -410,7 +410,7 @@ def test_a_cube_that_is_being_written_is_followed(chrome, tmp_path):
     from browser import Browser
     from explorer_cases import create_cube, write_cube_block
 
-    from wavefield.explorer.notebook import look
+    from wavefield.explorer.server import look
 
     path = tmp_path / "cube.zarr"
     create_cube(path)

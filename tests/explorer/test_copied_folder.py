@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from explorer_cases import make_cube
 
-from wavefield.explorer.masks import MaskPanel
+from wavefield.explorer.cameras import MaskPanel
 from wavefield.explorer.record import LookSession
 from wavefield.images import write_image
 from wavefield.pipeline import open_run

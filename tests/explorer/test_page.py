@@ -14,7 +14,7 @@ from scipy import signal
 from wavefield.errors import WavefieldError
 from wavefield.explorer.node import nearest_probe, spectrum
 from wavefield.explorer.page import LookPage
-from wavefield.explorer.place import TABS, Place
+from wavefield.explorer.parts import TABS, Place
 from wavefield.explorer.record import LookSession
 from wavefield.explorer.save import FILES, as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server

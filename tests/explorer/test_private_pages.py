@@ -21,12 +21,11 @@ from wavefield.errors import ExperimentError, StoreError
 from wavefield.explorer.follow import FollowPage, follow_server
 from wavefield.explorer.lights import StatusLight
 from wavefield.explorer.live import FollowedSet, Follower
-from wavefield.explorer.notebook import look
 from wavefield.explorer.page import LookPage
-from wavefield.explorer.place import TABS, Place
+from wavefield.explorer.parts import TABS, Place
 from wavefield.explorer.record import LookSession
 from wavefield.explorer.save import FILES
-from wavefield.explorer.server import ServedPage
+from wavefield.explorer.server import ServedPage, look
 from wavefield.series import Experiment
 
 POINTS = ["", "?step=3", "ws", "metadata", "autoload.js?bokeh-autoload-element=x", "static/js/bokeh.min.js",

@@ -17,10 +17,9 @@ from wavefield.pipeline import Run
 from wavefield.reports import write_report
 from wavefield.reports.calibration import with_std
 from wavefield.reports.compose import builders_of, head_of
-from wavefield.reports.fields import at_probe
+from wavefield.reports.fields import at_probe, pack
 from wavefield.reports.html import render
 from wavefield.reports.numbers import RunNumbers, snapshot
-from wavefield.reports.player import pack
 from wavefield.reports.result import facts, without_cameras
 from wavefield.tank import paper_rig
 from wavefield.variables import CUBE_FIELDS, Quality

@@ -1,4 +1,4 @@
-"""`wavefield calibrate`, `refine`, `rig level`, `rig sheet`: a rig from targets, still water, sea or sheet."""
+"""`wavefield calibrate`, `refine`, `rig level`, `rig sheet`: rigs from targets, still water, sea or sheet."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

@@ -22,8 +22,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from wavefield.explorer import parts
-from wavefield.explorer.parts import asset, number
-from wavefield.explorer.place import Place
+from wavefield.explorer.parts import Place, asset, number
 from wavefield.explorer.record import CubeRecord
 from wavefield.figures.display import KINDS, display, drawn_kind, limit
 

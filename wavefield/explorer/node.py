@@ -9,8 +9,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from wavefield.explorer import parts
-from wavefield.explorer.parts import number
-from wavefield.explorer.place import Place
+from wavefield.explorer.parts import Place, number
 from wavefield.explorer.record import CubeRecord, nearest
 from wavefield.figures.display import KINDS, display, quality_kind
 

@@ -19,8 +19,7 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer import parts
 from wavefield.explorer.map import MapPanel, SurfacePanel
 from wavefield.explorer.node import NodePanel
-from wavefield.explorer.parts import LazyPanel, Panel, PanelEvents, number
-from wavefield.explorer.place import COLOUR_MAPS, OVERLAYS, TABS, Place
+from wavefield.explorer.parts import COLOUR_MAPS, OVERLAYS, TABS, LazyPanel, Panel, PanelEvents, Place, number
 from wavefield.explorer.record import LookSession
 from wavefield.figures.display import display
 from wavefield.store.verdict import WORDS, read_verdict
@@ -450,6 +449,6 @@ def _save() -> Any:
 
 
 def _masks(session: LookSession, events: PanelEvents) -> Any:
-    from wavefield.explorer.masks import MaskPanel
+    from wavefield.explorer.cameras import MaskPanel
 
     return MaskPanel(session, events.masks_changed)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
 from wavefield.explorer.map import arrows, top_speed
-from wavefield.explorer.parts import words_of
-from wavefield.explorer.place import Place
+from wavefield.explorer.parts import Place, words_of
 from wavefield.explorer.record import CubeRecord, nearest
 from wavefield.figures.display import KINDS, display, drawn_kind
 

@@ -7,10 +7,12 @@ import re
 import secrets
 import socket
 import threading
+import weakref
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from bokeh.application import Application
@@ -25,7 +27,7 @@ from tornado.web import HTTPError, RequestHandler
 
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.page import LookPage
-from wavefield.explorer.place import Place
+from wavefield.explorer.parts import Place
 from wavefield.explorer.record import CubeRecord, LookSession
 
 DEFAULT_PORTS = range(5006, 5026)
@@ -225,3 +227,47 @@ class ServedPage:
 
     def __repr__(self) -> str:
         return f"a page at {self.url}; `.stop()` closes it"
+
+
+if TYPE_CHECKING:
+    from wavefield.explorer.server import ServedPage
+
+
+def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None = 0) -> "ServedPage":
+    """Look at a cube in a notebook: maps, the surface, series, spectra, camera images, waves.
+
+    Parameters
+    ----------
+    cube : path
+        Store written by `run`, finished or not.
+    waves : path, optional
+        Its wave store; by default where `wavefield analyze` writes it.
+    port : int, optional
+        Where the page is served, on the loopback only; by default any that is free.
+
+    Returns
+    -------
+    ServedPage
+        Shows itself in a notebook; ``.url`` opens in a browser, ``.stop()`` closes it.
+
+    Raises
+    ------
+    StoreError
+        If it is not there or is not a cube.
+
+    Examples
+    --------
+    >>> from wavefield.explorer.server import look
+    >>> look("not/there.zarr")
+    Traceback (most recent call last):
+        ...
+    wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
+    """
+    from wavefield.explorer.record import LookSession
+    from wavefield.explorer.server import ServedPage, session_server
+
+    session = LookSession(Path(str(cube).removeprefix("file://")), waves)
+    loading = session.load()
+    page = ServedPage(lambda: session_server(session, port))
+    weakref.finalize(page, loading.join)
+    return page

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from wavefield import water
 from wavefield.errors import StoreError
 from wavefield.explorer import parts
-from wavefield.explorer.parts import number
-from wavefield.explorer.place import Place
+from wavefield.explorer.parts import Place, number
 from wavefield.explorer.record import LookSession
 from wavefield.figures.display import POSITIVE
 

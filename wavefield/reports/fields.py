@@ -1,18 +1,23 @@
 """Sections on the set-up, the elevation and its probes, distributions, coverage, and cameras over time."""
 
+import base64
+import json
+import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wavefield import figures
 from wavefield.errors import WavefieldError
+from wavefield.figures.display import SIGNED, limit
 from wavefield.figures.style import LINES, RIGHT, panels
 from wavefield.pipeline import Run
-from wavefield.reports.html import Item, Listing, Picture, ReportSection, Table
+from wavefield.reports.html import Item, Listing, Picture, Player, ReportSection, Table
 from wavefield.reports.numbers import extremes_of, median_of, number, thinned
 from wavefield.rig.rig import pairs_of
 from wavefield.store.ledger import status
@@ -336,3 +341,63 @@ def _around(z: xr.DataArray, x: float, y: float) -> xr.DataArray:
     """z (time, y, x) at the nodes around a place, loaded."""
     i, j = (int(np.clip(np.searchsorted(z[d], at) - 1, 0, z.sizes[d] - 2)) for d, at in (("x", x), ("y", y)))
     return z.isel(x=slice(i, i + 2), y=slice(j, j + 2)).load()
+
+
+MAX_NODES = 8_000  # per field: a screen shows no more
+MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at least
+_ARROWS = 24  # along the longer side
+
+
+def player(cube: xr.Dataset, still: Picture) -> Player:
+    """The player of a cube (time, y, x), and the picture that stands for it where there are no scripts."""
+    return Player(pack(cube), still)
+
+
+def excerpt(cube: xr.Dataset) -> xr.Dataset:
+    """Consecutive steps in the middle of the record, thinned in space, that fit into the page."""
+    thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
+    nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
+    steps = max(2, MAX_BYTES // (2 * nodes))
+    first = max(0, (cube.sizes["time"] - steps) // 2)
+    part = cube[["z", "u", "v", "w"]].isel(time=slice(first, first + steps))
+    thinned = part.isel(x=slice(None, None, thin), y=slice(None, None, thin))
+    return thinned.transpose("time", "y", "x").load()
+
+
+def _code(values: np.ndarray, half: float) -> str:
+    """Values (time, y, x) as text: 0 where missing, 1 to 255 from -half to half.
+    Differences along x and y, modulo 256, compressed, in base 64.
+    """
+    scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
+    codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
+    differences = np.diff(np.diff(codes, axis=2, prepend=np.uint8(0)), axis=1, prepend=np.uint8(0))
+    return base64.b64encode(zlib.compress(differences.tobytes(), 9)).decode()
+
+
+def pack(cube: xr.Dataset) -> dict[str, str]:
+    """Data for the browser from a cube (time, y, x), by the name of the element that holds it."""
+    part = excerpt(cube)
+    every = max(1, round(max(part.sizes["x"], part.sizes["y"]) / _ARROWS))
+    thin = slice(every // 2, None, every)
+    arrows = 100 * part[["u", "v"]].isel(x=thin, y=thin).astype(float)
+    fastest = limit(np.hypot(arrows.u.values, arrows.v.values), 98)
+    fields = {name: 100 * part[name].values.astype(float) for name in "zw"}
+    ends = {name: limit(values) for name, values in fields.items()}
+    description = {
+        "nx": part.sizes["x"],
+        "ny": part.sizes["y"],
+        "x": [float(part.x[0]), float(part.x[-1])],
+        "y": [float(part.y[0]), float(part.y[-1])],
+        "time": [round(float(t), 6) for t in part.time.values],
+        "ends": ends,  # ends of the colour scales of z (cm) and w (cm/s)
+        "arrows": {
+            "x": arrows.x.values.tolist(),
+            "y": arrows.y.values.tolist(),
+            "fastest": fastest,
+            "length": 1.4 * every * float(np.mean(np.diff(part.x.values))),
+        },
+        "colours": np.rint(255 * colormaps[SIGNED](np.linspace(0, 1, 256))[:, :3]).astype(int).tolist(),
+    }
+    out = {"field-description": json.dumps(description)}
+    out |= {f"field-{name}": _code(values, ends[name]) for name, values in fields.items()}
+    return out | {f"field-{name}": _code(arrows[name].values, 1.3 * fastest) for name in "uv"}

@@ -8,7 +8,7 @@ import xarray as xr
 
 from wavefield import figures
 from wavefield.pipeline import Run
-from wavefield.reports.fields import probes_of
+from wavefield.reports.fields import player, probes_of
 from wavefield.reports.html import Facts, Item, Listing, Picture, Remarks, ReportSection, Table, Text
 from wavefield.reports.numbers import (
     RunNumbers,
@@ -24,7 +24,6 @@ from wavefield.reports.numbers import (
     with_interval,
     without_folders,
 )
-from wavefield.reports.player import player
 from wavefield.store.verdict import Verdict
 from wavefield.text import spell_time
 from wavefield.variables import Quality, frames_of_path
