@@ -4,6 +4,8 @@ The experiment's file is named relative to the store, so that a folder can be co
 compared with those that the cube was begun with.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os
@@ -12,10 +14,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import xarray as xr
 
 from wavefield.atomic_write import read_mark
 from wavefield.errors import ExperimentError, StoreError, WavefieldError
@@ -26,11 +27,12 @@ from wavefield.series import Experiment, FrameSeries
 from wavefield.series.frames import CameraMask
 from wavefield.series.masks import covered_series
 from wavefield.series.readers import without_password
-from wavefield.store.camera_pairs import read_pair_statistics
 from wavefield.store.read import find_store, open_cube
 from wavefield.store.recipe import recipe_of, source_of, state_of
 from wavefield.store.store_paths import beside
-from wavefield.store.wave_store import open_waves
+
+if TYPE_CHECKING:  # half a second to import, which a run needs at its end alone
+    import xarray as xr
 
 SAMPLE_FRAMES = 3  # frames of each camera: first, middle and last
 
@@ -280,6 +282,8 @@ class Run:
         if not self.waves_path.is_dir():
             self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
             return None
+        from wavefield.store.wave_store import open_waves
+
         waves = open_waves(self.waves_path)
         mark = read_mark(self.waves_path)
         if mark is None or mark.source != source_of(self.cube):
@@ -321,12 +325,16 @@ class Run:
         if not path.is_dir():
             self._reasons["truth"] = "the experiment is not a simulated one, or its truth is not there"
             return None
+        import xarray as xr
+
         truth: xr.Dataset = xr.open_zarr(path, consolidated=False)
         return truth
 
     @cached_property
     def pair_statistics(self) -> xr.Dataset | None:
         """Errors of every pair of cameras on its own: `wavefield.pipeline.assess`."""
+        from wavefield.store.camera_pairs import read_pair_statistics
+
         found = read_pair_statistics(self.store)
         if found is None:
             self._reasons["pair_statistics"] = (
