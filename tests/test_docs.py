@@ -105,10 +105,6 @@ def test_notebooks_are_small_and_free_of_private_paths(path):
     assert not re.search(r"/(home|root|Users|tmp|work)/", text)
 
 
-def test_there_are_five_notebooks():
-    assert len(NOTEBOOKS) == 5
-
-
 def test_every_page_of_the_guide_is_on_the_site():
     text = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
     trees = re.findall(r"```\{toctree\}\n:hidden:\n:caption: [^\n]+\n(.*?)```", text, re.S)

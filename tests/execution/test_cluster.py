@@ -2,9 +2,7 @@
 
 import os
 import signal
-import sys
 import time
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -86,24 +84,6 @@ def test_the_environment_and_the_threads_of_the_caller_stay_as_they_were(monkeyp
     assert (dict(os.environ), cv2.getNumThreads()) == (before, threads)
 
 
-def page_faults_of_temporaries(number):
-    """Pages that are mapped anew while arrays of 2 MB come and go."""
-    import resource
-
-    before = 0
-    for k in range(40):
-        if k == 20:
-            before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        np.ones(1 << 18)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other C libraries keep memory in ways of their own")
-def test_workers_keep_freed_memory_for_the_next_step(workers):
-    """With Dask's own setting each of these arrays costs 512 page faults."""
-    assert max(faults for _, faults in workers(page_faults_of_temporaries, range(4))) < 512
-
-
 def die(item):
     """Ends its worker, each time or the first time."""
     times = item / "times"
@@ -123,20 +103,6 @@ def test_work_of_a_worker_that_dies_is_done_again_but_not_for_ever(tmp_path):
     assert results[items[0]].startswith("xx")  # once more where its result went with a worker
     assert "3 workers ended while they worked on it" in str(results[items[1]])
     assert (items[1] / "times").read_text() == "xxx"
-
-
-def test_workers_that_do_not_start_are_started_again_but_not_for_ever(monkeypatch):
-    monkeypatch.setattr(cluster, "_START_SECONDS", -1.0)
-    scaled = []
-    watch = cluster._LocalWorkers(SimpleNamespace(scale=scaled.append), 2)
-    none, some = SimpleNamespace(nthreads=dict), SimpleNamespace(nthreads=lambda: {"tls://one": 1})
-    watch(some)
-    assert not scaled
-    for _ in range(3):
-        watch(none)
-    assert scaled == [0, 2] * 3
-    with pytest.raises(StoreError, match="do not start"):
-        watch(none)
 
 
 def take_memory(item):

@@ -91,17 +91,6 @@ def test_a_block_that_is_measured_again_is_read_again(tmp_path):
     assert not np.array_equal(field, record.field("w", 41), equal_nan=True)
 
 
-def test_another_cubes_preview_is_not_taken(tmp_path):
-    path = tmp_path / "cube.zarr"
-    make_cube(path)
-    shutil.rmtree(path)
-    fields = make_cube(path, steps=80, preview=False)
-    assert open_preview(path, open_group(path)) is None
-    record = CubeRecord(path)
-    record.preview.load()
-    np.testing.assert_allclose(record.preview.series("z", 6, 6), fields["z"][:, 6, 6], atol=5.1e-6)
-
-
 def test_a_preview_that_cannot_be_kept_is_a_sentence_and_memory_has_it_all(tmp_path):
     path = tmp_path / "cube.zarr"
     fields = make_cube(path, preview=False)

@@ -19,7 +19,7 @@ from wavefield.explorer.record import LookSession
 from wavefield.explorer.save import FILES, as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server
 from wavefield.explorer.waves import log_density
-from wavefield.figures.display import DERIVED, display
+from wavefield.figures.display import DERIVED
 from wavefield.pipeline.analysis import analyze
 from wavefield.store.verdict import Remark, Verdict
 
@@ -177,15 +177,6 @@ def test_probes_are_marked_and_only_one_at_the_node_is_drawn_over_it(cube):
 
 
 # -- what is drawn and saved -------------------------------------------------------------------------------
-
-
-def test_colours_are_balanced_where_there_is_a_sign():
-    values = np.linspace(-1, 3, 1000)
-    low, high = display("w").limits(values)
-    assert low == -high
-    assert display("z_std").limits(np.abs(values))[0] == 0.0
-    assert display("z_std").limits(np.linspace(0.9, 1.0, 50)) == (0.9, 1.0)  # a map of more than one colour
-    assert display("z_std").limits(np.full(50, 0.9)) == (0.0, 0.9)
 
 
 def test_spectra_are_those_of_scipy_and_their_intervals_hold_the_truth():

@@ -86,13 +86,6 @@ def test_help_is_quick_because_nothing_heavy_is_imported():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 
-def test_a_run_begins_before_what_only_its_end_needs_is_imported():
-    heavy = ["xarray", "pandas", "dask", "matplotlib"]
-    modules = "sys, wavefield.pipeline.running, wavefield.measurement.record"
-    code = f"import {modules}; print([m for m in {heavy} if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
-
-
 @pytest.mark.parametrize(
     "words",
     [["nonsense"], ["status"], ["status", "no/such/store"], ["run", "no.yaml"], ["analyze", "--what"]],

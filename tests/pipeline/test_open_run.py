@@ -56,16 +56,6 @@ def test_masks_and_probes_come_with_the_experiment(measured, tmp_path):
         _ = wf.open_run(tmp_path / "cube.zarr", experiment=file).probes
 
 
-def test_waves_of_another_frame_rate_do_not_belong_to_the_cube(measured, tmp_path):
-    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
-    file = tmp_path / "experiment.yaml"
-    file.write_text(file.read_text().replace("frame_rate: 20", "frame_rate: 25"))
-    wf.run(file, workflow=wf.Workflow(cluster="none", steps_per_block=4))
-    found = wf.open_run(tmp_path / "cube.zarr")
-    assert found.waves is None
-    assert "has changed since its waves were computed" in found.reason("waves")
-
-
 def test_an_experiment_is_named_from_the_current_folder(reference, tank, monkeypatch):
     monkeypatch.chdir(tank.parent.parent)
     found = wf.open_run(reference, experiment=tank.relative_to(tank.parent.parent)).experiment

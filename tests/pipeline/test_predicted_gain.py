@@ -6,7 +6,7 @@ import wavefield.waves as wv
 from wavefield.grid import Grid
 from wavefield.matching import Prior
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
-from wavefield.measurement.resolution import in_focus, shortest_carried, tabulated
+from wavefield.measurement.resolution import shortest_carried, tabulated
 from wavefield.tank import Scene
 from wavefield.waves.gains import PREDICTED, label
 
@@ -55,19 +55,3 @@ def test_a_cube_holds_its_gain(reference):
     stored = wv.read_gain(cube)
     assert all(f"gain_{name}" in stored for name in "zuvw")
     assert float(stored.gain_z.isel(k=0).min()) > 0.9
-
-
-def test_beads_out_of_focus_would_carry_shorter_waves_in_focus():
-    k = tuple(np.linspace(0.04, 3.1, 40))
-    steep = Prior.isotropic(k, [1e-6 * (0.5 / q) ** 5 for q in k], 1e6)
-    scene = Scene.load("demo")
-    names = ("cam1", "cam2", "cam3")
-    widths = (("cam1", 4.0), ("cam2", 1.5), ("cam3", 0.0))
-    record = LearnedRecord(widths, steep, tuple((name, steep) for name in names))
-    geometry = GridGeometry(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step))
-    assert in_focus(record) == {"cam1": 16.0, "cam2": 1.0, "cam3": 1.0}
-    now, sharp = shortest_carried(geometry, record), shortest_carried(geometry, record, in_focus(record))
-    for name in "zuvw":
-        assert sharp[name] < now[name]
-    sound = shortest_carried(geometry, record, dict.fromkeys(names, 1.0))
-    assert sound == now

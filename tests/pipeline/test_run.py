@@ -24,7 +24,6 @@ from wavefield.store import write_cube
 from wavefield.store.layout import PACKING
 from wavefield.store.read import open_stored
 from wavefield.store.verify import verify
-from wavefield.store.write_cube import write_chunk
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
 from wavefield.waves.record import find_record
 
@@ -212,25 +211,6 @@ def test_two_runs_do_not_write_one_store(tank, tmp_path):
     with Lock.hold(out), pytest.raises(StoreError, match="another run is writing"):
         run(tank, out=out, workflow=HERE)
     assert not out.exists()
-
-
-def test_only_whole_blocks_are_written(reference, tmp_path):
-    out = tmp_path / "cube.zarr"
-    shutil.copytree(reference, out)
-    fields = {name: np.zeros((3, 13, 9), np.float32) for name in CUBE_FIELDS}
-    good = np.full(3, FrameStatus.DONE, np.uint8)
-    with pytest.raises(ValueError, match="does not begin a chunk"):
-        write_chunk(out, 3, fields, good, {})
-    with pytest.raises(ValueError, match="must hold 16 results"):
-        write_chunk(out, 0, fields, good, {})
-    with pytest.raises(ValueError, match="must hold 16 results"):
-        write_chunk(out, 0, fields, np.zeros(16, np.uint8), {})
-    full = np.full(16, FrameStatus.DONE, np.uint8)
-    with pytest.raises(ValueError, match="has shape"):
-        write_chunk(out, 0, fields, full, {})
-    with pytest.raises(ValueError, match="gave no z_t"):
-        write_chunk(out, 0, {k: v for k, v in fields.items() if k != "z_t"}, full, {})
-    assert different(out, reference) == []
 
 
 # -- bad frames ----------------------------------------------------------------------------------------------

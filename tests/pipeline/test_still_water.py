@@ -1,21 +1,16 @@
 """A record at rest levels the rig; whoever has none is asked for it."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
-from wavefield.grid import Grid
 from wavefield.images import write_image
-from wavefield.measurement import Settings
-from wavefield.measurement.error_budget import level_std
 from wavefield.pipeline.still_water import level_at_rest
 from wavefield.quality.remarks import remark_on_rest
 from wavefield.rig import Rig
-from wavefield.rig.field import pixel_at
 from wavefield.series import Experiment
 from wavefield.tank import Scene, Tank
 
@@ -101,35 +96,6 @@ def test_a_rest_record_that_is_not_there_is_named(lab):
     gone = Experiment.load(lab).model_copy(update={"rest": "nowhere/{camera}_{frame:02d}.tif"})
     with pytest.raises(ExperimentError, match="there is no folder"):
         level_at_rest(gone.at_rest(), replace(Rig.load(lab.with_name("rig.yaml"))))
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, 0.2 * 2.0),  # a fifth of beads that are 2 px wide, of 1 mm
-        ({"settings": Settings(bead_height=0.0003)}, 0.3),
-        ({"settings": Settings(sheet_thickness=0.01)}, 0.0),  # z_std contains it
-        ({"provenance": {"levelled": {"rms_m": 0.00006}}}, 0.06),
-    ],
-)
-def test_the_level_is_as_uncertain_as_the_height_of_beads_where_no_still_water_gives_it(changes, expected):
-    grid = Grid(x=(-0.1, 0.1), y=(-0.1, 0.1), step=0.01)
-    rig = Scene.load("rest").build_rig()
-    fine = {name: 2.0 * pixel_at(rig["cam1"], 0.0, 0.0) / pixel_at(rig[name], 0.0, 0.0) for name in rig}
-    beads = [(name, width * (1.0 if name == "cam1" else 1.5)) for name, width in fine.items()]
-    geometry = SimpleNamespace(
-        rig=replace(rig, provenance=changes.get("provenance", {})),
-        grid=grid,
-        settings=changes.get("settings", Settings()),
-    )
-    record = SimpleNamespace(beads=beads)
-    pixel = 1e3 * pixel_at(rig["cam1"], 0.0, 0.0) if not changes else 1.0
-    assert 1e3 * level_std(geometry, record) == pytest.approx(expected * pixel)
-
-
-def test_the_level_is_unknown_where_nothing_was_learned():
-    geometry = SimpleNamespace(rig=Scene.load("rest").build_rig(), settings=Settings())
-    assert np.isnan(level_std(geometry, None))
 
 
 def test_the_note_on_missing_still_water_gives_the_uncertainty_of_the_level(lab, tmp_path):

@@ -9,10 +9,8 @@ import pytest
 from wavefield.grid import Grid
 from wavefield.quality.cameras import (
     REACH,
-    PairConsistency,
     PatchMatcher,
     _blurred,
-    _nobody,
     find_camera_faults,
 )
 from wavefield.rig.field import pixel_at
@@ -87,19 +85,6 @@ def test_a_faulty_camera_is_named_with_its_fault(read, subject, kind, expected):
     remarks = found(read).remarks
     assert [(r.subject, r.kind) for r in remarks] == [(subject, kind)]
     assert expected in str(remarks[0])
-
-
-@pytest.mark.parametrize(
-    ("fraction", "spread", "expected", "and_scatter"),
-    [(0.24, 0.7, "24 % of the patches", True), (0.0, 0.0, "0 %", False)],
-)
-def test_patches_that_are_found_and_scatter_are_not_called_missing(fraction, spread, expected, and_scatter):
-    count = 40 if fraction else 0
-    eps_y = spread * np.random.default_rng(0).standard_normal(count)
-    pair = PairConsistency(fraction, eps_y, np.zeros(3), np.arange(count))
-    remark = _nobody(SimpleNamespace(found={("cam1", "cam2"): [pair, pair]}))
-    assert expected in remark.found
-    assert ("miss each other irregularly" in remark.found) == and_scatter
 
 
 def test_a_knocked_camera_is_named_and_the_miss_is_reported_in_px():
