@@ -1,150 +1,248 @@
 """Errors of the measurement on simulated and path-traced images, against the exact answer.
 
-    python -m benchmarks.measurement [--only ROW ...] [--seeds N ...] [--full] [--exact] [--set FILE.yaml]
+    python -m benchmarks.measurement [TABLE] [--only TEXT ...] [--seeds N ...] [--set FILE.yaml] [--save]
+    python -m benchmarks.measurement --terms [--only TEXT ...] [--seeds N ...] [--figure FILE.svg] [--save]
+    python -m benchmarks.measurement --bound [--seeds N ...] [--save]
 
-Rows: random, light, steep, low_light, gaps, rest, texture, noisy (simulated; three seeds by default), tank,
-glare, tank_small (path-traced images, where there are any: see `benchmarks.path_traced`).
-
-1 px = 1.8 mm; nodes 4 cm inside the edge of the common view that are called measured; steps with two
-frames on either side; u dt, v dt, w dt against the water's own, instantaneous velocity. The rig is calibrated
-from simulated images of the target (``--exact``: the exact cameras). By default the middle half of every
-sensor at full resolution; ``--full``: the paper's whole field.
+Tables and their cases are in `measurement.yaml`: measurement, short_waves, cameras, records, smoothing.
+``--only`` chooses the rows whose label contains one of the texts. Errors are rms in px of 1.8 mm over nodes 4
+cm inside the edge of the common view that are flagged as measured; u dt, v dt, w dt are compared with the
+water's own, instantaneous velocity. ``--terms`` puts the terms of `wavefield.uncertainty_terms` beside the
+errors; ``--bound`` compares the random sea with the Cramer-Rao bound and with a rule for digital image
+correlation.
 """
 
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import xarray as xr
 import yaml
+from numpy.typing import NDArray
 
-from benchmarks import path_traced
-from benchmarks.options import parser_of
-from benchmarks.results import save_result
-from benchmarks.scenes import FRAMES, SCENES, SEEDS, Case, calibrated, draw, inside, reconstruct, scene
-from benchmarks.scores import Score, rms
-from wavefield.measurement import Settings
-from wavefield.tank import Tank
-from wavefield.waves.motion import terms
+from benchmarks import bound, path_traced
+from benchmarks.results import parser_of, print_table, save_result
+from benchmarks.scenes import FRAMES, MIDDLE, PIXEL, Case, calibrated, draw, inside, reconstruct, scene
+from benchmarks.scores import NAMES, Score, rms
+from wavefield.measurement import GridGeometry, Settings, measure
+from wavefield.measurement.error_budget import TERMS
+from wavefield.rig import Rig
+from wavefield.tank import Scene
+from wavefield.variables import CUBE_DIMS, Quality
+from wavefield.waves.smooth import INPUTS, smooth
 
-# asked of each row: rms of u and v, of w, of z; per cent within 1 and 2 std; beyond 3
-TRUE = "63-75, 93-98, .5 %"
-ASKED = {
-    "random": f"u v .009; w .016; z .026; {TRUE}",
-    "light": f"u v .009; w .016; z .026; {TRUE}",
-    "steep": f"u v .009, bias .002; w .020; z .036; {TRUE}",
-    "low_light": f"u v .035; w .068; z .045; {TRUE}",
-    "gaps": f"u v .015; w .030; z .034; {TRUE}; filled .22, .35, .30; 60, 90, 3 %",
-    "rest": "u v .005; w .010; z .010; 60-80, 92-99",
-    "texture": "u v .010; w .010; z .010",
-    "noisy": "",
-    "tank": "u v .014; w .016; z .026; 63-75, 93-98, 1 %",
-    "glare": "98.5 % measured; u v .018; w .035; z .045; 63-75, 93-98, 1 %",
-    "tank_small": "99.5 % measured; u v .035; w .055; z bias apart .05; 60, 90, 2 %",
-}
-LABELS = {  # on the validation page
-    "random": "random sea, 1.4 cm rms",
-    "light": "the same, one camera five times darker than another, flicker of 30 %",
-    "steep": "steep sea, slopes beyond 0.3",
-    "low_light": "poor light: beads 45 grey levels over a background of 30, read noise 7",
-    "gaps": "eight gaps of 3 to 8 cm radius, clustered beads",
-    "noisy": "twice the noise, 10 % of the beads visible to one camera only",
-    "texture": "painted texture on a wave of 3 cm",
-    "rest": "still water",
-    "tank": "path-traced beads, lit from the side",
-    "glare": "path-traced beads and glare",
-    "tank_small": "path-traced small beads, two frames only",
-}
+TABLES = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+OWN = {
+    "scene", "waves", "wave", "slope", "crop", "exact", "frames", "only_cameras", "missing", "shake",
+    "stamps", "filled", "smooth", "path_traced", "bead_height",
+}  # fmt: skip
 COLUMNS = (
-    "images",
     "z",
     "u dt, v dt, w dt",
     "nodes measured",
     "within one standard uncertainty (ideal: 68 %): z, u, v, w",
+    "beyond five",
 )
-RESIDUAL = {"random": "; residual .08", "steep": "; residual .04"}
+TERM_SCENES = ("random", "steep", "low_light", "gaps", "texture", "rest")
+TERM_COLUMNS = ("scene", *(f"{n}: {what}" for n in "zw" for what in ("error", "terms", "within one")))
+COLORS = ("#8a8f98", "#1f5f99", "#c8553d", "#7a5195", "#3c8d5a")
+
+Row = Mapping[str, Any]
 
 
-def residual(case: Case, cube: dict[str, Any]) -> tuple[float, float]:
-    """Stored z_t - w + u . grad z over the nonlinear term, rms: measured, and of the exact fields."""
-    exact = {name: np.array([truth[name] for truth in case.truth]) for name in ("u", "v")}
-    exact["z"] = exact["mean"] = np.array([0.5 * (t["z_start"] + t["z_end"]) for t in case.truth])
-    exact["z_t"] = np.array([t["z_t"] for t in case.truth])
-    exact["w"] = np.array([t["w_chord"] for t in case.truth])
-    core = inside(case, case.truth[0]["z"], 0.07)
-    found = []
-    for fields in (cube, exact):
-        fields = {k: np.nan_to_num(fields[k]).astype(np.float64) for k in ("z", "z_t", "u", "v", "w")}
-        parts = terms(fields | {"mean": fields["z"]}, case.grid.step, case.grid.step)
-        found.append(rms(parts["residual"][:, core]) / rms(parts["nonlinear"][:, core]))
-    return found[0], found[1]
+def sea(row: Row) -> dict[str, Any]:
+    """The sea of a row with a band of waves, or one wave, of an rms slope."""
+    if "wave" in row:
+        amplitude = np.sqrt(2) * row["slope"] * row["wave"] / (2 * np.pi)
+        return {"kind": "single", "wavelength": row["wave"], "amplitude": amplitude, "direction": 20.0}
+    shortest, longest = row["waves"]
+    return {
+        "kind": "random",
+        "rms": row["slope"] * np.sqrt(shortest * longest) / (2 * np.pi),
+        "spectrum": {"kind": "power", "peak": 1.0, "exponent": 3.0},
+        "shortest": shortest,
+        "longest": longest,
+    }
 
 
-def cases(name: str, options: argparse.Namespace) -> Iterator[Case]:
-    """The cases of a simulated row, one per seed."""
-    for seed in options.seeds:
-        described = scene(name, seed, options.full)
-        yield draw(described, Tank(described).rig if options.exact else calibrated(options.full))
+def described(row: Row, seed: int) -> Scene:
+    """The simulated scene of a row."""
+    changes = {key: value for key, value in row.items() if key not in OWN}
+    changes["frames"] = row.get("frames", FRAMES)
+    made = scene(row.get("scene", "random"), seed, row.get("crop", 0.5), **changes)
+    if "wave" in row or "waves" in row:
+        made = Scene.model_validate(made.model_dump() | {"sea": sea(row)})
+    return made
 
 
-def compare(name: str, options: argparse.Namespace, settings: Settings) -> tuple[dict[str, Score], list[str]]:
-    """Measure a row: its score and its results in words."""
-    score, shares, steepest = Score(), [], 0.0
-    began = time.process_time()
-    for case in cases(name, options):
-        cube = reconstruct(case, settings)
-        score.add(case, cube)
-        slope = np.hypot(*np.gradient(case.truth[0]["z"], case.grid.step))
-        steepest = max(steepest, float(slope[inside(case, case.truth[0]["z"])].max()))
-        if name in RESIDUAL:
-            shares.append(residual(case, cube))
-    lines = score.lines()
-    if shares:
-        measured, exact = np.mean(shares, axis=0)
-        lines.append(f"residual over nonlinear term {measured:.3f}; of exact fields {exact:.3f}")
-    took = time.process_time() - began
-    return {"": score}, [
-        *lines,
-        f"largest slope {steepest:.2f}; {len(options.seeds)} seeds; CPU {took:.0f} s",
-    ]
+def drawn(row: Row, seed: int) -> Case:
+    """Frames and truth of a row."""
+    made = described(row, seed)
+    case = draw(made, made.build_rig() if row.get("exact") else calibrated())
+    frames = {name: list(case.frames[name]) for name in row.get("only_cameras", case.frames)}
+    draws = np.random.default_rng(seed)
+    for name, px in row.get("shake", {}).items():
+        frames[name] = [moved(image, draws.normal(0.0, px)) for image in frames[name]]
+    if "missing" in row:
+        frames[row["missing"]][MIDDLE] = None
+    rig = Rig({name: case.rig[name] for name in frames}) if "only_cameras" in row else case.rig
+    return replace(case, frames=frames, rig=rig)
 
 
-def read_options(words: Sequence[str]) -> argparse.Namespace:
-    parser = parser_of(__doc__)
-    parser.add_argument("--only", nargs="+", default=list(ASKED), choices=list(ASKED), metavar="ROW")
-    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
-    parser.add_argument("--full", action="store_true", help="the paper's whole field")
-    parser.add_argument("--exact", action="store_true", help="exact cameras instead of calibrated ones")
-    parser.add_argument("--save", action="store_true", help="write the result for the validation page")
-    parser.add_argument("--set", type=Path, help="YAML of measurement settings that differ")
-    return parser.parse_args(words)
+def moved(image: Any, px: float) -> NDArray[Any]:
+    """An image moved along its rows, by Lanczos' interpolation."""
+    shift = np.array([[1.0, 0.0, px], [0.0, 1.0, 0.0]])
+    size = image.shape[::-1]
+    return cv2.warpAffine(image, shift, size, flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+
+
+def smoothed(case: Case, cube: dict[str, NDArray[Any]], depth: float) -> dict[str, NDArray[Any]]:
+    """A cube with fields and uncertainties of `wavefield.smooth`."""
+    time_axis = np.arange(len(cube["z"])) / case.frame_rate
+    axes = {"y": case.grid.y_nodes, "x": case.grid.x_nodes, "time": time_axis}
+    found = smooth(xr.Dataset({name: (CUBE_DIMS, cube[name]) for name in INPUTS}, axes), depth=depth)
+    return cube | {name: found[name].values for name in INPUTS}
+
+
+def measured(row: Row, seed: int, settings: Settings) -> tuple[Case, dict[str, NDArray[Any]]]:
+    """A case of a row and its cube."""
+    case, made = drawn(row, seed), described(row, seed)
+    late = None
+    if row.get("stamps"):
+        numbers = range(made.frames)
+        late = np.array([made.frame_time(k) - made.time(k) for k in numbers]) * case.frame_rate
+    cube = reconstruct(case, settings, late)
+    if row.get("smooth"):
+        cube = smoothed(case, cube, made.sea.depth)
+    if "missing" in row:
+        step = slice(MIDDLE - 2, MIDDLE - 1)
+        case, cube = (
+            replace(case, truth=case.truth[step]),
+            {name: field[step] for name, field in cube.items()},
+        )
+    return case, cube
+
+
+def score_of(row: Row, seeds: Sequence[int], settings: Settings) -> Score | None:
+    """Errors of a row over all seeds; None where its path-traced images are not here."""
+    score = Score()
+    if "path_traced" in row:
+        if path_traced.folder() is None:
+            return None
+        case = path_traced.load(row["path_traced"])
+        height = path_traced.bead_height() if row.get("bead_height") else None
+        score.add(
+            case, reconstruct(case, settings if height is None else replace(settings, bead_height=height))
+        )
+        return score
+    for seed in seeds:
+        score.add(*measured(row, seed, settings))
+    return score
+
+
+def rows_of(table: Mapping[str, Any], only: Sequence[str]) -> Iterator[tuple[str, Row]]:
+    """Labels and keys of the rows that are asked for."""
+    common = {key: value for key, value in table.items() if key not in ("first", "seeds", "cases")}
+    for label, own in table["cases"].items():
+        if not only or any(text in label for text in only):
+            yield label, common | own
+
+
+def compare(options: argparse.Namespace) -> None:
+    """Measure the rows of a table."""
+    table = TABLES[options.table]
+    settings = Settings.from_dict(yaml.safe_load(options.set.read_text()) if options.set else {})
+    columns, rows = (table["first"], *COLUMNS), []
+    for label, row in rows_of(table, options.only):
+        began = time.process_time()
+        score = score_of(row, options.seeds or table["seeds"], settings)
+        if score is None:
+            print(f"{label}: skipped, no path-traced images (set WAVEFIELD_SHARED)", file=sys.stderr)
+            continue
+        rows.append([label, *score.cells(bool(row.get("filled")))])
+        print(f"{label}: CPU {time.process_time() - began:.0f} s; {score}", file=sys.stderr, flush=True)
+    print_table(columns, rows)
+    if options.save:
+        save_result(options.table, columns, rows)
+
+
+def error_and_terms(case: Case) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Errors (4, n) and terms (terms, 4, n) of the nodes that are flagged as measured, px."""
+    cube = measure(case.frames, GridGeometry(case.rig, case.grid, Settings()), case.frame_rate, terms=True)
+    errors, terms = [], []
+    for step, truth in enumerate(case.truth):
+        here = inside(case, truth["z"]) & ((cube["quality"][step] & Quality.MEASURED) > 0)
+        scale = [1.0, *[1.0 / case.frame_rate] * 3]
+        errors.append([k * (cube[n][step] - truth[n])[here] / PIXEL for n, k in zip(NAMES, scale)])
+        terms.append(cube["uncertainty_terms"][step][..., here] / PIXEL)
+    return np.concatenate(errors, axis=1), np.concatenate(terms, axis=2)
+
+
+def show_terms(options: argparse.Namespace) -> None:
+    """Terms of the standard uncertainties beside the errors, scene by scene."""
+    found, rows = {}, []
+    for name in options.only or TERM_SCENES:
+        seeds = options.seeds or [81]
+        each = [error_and_terms(drawn({"scene": name}, seed)) for seed in seeds]
+        errors, terms = found[name] = tuple(np.concatenate(part, axis=-1) for part in zip(*each))
+        cells = [name]
+        for n in (0, 3):
+            std = np.sqrt(np.square(terms[:, n]).sum(axis=0))
+            parts = " ".join(f"{rms(one[n]):.4f}" for one in terms)
+            share = f"{100.0 * np.mean(np.abs(errors[n]) < std):.0f} %"
+            cells += [f"{rms(errors[n]):.4f}", parts, share]
+        rows.append(cells)
+    print(f"terms: {', '.join(TERMS)}")
+    print_table(TERM_COLUMNS, rows)
+    if options.figure:
+        draw_terms(found, options.figure)
+    if options.save:
+        save_result("terms", TERM_COLUMNS, rows)
+
+
+def draw_terms(found: Mapping[str, Any], path: Path) -> None:
+    """Bars of the variances of z and w as parts of the stated variance, with the squared errors."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    for axes, (n, name) in zip(figure.subplots(1, 2, sharey=True), ((0, "z"), (3, "w"))):
+        stated = [np.square(terms[:, n]).mean(axis=1) for _, terms in found.values()]
+        left = np.zeros(len(stated))
+        for m, term in enumerate(TERMS):
+            width = np.array([one[m] / one.sum() for one in stated])
+            axes.barh(list(found), width, 0.6, left, color=COLORS[m], label=term)
+            left += width
+        made = [np.square(rms(errors[n])) / one.sum() for (errors, _), one in zip(found.values(), stated)]
+        axes.plot(made, list(found), "k|", ms=14, mew=2, label="squared error")
+        axes.set(title=name, xlabel="part of the stated variance")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.invert_yaxis()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    figure.savefig(path, metadata={"Date": None})
 
 
 def main(words: Sequence[str]) -> int:
-    options = read_options(words)
-    changed = yaml.safe_load(options.set.read_text()) if options.set else {}
-    settings = Settings.from_dict(changed)
-    size = "full size" if options.full else "half size"
-    print(f"1 px = 1.8 mm; {size}; {FRAMES} frames of each scene, seeds {options.seeds}", flush=True)
-    rows = []
-    for name in options.only:
-        scores: dict[str, Score] = {}
-        if name in SCENES:
-            scores, lines = compare(name, options, settings)
-        elif path_traced.folder() is None:
-            lines = ["skipped: no path-traced images (set WAVEFIELD_SHARED)"]
-        else:
-            scores, lines = path_traced.compare(name, settings)
-        print(f"{name}\n    asked: {ASKED[name]}{RESIDUAL.get(name, '')}", flush=True)
-        print("".join(f"    {line}\n" for line in lines), end="", flush=True)
-        rows += [[LABELS[name] + words, *score.cells()] for words, score in scores.items()]
-        if name == "gaps":
-            rows.append(["the filled nodes of these gaps", *scores[""].cells(filled=True)])
-    if options.save:
-        save_result("measurement", COLUMNS, rows)
+    parser = parser_of(__doc__)
+    parser.add_argument("table", nargs="?", default="measurement", choices=list(TABLES))
+    parser.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="rows that contain a text")
+    parser.add_argument("--seeds", nargs="+", type=int)
+    parser.add_argument("--set", type=Path, help="YAML of measurement settings that differ")
+    parser.add_argument("--terms", action="store_true", help="terms of the standard uncertainties")
+    parser.add_argument("--figure", type=Path, help="SVG of the terms to draw")
+    parser.add_argument("--bound", action="store_true", help="the random sea beside the Cramer-Rao bound")
+    options = parser.parse_args(words)
+    if options.terms:
+        show_terms(options)
+    elif options.bound:
+        bound.show(options.seeds or [5601], options.save)
+    else:
+        compare(options)
     return 0
 
 

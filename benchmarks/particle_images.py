@@ -1,18 +1,26 @@
-"""Simulated particle and texture pairs of 1024 x 1024 px with exactly known displacement."""
+"""Simulated pairs of particle images, 1024 x 1024 px, with exactly known displacement."""
 
 from collections.abc import Callable
 
 import numpy as np
-from scipy import ndimage
+from numpy.typing import NDArray
 from scipy.special import erf
 
 N = 1024
 _PAD = 64
-Field = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Field = Callable[[Array, Array], tuple[Array, Array]]
 
 
 def uniform(u: float, v: float) -> Field:
     return lambda x, y: (np.full_like(x, u), np.full_like(x, v))
+
+
+def sinusoid(amplitude: float, wavelength: float) -> Field:
+    """Each component varies across its own direction."""
+    k = 2 * np.pi / wavelength
+    return lambda x, y: (amplitude * np.sin(k * y), amplitude * np.sin(k * x))
 
 
 def cellular(amplitude: float, wavelength: float = 200.0) -> Field:
@@ -21,47 +29,35 @@ def cellular(amplitude: float, wavelength: float = 200.0) -> Field:
     return lambda x, y: (amplitude * np.sin(k * (x + y)), amplitude * np.cos(k * (x - y)))
 
 
-def shear_wave(wavelength: float) -> Field:
-    return lambda x, y: (np.sin(2 * np.pi * y / wavelength) + 0 * x, 0.3 + 0 * x)
+def parallax() -> Field:
+    """As between two cameras: 0 to 40 px, gradient up to .15."""
+
+    def field(x: Array, y: Array) -> tuple[Array, Array]:
+        u = 20 + 14 * np.sin(2 * np.pi * x / 840 + 0.3) + 4 * np.sin(2 * np.pi * y / 700)
+        return u + 2 * np.sin(2 * np.pi * (x * 0.8 + y * 0.6) / 280), np.sin(2 * np.pi * y / 500)
+
+    return field
 
 
-def parallax(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stereo-like: 0 to 40 px, gradient up to .15."""
-    u = 20 + 14 * np.sin(2 * np.pi * x / 840 + 0.3) + 4 * np.sin(2 * np.pi * y / 700)
-    return u + 2 * np.sin(2 * np.pi * (x * 0.8 + y * 0.6) / 280), np.sin(2 * np.pi * y / 500)
-
-
-def holes(share: float = 0.1, seed: int = 5) -> np.ndarray:
-    """Discs without particles, covering this share of the image."""
-    rng = np.random.default_rng(seed)
-    mask = np.zeros((N, N), bool)
-    y, x = np.mgrid[:N, :N]
-    while mask.mean() < share:
-        cx, cy, r = rng.uniform(60, N - 60), rng.uniform(60, N - 60), rng.uniform(25, 45)
-        mask |= (x - cx) ** 2 + (y - cy) ** 2 < r * r
-    return mask
-
-
-def other_camera(image: np.ndarray) -> np.ndarray:
+def other_camera(image: Array) -> Array:
     """The same picture with another gain and offset, both varying over it."""
     y, x = np.mgrid[:N, :N]
-    return (
-        image * (0.7 + 0.5 * np.sin(2 * np.pi * x / 1500) * np.cos(2 * np.pi * y / 1300))
-        + 12
-        + 8 * np.sin(y / 150)
-    )
+    gain = 0.7 + 0.5 * np.sin(2 * np.pi * x / 1500) * np.cos(2 * np.pi * y / 1300)
+    return np.asarray(image * gain + 12 + 8 * np.sin(y / 150))
 
 
-def _render(x: np.ndarray, y: np.ndarray, light: np.ndarray, sigma: float) -> np.ndarray:
+def _render(x: Array, y: Array, light: Array, sigma: float) -> Array:
+    """Gaussian particles, integrated over pixels."""
     reach = 4 if sigma < 1 else 6
     seen = (x > -reach) & (x < N + reach) & (y > -reach) & (y < N + reach)
     x, y, light = x[seen], y[seen], light[seen]
     i, j = np.rint(x).astype(int), np.rint(y).astype(int)
     offset = np.arange(-reach, reach + 1)
 
-    def share(place: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+    def share(place: Array, pixel: NDArray[np.int_]) -> Array:
         d = (place - pixel)[:, None] - offset
-        return 0.5 * (erf((d + 0.5) / (sigma * np.sqrt(2))) - erf((d - 0.5) / (sigma * np.sqrt(2))))
+        edges = [erf((d + half) / (sigma * np.sqrt(2))) for half in (0.5, -0.5)]
+        return np.asarray(0.5 * (edges[0] - edges[1]))
 
     value = 2 * np.pi * sigma**2 * light[:, None, None] * share(y, j)[:, :, None] * share(x, i)[:, None, :]
     column = np.broadcast_to(i[:, None, None] + offset[None, None, :], value.shape)
@@ -70,57 +66,31 @@ def _render(x: np.ndarray, y: np.ndarray, light: np.ndarray, sigma: float) -> np
     return np.bincount(row[inside] * N + column[inside], value[inside], minlength=N * N).reshape(N, N)
 
 
-def _eight_bits(images, noise: float, rng: np.random.Generator):
-    if noise:
-        images = [q + rng.normal(0, noise * 255, q.shape) for q in images]
-    return tuple(np.clip(np.rint(q), 0, 255).astype(np.uint8) for q in images)
-
-
 def particles(
     field: Field,
     density: float = 0.03,
     sigma: float = 0.675,
-    gain: float = 0.0,
     unmatched: float = 0.0,
     noise: float = 0.0,
     lit: bool = False,
-    hole: np.ndarray | None = None,
     seed: int = 3,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Two uint8 images; particles per px, their standard deviation (px), spread of their gain, shares."""
+) -> tuple[Image, Image]:
+    """Two images of particles that move by ``field`` of the middle of their paths.
+
+    Particles per px, the standard deviation of one (px), the part that only one image shows, noise as a part
+    of 255 grey levels; ``lit``: the second image is that of a camera with another gain.
+    """
     rng = np.random.default_rng(seed)
     n = int(density * (N + 2 * _PAD) ** 2)
     x, y = rng.uniform(-_PAD, N + _PAD, (2, n))
     light = rng.uniform(60, 220, n)
-    if hole is not None:
-        keep = ~hole[tuple(np.clip(np.rint(q), 0, N - 1).astype(int) for q in (y, x))]
-        x, y, light = x[keep], y[keep], light[keep]
     u, v = field(x, y)
-    x2, y2 = x + u, y + v
-    lost = rng.random(len(x)) < unmatched
+    x2, y2 = x + u / 2, y + v / 2
+    lost = rng.random(n) < unmatched
     x2[lost], y2[lost] = rng.uniform(-_PAD, N + _PAD, (2, lost.sum()))
-    a = _render(x, y, light, sigma) + 8
-    b = _render(x2, y2, light * np.exp(gain * rng.normal(size=len(x))), sigma) + 8
-    return _eight_bits((a, other_camera(b) if lit else b), noise, rng)
-
-
-def texture(field: Field, lit: bool = False, hole: np.ndarray | None = None, seed: int = 1):
-    """Two uint8 images of white noise, read by cubic splines."""
-    rng = np.random.default_rng(seed)
-    noise = rng.normal(0, 1, (N + 2 * _PAD, N + 2 * _PAD))
-    y, x = np.mgrid[:N, :N].astype(float)
-    x0, y0 = x.copy(), y.copy()
-    for _ in range(60):
-        u, v = field(x0, y0)
-        x0, y0 = x - u, y - v
-
-    def read(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        image = 118 + 95 * ndimage.map_coordinates(
-            noise, [y + _PAD, x + _PAD], order=3, prefilter=False, mode="mirror"
-        )
-        if hole is None:
-            return image
-        return np.where(ndimage.map_coordinates(hole.astype(float), [y, x], order=1) > 0.5, 20, image)
-
-    a, b = read(x, y), read(x0, y0)
-    return _eight_bits((a, other_camera(b) if lit else b), 0, rng)
+    a = _render(x - u / 2, y - v / 2, light, sigma) + 8
+    b = _render(x2, y2, light, sigma) + 8
+    pair = (a, other_camera(b) if lit else b)
+    noisy = (image + rng.normal(0, noise * 255, image.shape) for image in pair)
+    first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in noisy)
+    return first, second

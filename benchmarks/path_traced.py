@@ -9,18 +9,14 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from benchmarks.scenes import Case, cached, reconstruct
-from benchmarks.scores import Score
+from benchmarks.scenes import Case, cached
 from wavefield.grid import Grid
-from wavefield.measurement import Settings
 from wavefield.rig import Rig
 
 SHARED = Path(os.environ.get("WAVEFIELD_SHARED", Path(__file__).parents[2] / "shared"))
@@ -100,16 +96,6 @@ def load(name: str) -> Case:
     return Case(rig(), GRID, FRAME_RATE, frames, truth)
 
 
-def compare(name: str, settings: Settings) -> tuple[dict[str, Score], list[str]]:
-    """Measure a record: its scores, by what is appended to its label, and its results in words."""
-    case = load(name)
-    began = time.process_time()
-    score, without = Score(), Score()
-    height = round(float(case.rig.provenance["levelled"]["height_m"]), 5)
-    score.add(case, reconstruct(case, replace(settings, bead_height=height)))
-    without.add(case, reconstruct(case, settings))
-    lines = [f"bead_height {1e3 * height:.2f} mm, from still water", *score.lines()]
-    lines += [f"without it {line}" for line in without.lines()[:2]]
-    apart = np.sqrt(score.rms("z") ** 2 - score.bias("z") ** 2)
-    scores = {", `bead_height` from still water": score, ", without `bead_height`": without}
-    return scores, [*lines, f"z without its bias {apart:.4f}; CPU {time.process_time() - began:.0f} s"]
+def bead_height() -> float:
+    """By how much beads at rest stand above the target, m, from the record of still water."""
+    return round(float(rig().provenance["levelled"]["height_m"]), 5)

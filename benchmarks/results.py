@@ -1,5 +1,6 @@
 """Results of benchmarks as JSON files, from which README and docs/validation.md are made."""
 
+import argparse
 import json
 import shlex
 import sys
@@ -25,13 +26,17 @@ class Result:
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
-        """The table, and below it the command and the version."""
-        lines = [self.columns, ["---"] * len(self.columns), *self.rows]
-        table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        version = "" if self.algorithm is None else f", ALGORITHM {self.algorithm}"
-        if self.version.startswith("before"):
-            version += f", version {self.version}"
-        return f"{table}\n\n*`{self.command}`{version}*"
+        """The table, and below it the command and the version of the measurement."""
+        table = "\n".join(table_lines(self.columns, self.rows))
+        return f"{table}\n\n*`{self.command}`, {self.origin}*"
+
+    @property
+    def origin(self) -> str:
+        """Version of the package and of the measurement; says so if the measurement has changed since."""
+        if self.algorithm is None:
+            return f"version {self.version}"
+        since = "" if self.algorithm == ALGORITHM else f", not measured again with ALGORITHM {ALGORITHM}"
+        return f"version {self.version}, ALGORITHM {self.algorithm}{since}"
 
     def save(self, folder: Path = RESULTS) -> Path:
         """Write it, in place of the one before."""
@@ -54,3 +59,20 @@ def save_result(
     command = shlex.join(["python", "-m", f"benchmarks.{module}", *words])
     algorithm = ALGORITHM if measures_images else None
     return Result(name, command, __version__, algorithm, columns, rows).save()
+
+
+def table_lines(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a Markdown table."""
+    return ["| " + " | ".join(cells) + " |" for cells in (columns, ["---"] * len(columns), *rows)]
+
+
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a Markdown table."""
+    print("\n".join(table_lines(columns, rows)), flush=True)
+
+
+def parser_of(doc: str | None) -> argparse.ArgumentParser:
+    """A parser described by the first line of a benchmark's docstring, with ``--save``."""
+    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
+    parser.add_argument("--save", action="store_true", help="store the table in benchmarks/results")
+    return parser

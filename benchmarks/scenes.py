@@ -1,7 +1,7 @@
 """The simulated scenes with which the measurement is compared, with the truth of every step.
 
-Half size: the middle half of every sensor at full resolution (512 x 512, 512 x 512, 1216 x 864 px), 0.9 x 0.7
-m. Full size: the paper's cameras, 2 x 1.5 m. 1 px = 1.8 mm.
+By default half size: the middle half of every sensor at full resolution (512 x 512, 512 x 512, 1216 x 864
+px), 0.9 x 0.7 m. Full size (``crop`` of 1): the paper's cameras, 2 x 1.5 m. 1 px = 1.8 mm.
 """
 
 import getpass
@@ -29,9 +29,8 @@ cv2.setNumThreads(1)
 PIXEL = 1.8e-3
 MARGIN = 0.04  # nodes nearer to the edge of the common view are not compared, m
 FRAMES, MIDDLE = 8, 3  # frames drawn of each scene: three steps with two on either side; the middle one
-SEEDS = (71, 72, 73)
-HALF = {"rig": {"scale": 1.0, "crop": 0.5}, "grid": {"x": (-0.45, 0.45), "y": (-0.35, 0.35), "step": 0.01}}
-FULL = {"rig": {"scale": 1.0, "crop": 1.0}, "grid": {"x": (-1.0, 1.0), "y": (-0.75, 0.75), "step": 0.01}}
+HALF_FIELD = 0.45, 0.35  # of the nodes, m, where half of every sensor is read out
+FULL_FIELD = 1.0, 0.75
 BRIGHT = {"brightness": 110.0}
 SMALL_TARGET = {"kind": "strings", "mesh": 0.05, "origin_disc": 0.022, "x_disc": 0.014, "half": 14}
 
@@ -61,11 +60,12 @@ class Case:
     truth: Sequence[Fields]
 
 
-def scene(name: str, seed: int, full: bool = False, **changes: Any) -> Scene:
-    """A scene of the benchmarks; ``changes`` as for `Scene.with_`."""
+def scene(name: str, seed: int, crop: float = 0.5, **changes: Any) -> Scene:
+    """A scene of the benchmarks with a part ``crop`` of every sensor; ``changes`` as for `Scene.with_`."""
     preset, own = SCENES[name]
-    made = Scene.load(preset).with_(frames=FRAMES, seed=seed, **(FULL if full else HALF)).with_(**own)
-    return made.with_(**changes)
+    x, y = FULL_FIELD if crop == 1 else (round(2 * crop * half, 2) for half in HALF_FIELD)
+    size = {"rig": {"scale": 1.0, "crop": crop}, "grid": {"x": (-x, x), "y": (-y, y), "step": 0.01}}
+    return Scene.load(preset).with_(frames=FRAMES, seed=seed, **size).with_(**own).with_(**changes)
 
 
 def draw(described: Scene, rig: Rig) -> Case:
@@ -87,11 +87,11 @@ def truths(tank: Tank) -> list[Fields]:
 
 
 @cache
-def calibrated(full: bool) -> Rig:
-    """The cameras as calibrated from simulated images of the target; kept for the next run of this code."""
-    path = cached("full.yaml" if full else "half.yaml")
+def calibrated() -> Rig:
+    """The cameras, half size, calibrated from images of the target; kept for the next run of this code."""
+    path = cached("half.yaml")
     if not path.exists():
-        _calibrate(full).save(path)
+        _calibrate().save(path)
     return Rig.load(path)
 
 
@@ -105,9 +105,8 @@ def cached(name: str) -> Path:
     return folder / name
 
 
-def _calibrate(full: bool) -> Rig:
-    target = {} if full else {"calibration": {"target": SMALL_TARGET}}
-    tank = Tank(scene("random", 5, full, **target))
+def _calibrate() -> Rig:
+    tank = Tank(scene("random", 5, calibration={"target": SMALL_TARGET}))
     mesh = tank.scene.calibration.target.mesh
     strings = Target.from_dict(
         {"kind": "strings", "mesh": mesh, "origin_mark": "disc", "x_mark": "small disc"}

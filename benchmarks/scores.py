@@ -1,6 +1,6 @@
 """Errors of a cube against the truth, and against its stated uncertainty."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -56,9 +56,6 @@ class Score:
     def rms(self, name: str, filled: bool = False) -> float:
         return rms(np.concatenate((self.filled if filled else self.error)[name]))
 
-    def bias(self, name: str) -> float:
-        return float(np.mean(np.concatenate(self.error[name])))
-
     def fractions(self, name: str, filled: bool = False) -> tuple[float, float, float]:
         """Per cent of the errors within one and two standard uncertainties, and beyond three."""
         errors, stds = (self.filled, self.filled_std) if filled else (self.error, self.std)
@@ -68,11 +65,6 @@ class Score:
         within = [100.0 * float(np.mean(error <= n * std)) for n in (1, 2, 3)]
         return within[0], within[1], 100.0 - within[2]
 
-    def outliers(self) -> int:
-        """Nodes flagged as measured of which any variable is off by more than a pixel, or is not a number."""
-        error = np.array([np.concatenate(self.error[name]) for name in NAMES])
-        return int(np.sum(~(np.abs(error) <= 1).all(axis=0)))
-
     def wrong(self, times: float = 5.0) -> float:
         """Per cent of the compared nodes that are flagged as measured and off by more than so many std."""
         off = [
@@ -81,39 +73,17 @@ class Score:
         ]
         return 100.0 * float(np.sum(np.any(off, axis=0))) / max(self.nodes, 1)
 
-    def report(self, head: str, *more: str) -> None:
-        """Print a head and the lines of the score below it."""
-        print(head)
-        print("".join(f"    {line}\n" for line in (*self.lines(), *more)), end="", flush=True)
-
     def cells(self, filled: bool = False) -> list[str]:
-        """Cells of a row of the validation page: z; u, v, w; nodes measured; within one std."""
-        z, *moved = (f"{rms:.{4 if rms < 2e-3 else 3}f}" for rms in (self.rms(n, filled) for n in "zuvw"))
+        """Cells of a row: z; u, v, w; nodes measured; within one std; measured and wrong by five std."""
+        z, *moved = (f"{rms:.{4 if rms < 2e-3 else 3}f}" for rms in (self.rms(n, filled) for n in NAMES))
         within = ", ".join(f"{self.fractions(name, filled)[0]:.0f}" for name in NAMES)
         measured = "" if filled else f"{100 * self.measured / max(self.nodes, 1):.1f} %"
-        return [z, ", ".join(moved), measured, f"{within} %"]
+        wrong = "" if filled else f"{self.wrong():.2f} %"
+        return [z, ", ".join(moved), measured, f"{within} %", wrong]
 
-    def lines(self) -> list[str]:
-        """The results in words, a line each."""
-
-        def columns(values: Iterable[float], form: str) -> str:
-            return " ".join(form.format(v) for v in values)
-
+    def __str__(self) -> str:
+        """What a row of the table does not show."""
         shares = np.array([self.fractions(name) for name in NAMES]).T
-        lines = [
-            f"rms z {self.rms('z'):.4f}; u v w {columns((self.rms(n) for n in 'uvw'), '{:.4f}')}"
-            f"; bias z {self.bias('z'):+.4f}, u {self.bias('u'):+.4f}",
-            f"within 1 std: {columns(shares[0], '{:.0f}')}; 2: {columns(shares[1], '{:.0f}')}"
-            f"; beyond 3: {columns(shares[2], '{:.1f}')} % (z u v w)",
-            f"measured {100 * self.measured / max(self.nodes, 1):.2f} %; outliers {self.outliers()}"
-            f"; no value {100 * self.missing / max(self.nodes, 1):.2f} %",
-        ]
-        if self.filled["z"] and np.concatenate(self.filled["z"]).size > 20:
-            shares = np.array([self.fractions(name, True) for name in NAMES]).T
-            lines.append(
-                f"filled: rms z {self.rms('z', True):.3f}; u v w "
-                f"{columns((self.rms(n, True) for n in 'uvw'), '{:.3f}')}; within 1: "
-                f"{columns(shares[0], '{:.0f}')}; 2: {columns(shares[1], '{:.0f}')}; beyond 3: "
-                f"{columns(shares[2], '{:.1f}')} %"
-            )
-        return lines
+        two, three = (" ".join(f"{share:.1f}" for share in shares[k]) for k in (1, 2))
+        missing = 100 * self.missing / max(self.nodes, 1)
+        return f"within 2 std {two}, beyond 3 std {three} % (z u v w); no value {missing:.2f} %"

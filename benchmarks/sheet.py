@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.options import parser_of
+from benchmarks.results import parser_of, print_table, save_result
 from wavefield.calibration.light_sheet import fit_sheet
 from wavefield.measurement import GridGeometry, Settings, measure
 from wavefield.rig import Rig
@@ -34,6 +34,8 @@ ROWS: dict[str, dict[str, Any]] = {
     "three cameras": {"surface": BESIDE, "rig": {"cameras": 3}},
 }
 
+COLUMNS = ("", "seed", "measured", "u, v, w, px", "within one standard uncertainty")
+
 
 def beside(tank: Tank, rig: Rig) -> NDArray[Any]:
     """Distance of the nodes of a fitted rig from their places in the sheet, (x, y), metres."""
@@ -46,7 +48,7 @@ def beside(tank: Tank, rig: Rig) -> NDArray[Any]:
 
 def errors(
     tank: Tank, images: Sequence[dict[str, NDArray[Any]]], rig: Rig, at: Sequence[float] = (0.0, 0.0)
-) -> str:
+) -> list[str]:
     """Fraction measured, rms errors of u, v, w and how often they are within their uncertainty."""
     settings = Settings.from_dict({"preset": "sheet", "sheet_thickness": 1e-3})
     rate = tank.scene.frame_rate
@@ -54,7 +56,7 @@ def errors(
     cube = measure(frames, GridGeometry(rig, tank.scene.grid, settings), rate)
     measured = (cube["quality"] & Quality.MEASURED) != 0
     if not measured.any():
-        return "0 % | |"
+        return ["0 %", "", ""]
     x, y = np.meshgrid(tank.scene.grid.x_nodes + at[0], tank.scene.grid.y_nodes + at[1])
     truth = [tank.population.truth(x, y, tank.time(step + 0.5)) for step in range(1, len(images) - 2)]  # type: ignore[union-attr]
     found, within = [], []
@@ -64,7 +66,7 @@ def errors(
         std = cube[f"{name}_std"][measured] / rate / PIXEL
         found.append(f"{np.sqrt(np.mean(error**2)):.3f}")
         within.append(f"{100 * np.mean(np.abs(error) < std):.0f}")
-    return f"{100 * measured.mean():.1f} % | {', '.join(found)} | {', '.join(within)} %"
+    return [f"{100 * measured.mean():.1f} %", ", ".join(found), f"{', '.join(within)} %"]
 
 
 def main(words: Sequence[str]) -> int:
@@ -72,19 +74,21 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--seeds", nargs="+", type=int, default=[71, 72, 73])
     parser.add_argument("--frames", type=int, default=12)
     options = parser.parse_args(words)
-    print("| | seed | measured | u, v, w, px | within one std |\n|---|---|---|---|---|")
+    rows = []
     for name, changes in ROWS.items():
         for seed in options.seeds:
             tank = Tank(Scene.load("sheet").with_(frames=options.frames, seed=seed, **changes))
             images = [tank.render(frame) for frame in range(options.frames)]
             found = fit_sheet(lambda camera, k, i=images: i[k][camera], range(options.frames), tank.rig)  # type: ignore[misc]
-            print(f"| {name}, rig as it is | {seed} | {errors(tank, images, tank.rig)} |")
-            print(f"| {name}, after `rig sheet` | {seed} | {errors(tank, images, found.rig)} |")
+            rows.append([f"{name}, rig as it is", str(seed), *errors(tank, images, tank.rig)])
+            rows.append([f"{name}, after `rig sheet`", str(seed), *errors(tank, images, found.rig)])
             if found.position_ambiguity:
                 moved = beside(tank, found.rig)
                 there = f"{1e3 * moved[0]:+.2f}, {1e3 * moved[1]:+.2f} mm beside"
-                print(f"| the same, {there} | {seed} | {errors(tank, images, found.rig, moved)} |")
-            print(f"{found.sentence}", file=sys.stderr, flush=True)
+                rows.append([f"the same, {there}", str(seed), *errors(tank, images, found.rig, moved)])
+    print_table(COLUMNS, rows)
+    if options.save:
+        save_result("sheet", COLUMNS, rows)
     return 0
 
 

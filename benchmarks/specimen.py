@@ -1,17 +1,12 @@
 """Real images of a specimen under load: surface and displacements against a public code's own results.
 
-    python -m benchmarks.specimen FOLDER [--pictures DIR]
+    python -m benchmarks.specimen FOLDER [--save]
     python -m benchmarks.specimen FOLDER --images "images/img_{n:04d}_{c}.tif" --reference "gold/..._{n}.txt"
 
 FOLDER holds cal.xml, images and results of DICe, called as in its D-specimen unless stated. The reference's
 matches (left to right at rest, left to left under load) are turned into positions with the same rig; the
 measurement sees the images alone.
 """
-
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from benchmarks.options import parser_of
+from benchmarks.results import parser_of, print_table, save_result
 from wavefield.grid import Grid
 from wavefield.images import read_image
 from wavefield.measurement import GridGeometry, measure
@@ -60,7 +55,6 @@ class Difference:
     z: float
     mean_z: float
     moved: tuple[float, float, float]  # medians
-    fields: dict[str, np.ndarray]
 
 
 def differences(
@@ -116,70 +110,29 @@ def differences(
                 z=float(np.nanmedian(np.abs(height[ok]))),
                 mean_z=float(np.nanmean(height[ok])),
                 moved=tuple(float(np.nanmedian(d)) for d in (dx[ok], dy[ok], out["w"][measured > 0])),
-                fields=out,
             )
         )
     return geometry, found
-
-
-def compare(
-    folder: Path, pictures: Path | None = None, images_at: str = IMAGES, results_at: str = REFERENCE
-) -> list[tuple[str, str, str]]:
-    """Median differences, as (test, asked, reached)."""
-    geometry, found = differences(folder, images_at=images_at, results_at=results_at)
-    rows = [
-        (
-            "specimen: rectified pixel, um; lattice",
-            "",
-            f"{geometry.pixel / MICRON:.1f}; {geometry.lattice.shape}",
-        )
-    ]
-    for each in found:
-        moved = ", ".join(f"{d / MICRON:.1f}" for d in each.moved)
-        rows.append(
-            (
-                f"specimen, load {each.load}: median |difference| in plane; z, um",
-                "3; 8",
-                f"{each.plane / MICRON:.2f}; {each.z / MICRON:.2f}  ({each.points} points;"
-                f" mean z {each.mean_z / MICRON:+.1f}; moved {moved})",
-            )
-        )
-        if pictures:
-            draw(each.fields, geometry.grid, pictures / f"specimen_{each.load}.png")
-    return rows
-
-
-def draw(out, grid: Grid, path: Path) -> None:
-    """The four fields of one load."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure, axes = plt.subplots(2, 2, figsize=(11, 6.5), constrained_layout=True)
-    names = {"z": "elevation", "u": "displacement along x", "v": "along y", "w": "along z"}
-    for axis, (name, label) in zip(axes.flat, names.items(), strict=True):
-        field = np.where((out["quality"] & Quality.MEASURED) > 0, out[name], np.nan) / MICRON
-        low, high = np.nanpercentile(field, (2, 98))
-        extent = 1e3 * np.array([*grid.x, *grid.y])
-        shown = axis.imshow(field, origin="lower", extent=extent, vmin=low, vmax=high, cmap="viridis")
-        axis.set(title=f"{label} (um)", xlabel="x (mm)", ylabel="y (mm)")
-        figure.colorbar(shown, ax=axis, shrink=0.8)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
 def main() -> None:
     cv2.setNumThreads(1)
     parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--pictures", type=Path, help="folder for pictures of the fields")
     parser.add_argument("--images", default=IMAGES, help="images: {n} is the load, {c} the camera, 0 or 1")
     parser.add_argument("--reference", default=REFERENCE, help="DICe's results of load {n}")
     options = parser.parse_args()
-    for test, asked, reached in compare(options.folder, options.pictures, options.images, options.reference):
-        print(f"{test:58s} {asked:>10s}   {reached}", flush=True)
+    geometry, found = differences(options.folder, images_at=options.images, results_at=options.reference)
+    print(f"rectified pixel {geometry.pixel / MICRON:.1f} um; lattice {geometry.lattice.shape}")
+    columns = ("load", "points", "in plane, um", "z, um", "mean of z, um", "moved along x, y, z, um")
+    rows = []
+    for each in found:
+        moved = ", ".join(f"{d / MICRON:.1f}" for d in each.moved)
+        cells = (f"{value / MICRON:.2f}" for value in (each.plane, each.z, each.mean_z))
+        rows.append([str(each.load), str(each.points), *cells, moved])
+    print_table(columns, rows)
+    if options.save:
+        save_result("specimen", columns, rows)
 
 
 if __name__ == "__main__":

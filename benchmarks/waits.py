@@ -1,34 +1,70 @@
-"""How long a user waits: `python -m benchmarks.waits [--only PART ...] [--steps 400] [--folder DIR]`.
+"""How long a user waits for whole commands, from the shell to their end.
 
-Wall times of whole commands, from the shell to their end, full-size cameras unless stated otherwise; run it
-on a quiet machine. Experiments are simulated below a temporary folder (6 MB a step; --folder keeps them). The
-commands run once before, on a small tank, so that nothing is compiled meanwhile.
+    python -m benchmarks.waits [--only PART ...] [--steps 400] [--folder DIR] [--save]
+
+Parts: start (help, and a run's first frame), run (two workers and one), calibrate, check, analyze. Wall times
+on full-size cameras unless stated otherwise; run it on a quiet machine. Experiments are simulated below a
+temporary folder (6 MB a step; --folder keeps them). The commands run once before, on a small tank, so that
+nothing is compiled meanwhile.
 """
 
-import argparse
-import contextlib
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
 import cv2
-import psutil
 
-from benchmarks.command_runs import finish, print_row, same, small_scene, start, workers_of, write_tank
-from benchmarks.options import parser_of
+from benchmarks.results import parser_of, print_table, save_result
 from wavefield.execution.run_log import log_path
-from wavefield.images import read_image
-from wavefield.tank import Scene, simulate
+from wavefield.images import write_image
+from wavefield.pipeline import open_cube
+from wavefield.tank import Scene, Tank, simulate
+from wavefield.variables import CUBE_FIELDS
 
 IMPORTS = "import xarray, dask.distributed, numba, cv2"
-# lines of the log of a run when a part of it begins
-MARKS = {"learning": r"learning beads", "chunks": r"chunks to measure", "verdict": r"INFO done"}
+DRAWN = 12  # frames that are rendered; longer records show them forwards and backwards in turn
+FIRST_FRAME = re.compile(r"^(\S+ \S+),(\d+) .*learning beads", re.MULTILINE)  # in the log of a run
+
+Row = tuple[str, str]
+
+
+def write_tank(folder: Path, scene: Scene, steps: int) -> Path:
+    """An experiment of any length from a few rendered frames."""
+    path = folder / "experiment.yaml"
+    if path.exists():
+        return path
+    tank = Tank(scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    tank.rig.save(folder / "rig.yaml")
+    turn = [*range(DRAWN), *range(DRAWN - 2, 0, -1)]
+    for number in range(steps + 1):
+        images = tank.render(number) if number < DRAWN else {}
+        for camera in tank.rig:
+            target = folder / camera / f"img_{number:05d}.tif"
+            if images:
+                write_image(target, images[camera])
+            else:
+                shutil.copyfile(folder / camera / f"img_{turn[number % len(turn)]:05d}.tif", target)
+    cameras = "".join(f'  {name}: {{images: "{name}/img_{{frame:05d}}.tif"}}\n' for name in tank.rig)
+    grid = scene.grid
+    path.write_text(
+        f"name: {folder.name}\nframe_rate: {scene.frame_rate}\ncameras:\n{cameras}rig: rig.yaml\n"
+        f"grid: {{x: {list(grid.x)}, y: {list(grid.y)}, step: {grid.step}}}\n"
+    )
+    return path
+
+
+def small_tank(folder: Path) -> Path:
+    """Four steps of a small part of every sensor."""
+    grid = {"x": [-0.04, 0.04], "y": [-0.06, 0.06], "step": 0.01}
+    scene = Scene.load("demo").with_(rig={"crop": 0.12}, sea={"shortest": 0.15}, grid=grid)
+    return write_tank(folder / "first", scene, 4)
 
 
 def seconds(command: Sequence[object], repeats: int = 1) -> float:
@@ -48,108 +84,72 @@ def wavefield(*words: object) -> list[object]:
     return [sys.executable, "-m", "wavefield.commands.cli", *words]
 
 
-def run(experiment: Path, out: Path, workers: int) -> tuple[float, dict[str, float], float]:
-    """A run through the command line: its wall time, when its parts began, and a worker's most memory, GB."""
+def run(experiment: Path, out: Path, workers: int) -> float:
+    """Wall time of a run."""
     shutil.rmtree(out, ignore_errors=True)
     log_path(out).unlink(missing_ok=True)
-    began = time.time()
-    process = start(experiment, out, cluster="local", workers=workers)
-    most = 0.0
-    while process.poll() is None:
-        with contextlib.suppress(psutil.Error):
-            most = max([most, *(worker.memory_info().rss for worker in workers_of(process))])
-        time.sleep(0.05)
-    took = time.time() - began
-    finish(process, (0, 3))  # 3: remarks, as on frames that run forwards and backwards in turn
-    log = log_path(out).read_text()
-    parts = {}
-    for name, mark in MARKS.items():
-        found = re.search(rf"^(\S+ \S+),(\d+) .*{mark}", log, re.MULTILINE)
-        assert found, (name, log)
-        parts[name] = datetime.fromisoformat(found[1]).timestamp() + int(found[2]) / 1e3 - began
-    return took, parts, most / 1e9
+    workflow = out.with_suffix(".yaml")
+    workflow.write_text(f"cluster: local\nworkers: {workers}\n")
+    return seconds(wavefield("run", experiment, "-o", out, "--workflow", workflow))
 
 
-def two_dis(experiment: Path) -> float:
-    """CPU time of two runs of OpenCV's DIS optical flow (MEDIUM), s."""
-    first, second = (read_image(experiment.parent / "cam1" / f"img_{k:05d}.tif") for k in (0, 1))
-    flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    flow.calc(first, second, None)
-    times = []
+def starting(folder: Path, steps: int) -> Iterator[Row]:
+    """Until help is there, and until a run reads its first frames."""
+    least, helped = seconds([sys.executable, "-c", "import click"], 7), seconds(wavefield("--help"), 7)
+    yield "help", f"{helped:.2f} s, {helped / least:.1f} times importing click"
+    experiment, imported = small_tank(folder), seconds([sys.executable, "-c", IMPORTS], 5)
+    first = []
     for _ in range(5):
-        began = time.process_time()
-        flow.calc(first, second, None)
-        flow.calc(second, first, None)
-        times.append(time.process_time() - began)
-    return min(times)
+        began = time.time()
+        run(experiment, folder / "start.zarr", 2)
+        found = FIRST_FRAME.search(log_path(folder / "start.zarr").read_text())
+        assert found
+        first.append(datetime.fromisoformat(found[1]).timestamp() + int(found[2]) / 1e3 - began)
+    yield "a run's first frames, small", f"{min(first):.2f} s, {min(first) / imported:.1f} times the imports"
 
 
-def beginning(folder: Path, options: argparse.Namespace) -> None:
-    """Until help is there, and until the first frame of a run is measured."""
-    least = seconds([sys.executable, "-c", "import click"], 7)
-    helped = seconds(wavefield("--help"), 7)
-    print_row("wavefield --help over importing click", "3", f"{helped / least:.1f}  ({helped:.2f} s)")
-    experiment = write_tank(folder / "first", small_scene(), 4)
-    imported = seconds([sys.executable, "-c", IMPORTS], 5)
-    parts = [run(experiment, folder / "start.zarr", 2)[1] for _ in range(5)]
-    first, chunks = (min(part[name] for part in parts) for name in ("learning", "chunks"))
-    detail = f"({first:.2f} s, {imported:.2f} s; small images)"
-    print_row(
-        "from the command to the first frame measured, over imports", "2", f"{first / imported:.2f}  {detail}"
-    )
-    print_row(
-        "    to the first chunk, beads and spectra learned", "", f"{chunks / imported:.2f}  ({chunks:.2f} s)"
-    )
-
-
-def record(folder: Path, options: argparse.Namespace) -> None:
+def running(folder: Path, steps: int) -> Iterator[Row]:
     """A run with two workers and with one."""
-    steps = options.steps
     experiment = write_tank(folder / f"full-{steps}", Scene.load("full"), steps)
-    dis = two_dis(experiment)
-    took = {}
-    for workers in options.workers:
-        wall, parts, memory = run(experiment, folder / f"run{workers}.zarr", workers)
-        took[workers] = wall
-        over = f"{workers * wall / steps / dis:.2f}  ({wall:.1f} s; {1e3 * dis:.0f} ms; {steps} steps)"
-        print_row(f"run, {workers} workers: wall x {workers} / steps over two DIS", "0.80", over)
-        ends = [0.0, *parts.values(), wall]
-        names = ("preparing", "learning", "chunks", "verdict")
-        shown = ", ".join(f"{name} {b - a:.1f}" for name, a, b in zip(names, ends, ends[1:]))
-        print_row("    of it, s", "", shown)
-        print_row("    most memory of a worker", "0.5 GB", f"{memory:.2f} GB" if workers > 1 else "")
-    if len(took) > 1:
-        print_row("2 workers over 1", "0.53", f"{took[2] / took[1]:.3f}")
-        equal = same(folder / "run1.zarr", folder / "run2.zarr")
-        print_row("    the two cubes are the same to the bit", "yes", "yes" if equal else "no")
+    cubes = []
+    for workers in (2, 1):
+        out = folder / f"run{workers}.zarr"
+        yield f"run, {steps} steps, workers: {workers}", f"{run(experiment, out, workers):.1f} s"
+        cubes.append(open_cube(out).load())
+    a, b = cubes
+    same = all(a[n].values.tobytes() == b[n].values.tobytes() for n in (*CUBE_FIELDS, "frame_status"))
+    yield "both cubes are the same to the bit", "yes" if same else "no"
 
 
-def calibration(folder: Path, options: argparse.Namespace) -> None:
-    """Calibrating from 21 full-size images."""
+def calibrating(folder: Path, steps: int) -> Iterator[Row]:
+    """Calibrating from full-size images."""
     place = folder / "targets"
     if not place.exists():
         simulate(Scene.load("full").with_(frames=2), place)
     images = len(list((place / "calib").rglob("*.tif")))
     wall = seconds(wavefield("-q", "calibrate", place / "experiment.yaml"))
-    print_row(f"calibrate, {images} full-size images", "15 s", f"{wall:.1f} s")
+    yield f"calibrate, {images} images", f"{wall:.1f} s"
 
 
-def checking(folder: Path, options: argparse.Namespace) -> None:
-    """Checking the demo, and a record of full-size cameras."""
+def checking(folder: Path, steps: int) -> Iterator[Row]:
+    """Checking the demo."""
     place = folder / "demo"
     if not place.exists():
         simulate(Scene.load("demo"), place)
-    given = ["--rig", place / "truth" / "rig.yaml"]
-    wall = min(seconds(wavefield("-q", "check", place / "experiment.yaml", *given)) for _ in range(3))
-    print_row("check, the demo's images", "6 s", f"{wall:.1f} s")
-    full = folder / f"full-{options.steps}"
-    if full.exists():
-        print_row(
-            "check, full size", "", f"{seconds(wavefield('-q', 'check', full / 'experiment.yaml')):.1f} s"
-        )
+    command = wavefield("-q", "check", place / "experiment.yaml", "--rig", place / "truth" / "rig.yaml")
+    yield "check, the demo", f"{seconds(command, 3):.1f} s"
 
 
-PARTS = {"start": beginning, "run": record, "calibrate": calibration, "check": checking}
+def analysing(folder: Path, steps: int) -> Iterator[Row]:
+    """The wave analysis of the cube of a run."""
+    cube = folder / "run2.zarr"
+    if not cube.exists():
+        run(write_tank(folder / f"full-{steps}", Scene.load("full"), steps), cube, 2)
+    wall = seconds(wavefield("-q", "analyze", cube, "-o", folder / "waves.zarr", "--overwrite"))
+    yield f"analyze, {steps} steps", f"{wall:.1f} s"
+
+
+PARTS = {"start": starting, "run": running, "calibrate": calibrating, "check": checking, "analyze": analysing}
 
 
 def main(words: Sequence[str]) -> int:
@@ -157,18 +157,20 @@ def main(words: Sequence[str]) -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--steps", type=int, default=400)
-    parser.add_argument("--workers", type=int, nargs="+", default=[2, 1])
     parser.add_argument("--folder", type=Path)
     options = parser.parse_args(words)
     cv2.setNumThreads(1)
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        small = write_tank(folder / "first", small_scene(), 4)
-        run(small, folder / "compiled.zarr", 2)
-        seconds(wavefield("-q", "check", small))
+        run(small_tank(folder), folder / "compiled.zarr", 2)
         for name in options.only:
-            PARTS[name](folder, options)
+            rows += PARTS[name](folder, options.steps)
+    columns = ("command", "wall time")
+    print_table(columns, rows)
+    if options.save:
+        save_result("waits", columns, rows, measures_images=False)
     return 0
 
 

@@ -32,7 +32,7 @@ import yaml
 from numpy.typing import NDArray
 
 import wavefield as wf
-from benchmarks.options import parser_of
+from benchmarks.results import parser_of
 from benchmarks.scenes import Case, inside
 from wavefield.errors import WavefieldError
 from wavefield.images import write_image
@@ -51,7 +51,6 @@ FAULTS = (
     "duplicated", "lost", "duplicated in one", "lost in one", "jitter", "jitter, with stamps",
     "late", "rolling shutter", "ripples", "submerged beads", "floating object", "blurred camera",
 )  # fmt: skip
-ONLY_ASKED_FOR = ("duplicated in two", "lost in two")  # not among those drawn
 
 Images = dict[str, list[NDArray[Any] | None]]
 
@@ -189,9 +188,9 @@ def draw_conditions(seed: int, number: int, asked: str | None = None) -> Conditi
 
 
 def faulty_cameras(conditions: Conditions, tank: Tank) -> set[str]:
-    """The cameras whose frames are repeated or lost: the drawn one, it and the next, or all."""
+    """The cameras whose frames are repeated or lost: the drawn one or all."""
     names = list(tank.rig)
-    count = {"one": 1, "two": 2}.get(conditions.fault.rpartition(" in ")[2], len(names))
+    count = 1 if conditions.fault.endswith(" in one") else len(names)
     first = names.index(conditions.camera)
     return {names[(first + k) % len(names)] for k in range(count)}
 
@@ -388,7 +387,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", type=int, help="numbers of single draws")
-    parser.add_argument("--fault", choices=(*FAULTS, *ONLY_ASKED_FOR), help="of every draw")
+    parser.add_argument("--fault", choices=FAULTS, help="of every draw")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--most", type=int, help="exit status 1 if more draws are wrong without a warning")
     options = parser.parse_args(words)

@@ -1,254 +1,278 @@
-"""Speed, memory and accuracy of the wave analysis: `python -m benchmarks.waves`.
+"""Coverage of the wave estimators on random seas of an independent generator.
 
-    python -m benchmarks.waves                          the cube of the paper: 12,000 x 150 x 200
-    python -m benchmarks.waves --steps 2560             the same at reduced length
-    python -m benchmarks.waves --store cube.zarr --truth truth.zarr
-                                                        a simulated experiment, measured from its images:
-                                                        wavefield simulate spectra DIR,
-                                                        wavefield run DIR/experiment.yaml -o cube.zarr,
-                                                        truth in DIR/truth/truth.zarr
+    python -m benchmarks.waves [--first SEED] [--draws N] [--processes N] [--save]
+    python -m benchmarks.waves --currents [--families NAME ...] [--seeds FIRST LAST] [--save]
 
-The cube is noise on a sea, float32, in a Zarr store with one step range per chunk. xrft is measured beside
-where it can be imported. Times of single estimators are CPU times on one thread; the whole analysis is wall
-time.
+Gaussian seas of exact free waves are drawn at random: depth, current, directions (isotropic to s = 50, one or
+two parts), band, slope, noise, length, window, gaps, sampling. `analyze` is run on two draws of each sea. The
+table has, by product, the fraction of 95 % intervals that hold the truth (of currents) or the difference of
+the two draws (of other products, whose truth is the same), how often 5 % levels are exceeded where there is
+no relation, and what was refused. The family of seas that departs most is named beside.
+
+With ``--currents`` the table has the error of the fitted current, mm/s, the same over its standard
+uncertainty, and the number of refusals, for six families of linear seas.
 """
 
-import json
-import os
-import subprocess
 import sys
-import tempfile
-import time
-import warnings
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from multiprocessing import Pool
 from pathlib import Path
+from typing import Any
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
-import dask
 import numpy as np
-import scipy.fft
 import xarray as xr
+from numpy.typing import NDArray
 
-import wavefield.waves as wv
-from benchmarks.from_images import experiment, row, title
-from benchmarks.options import parser_of
-from wavefield.waves import rings
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "waves"))
 
-STEPS, NY, NX, SEGMENT = 12_000, 150, 200, 512
-DT, STEP = 0.05, 0.01
-FIELDS = ("z", "z_t", "u", "v", "w")
+from independent_seas import FAMILIES, Sea, family, random_lattice_sea
+
+from benchmarks.results import parser_of, print_table, save_result
+from wavefield.errors import CubeError
+from wavefield.waves import analyze, coherence, fit_dispersion, spectrum
+
+Array = NDArray[Any]
+
+STRONG = 1e-3  # of the largest energy: weaker cells are not counted
+HALF_INTERVAL = 1.96  # standard uncertainties
+# whose truth is known, and its place: the current along x and y
+TRUTH = {
+    ("kinematics", "mean_current_x"): 0,
+    ("kinematics", "mean_current_y"): 1,
+    ("dispersion", "current_x"): 0,
+    ("dispersion", "current_y"): 1,
+}
+SPREADS = {"pdf", "static"}  # whose standard deviation is no uncertainty
+FEW = 5  # draws: a family with fewer is not named
+Count = tuple[str, str, float]  # kind, product, fraction
+SeaCounts = tuple[int, list[str], list[Count]]  # seed, families
 
 
-def write_cube(path: Path, steps: int) -> None:
-    """A sea of a hundred waves with the paper's noise, piece by piece."""
-    rng = np.random.default_rng(0)
-    n = 100
-    f = (rng.random(n) * (4.0**-4 - 1) + 1) ** -0.25
-    k = wv.wavenumber(2 * np.pi * f, 0.7)
-    angle = 2 * np.pi * rng.random(n)
-    kx, ky, omega = k * np.cos(angle), k * np.sin(angle), wv.dispersion(k, 0.7)
-    a = (0.015 * np.sqrt(2 / n) * np.exp(2j * np.pi * rng.random(n))).astype("c8")
-    y, x = np.arange(NY) * STEP, np.arange(NX) * STEP
-    ex, ey = np.exp(1j * np.outer(kx, x)).astype("c8"), np.exp(1j * np.outer(y, ky)).astype("c8")
-    gains = {"z": 1.0, "z_t": -1j * omega, "u": kx * omega / k, "v": ky * omega / k, "w": -1j * omega}
-    noise = {"z": 0.00057, "z_t": 0.016, "u": 0.005, "v": 0.005, "w": 0.0056}
-    coords = {"time": (np.arange(steps) + 0.5) * DT, "y": y, "x": x}
-    attrs = {"frame_rate": 1 / DT, "water_depth": 0.7}
-    for first in range(0, steps, 64):
-        t = coords["time"][first : first + 64]
-        turned = a * np.exp(-1j * np.outer(t, omega))
-        data = {}
-        for name in FIELDS:
-            sea = np.stack([((ey * (row_ * gains[name])) @ ex).real for row_ in turned]).astype("f4")
-            sea += noise[name] * rng.standard_normal(sea.shape, dtype="f4")
-            data[name] = (("time", "y", "x"), sea, {"units": "m" if name == "z" else "m s-1"})
-        part = xr.Dataset(data, coords | {"time": t}, attrs)
-        if first == 0:
-            chunks = {name: {"chunks": (64, NY, NX)} for name in FIELDS}
-            part.to_zarr(path, mode="w", consolidated=False, encoding=chunks)
+def _interval_names(name: str) -> tuple[str, str] | None:
+    """Spectrum whose interval begins at a variable ``low_...``, and how it is counted."""
+    stem = name.removeprefix("low_")
+    if stem.startswith("nonlinear_ratio"):
+        return stem, stem
+    if stem.startswith("komega_"):
+        return f"E_{stem}", "E(k, omega) of " + stem.removeprefix("komega_")
+    if stem.startswith("E_k_"):
+        return stem, "E(k) of " + stem.removeprefix("E_k_")
+    if stem.startswith("E_"):
+        return stem, "E(omega) of " + stem.removeprefix("E_")
+    return ("D", "D(theta)") if stem == "D" else (f"Ez_{stem}", f"Ez_{stem}")
+
+
+def _factors(tree: xr.DataTree, group: str) -> Iterator[tuple[str, Array, Array, Array, Array]]:
+    """Estimates of a group with intervals: product, values, ends as factors, and where they count."""
+    data = tree[group].to_dataset()
+    for name in data:
+        names = _interval_names(str(name)) if str(name).startswith("low_") else None
+        if names is None or names[0] not in data:
+            continue
+        value, low, high = (data[n].values for n in (names[0], name, str(name).replace("low_", "high_", 1)))
+        there = np.isfinite(value) & np.isfinite(low) & np.isfinite(high) & (value > 0)
+        if names[0].startswith("nonlinear_ratio"):
+            axis = "k" if names[0].endswith("_k") else "omega"
+            energy = tree["spectra"]["E_k_w" if axis == "k" else "E_w"].values
+            there &= energy > STRONG * np.nanmax(energy)
         else:
-            part.to_zarr(path, append_dim="time", consolidated=False)
+            there &= value > STRONG * np.nanmax(np.where(there, value, 0))
+        if names[0].startswith("E_komega"):
+            there &= data["valid_komega"].values
+        valid = "valid_" + names[0].removeprefix("Ez_")
+        if names[0].startswith("Ez_") and valid in data:
+            there &= data[valid].values
+        yield names[1], value, low, high, there
 
 
-def cpu(function, repeats: int = 2):
-    """Least CPU time of a few runs, and the last result."""
-    times, out = [], None
-    for _ in range(repeats):
-        start = time.process_time()
-        out = function()
-        times.append(time.process_time() - start)
-    return min(times), out
+def _intervals(one: xr.DataTree, other: xr.DataTree) -> Iterator[Count]:
+    """Fraction of intervals of two estimates of the same truth that hold it, by product."""
+    for group in one.children:
+        if group not in other.children:
+            continue
+        pairs = zip(_factors(one, group), _factors(other, group))
+        for (product, a, low_a, high_a, there), (_, b, low_b, high_b, there_b) in pairs:
+            if a.shape != b.shape or not (there & there_b).any():
+                continue
+            with np.errstate(all="ignore"):
+                apart = np.log(b / a)
+                up = np.hypot(np.log(high_a), np.log(low_b))
+                down = np.hypot(np.log(low_a), np.log(high_b))
+                inside = np.where(apart > 0, apart <= up, -apart <= down)
+            yield "interval", f"{group}: {product}", float(inside[there & there_b].mean())
+        for name in one[group].data_vars:
+            value = str(name).removesuffix("_std")
+            if value == name or value in SPREADS or (group, value) in TRUTH:
+                continue
+            if not {value, name} <= {*other[group].data_vars}:
+                continue
+            if value not in one[group]:
+                continue
+            a, b, std_a, std_b = (t[group][n].values for n in (value, name) for t in (one, other))
+            if a.shape != b.shape or a.shape != std_a.shape:
+                continue
+            if (there := np.isfinite(a + b + std_a + std_b)).any():
+                apart = a - b
+                if one[group][value].attrs.get("units") == "rad":
+                    apart = np.angle(np.exp(1j * apart))
+                inside = np.abs(apart) <= HALF_INTERVAL * np.hypot(std_a, std_b)
+                yield "interval", f"{group}: {value}", float(inside[there].mean())
 
 
-def peer(stored) -> float | None:
-    """CPU time of xrft over the same segments with half overlap, or None."""
+def _against_truth(tree: xr.DataTree, current: tuple[float, float]) -> Iterator[Count]:
+    """Fraction of intervals that hold a truth which is known."""
+    for (group, name), place in TRUTH.items():
+        if group in tree.children and name in tree[group].data_vars:
+            value, std = (tree[group][n].values for n in (name, f"{name}_std"))
+            inside = np.abs(value - current[place]) <= HALF_INTERVAL * std
+            yield "truth", f"{group}: {name.removesuffix('_x').removesuffix('_y')}", float(inside.mean())
+
+
+def _nulls(tree: xr.DataTree, mixed: xr.Dataset) -> Iterator[Count]:
+    """Fraction of coherences without relation that exceed their level."""
+    spectra, group = tree["spectra"], tree["coherence"]
+    for ending, names in (
+        ("", ("E_k_rise", "E_k_nl", "E_k_w")),
+        ("_komega", ("E_komega_rise", "E_komega_nl", "")),
+    ):
+        there = [spectra[n].values > STRONG * spectra[n].values.max() for n in names if n]
+        strong = there[0] & there[1]
+        waves = there[0] if ending else there[0] & there[2]
+        if ending:
+            strong, waves = (part & spectra["valid_komega"].values for part in (strong, waves))
+        for product, data, part in (
+            (f"z_t with u . grad z{ending}", group, strong),
+            (f"z_t with w of another sea{ending}", mixed, waves),
+        ):
+            name = "nl" if "grad" in product else "w"
+            over = (data[f"gamma2_{name}{ending}"] > data[f"level_{name}{ending}"]).values
+            if part.any() and over.shape == part.shape:
+                yield "null", f"coherence: {product}", float(over[part].mean())
+    for name in ("bicoherence", "tricoherence"):
+        if "higher_order" in tree.children and name in tree["higher_order"]:
+            value, level = (tree["higher_order"][n].values for n in (name, f"{name}_level"))
+            if (there := np.isfinite(value) & np.isfinite(level)).any():
+                yield "null", f"higher_order: {name}", float((value > level)[there].mean())
+
+
+def counts_of(seed: int) -> SeaCounts:
+    """What is counted on two draws of a random sea."""
+    sea, families = random_lattice_sea(seed)
+    cubes = [sea.cube(10 * seed + i) for i in (1, 2)]
+    out: list[Count] = []
     try:
-        import xrft
-    except ImportError:
-        return None
-    start = time.process_time()
-    total, count, power = 0.0, 0, None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for first in range(0, stored.sizes["time"] - SEGMENT + 1, SEGMENT // 2):
-            power = xrft.power_spectrum(
-                stored.isel(time=slice(first, first + SEGMENT)).load(),
-                dim=["time", "y", "x"],
-                real_dim="x",  # quicker than time
-                window="hann",
-                window_correction=True,
-                detrend="constant",
-            )
-            # values: its frequencies differ by rounding from one segment to the next
-            total = total + power.values
-            count += 1
-    spent = time.process_time() - start
-    cell = np.prod([float(power[name][1] - power[name][0]) for name in power.dims])
-    share = float((total / count).sum() * cell / stored[:2000].var())
-    row(f"xrft {xrft.__version__}: its total over the variance", "1", f"{share:.3f}")
-    return spent
+        trees = [analyze(cube) for cube in cubes]
+    except CubeError as error:
+        return seed, families, [("refusal", f"analyze: {error}", 1.0)]
+    mixed = cubes[0][["z", "z_t"]].assign({name: cubes[1][name] for name in ("u", "v", "w")})
+    out += _intervals(*trees)
+    for tree in trees:
+        out += _nulls(tree, coherence(mixed.assign_attrs(cubes[0].attrs)))
+        notes = [
+            line.partition(":")[0] for line in tree.attrs["notes"].splitlines() if line.startswith("No ")
+        ]
+        out += [("refusal", note, 1.0) for note in notes]
+        out += _against_truth(tree, sea.current)
+    print(f"sea {seed}: {', '.join(families)}", file=sys.stderr, flush=True)
+    return seed, families, out
 
 
-def speed(path: Path) -> None:
-    """E(k, omega) of one variable against the bare transform, on one thread."""
-    stored = xr.open_zarr(path, chunks=None, consolidated=False)
-    steps = stored.sizes["time"]
-    title(f"E(k, omega) of one variable, {steps} x {NY} x {NX} float32 from Zarr, one thread, CPU s")
-    with dask.config.set(scheduler="synchronous"):
-        wv.komega(stored.w.isel(time=slice(0, SEGMENT)).chunk(), segment=SEGMENT).compute()  # compile
-        rings.rings.cache_clear()
-        lazy = stored.w.chunk({"time": SEGMENT // 2})
-
-        def bare(read_only: bool) -> None:
-            for first in range(0, steps - SEGMENT + 1, SEGMENT):
-                part = stored.w[first : first + SEGMENT].values
-                if not read_only:
-                    scipy.fft.rfftn(part)
-
-        read, _ = cpu(lambda: bare(True))
-        both, _ = cpu(lambda: bare(False))
-        found, record = cpu(lambda: wv.find_record(stored.w))
-        known, E = cpu(lambda: wv.komega(lazy, segment=SEGMENT, record=record).compute())
-        whole, _ = cpu(lambda: wv.komega(lazy, segment=SEGMENT).compute())
-    row("reading the variable once", "", f"{read:.2f}")
-    row("bare rfftn of the segments without overlap, with reading", "", f"{both:.2f}")
-    row("looking for gaps and edges (once per cube; reads it)", "", f"{found:.2f}")
-    row("komega, gaps and edges known, with reading", "", f"{known:.2f}")
-    row("  the same over bare rfftn twice (overlap), both with reading", "1.5", f"{known / both / 2:.2f}")
-    row("  the same, reading taken off both", "1.5", f"{(known - read) / (both - read) / 2:.2f}")
-    row("komega, gaps and edges searched, with all reading", "", f"{whole:.2f}")
-    row("  the same over bare rfftn twice (overlap), with reading", "1.5", f"{whole / both / 2:.2f}")
-    row("its total over the variance", "1", f"{float(wv.total(E.E) / stored.w[:2000].var()):.3f}")
-    time_of_peer = peer(stored.w)
-    if time_of_peer is None:
-        row("xrft (not installed)", "", "-")
-    else:
-        row("xrft over the same segments, no angular integral, with reading", "", f"{time_of_peer:.2f}")
-        row("komega, gaps and edges known, over xrft", "", f"{known / time_of_peer:.2f}")
+def _mean(fractions: Sequence[float]) -> tuple[float, float]:
+    """Mean of fractions of several draws, and its standard error."""
+    error = np.std(fractions, ddof=1) / np.sqrt(len(fractions)) if len(fractions) > 1 else np.nan
+    return float(np.mean(fractions)), float(error)
 
 
-def in_memory() -> None:
-    """E(k, omega) of cubes in memory against the transforms of all their segments, which overlap by half."""
-    title("E(k, omega) of noise in memory, gaps and edges known, over rfftn of all segments, one thread")
-    for steps, ny, nx, segment in ((1024, 96, 128, 256), (1024, 96, 128, 512), (1536, 150, 200, 512)):
-        values = np.random.default_rng(0).standard_normal((steps, ny, nx), dtype=np.float32)
-        coords = {"time": (np.arange(steps) + 0.5) * DT, "y": np.arange(ny) * STEP, "x": np.arange(nx) * STEP}
-        cube = xr.DataArray(values, coords, ("time", "y", "x"), name="w", attrs={"units": "m s-1"})
-        firsts = range(0, steps - segment + 1, segment // 2)
-        with dask.config.set(scheduler="synchronous"):
-            _, record = cpu(lambda c=cube: wv.find_record(c), 3)
-            spent, _ = cpu(lambda c=cube, n=segment, r=record: wv.komega(c, segment=n, record=r).compute(), 5)
-            asked, _ = cpu(lambda c=cube, n=segment: wv.komega(c, segment=n).compute(), 5)
-            bare, _ = cpu(lambda a=values, n=segment, f=firsts: [scipy.fft.rfftn(a[k : k + n]) for k in f], 5)
-        row(f"{steps} x {ny} x {nx}, segments of {segment}", "1.5", f"{spent / bare:.2f}")
-        row("  gaps and edges searched as well", "", f"{asked / bare:.2f}")
+def _off(expected: float, mean: float, error: float) -> float:
+    """How far a mean is from what is expected, in standard errors; one of equal fractions has a small one."""
+    return abs(mean - expected) / max(error, 0.01)
 
 
-_WHOLE = """
-import json, resource, sys, time
-from dataclasses import replace
-import dask
-import wavefield
-import wavefield.waves as wv
-import numpy as np, xarray as xr
-parts = {}
-from wavefield.waves import products
-def timed(product):
-    def work(*inputs):
-        begin = time.process_time()
-        try:
-            return product.compute(*inputs)
-        finally:
-            parts[product.name] = parts.get(product.name, 0.0) + time.process_time() - begin
-    return replace(product, compute=work)
-cube = xr.open_zarr(sys.argv[1], chunks=None, consolidated=False)
-small = cube.isel(time=slice(0, 128), y=slice(0, 40), x=slice(0, 50)).load()
-wv.analyze(small)  # compile
-longest = ("dispersion_fit", "directional")
-every = [timed(p) if p.name in longest else p for p in products.registered()]
-products.registered = lambda: every
-start, work = time.perf_counter(), time.process_time()
-with dask.config.set(scheduler="threads", num_workers=2):
-    out = wavefield.analyze(sys.argv[1], sys.argv[2])
-print(json.dumps({
-    "wall": time.perf_counter() - start,
-    "cpu": time.process_time() - work,
-    "parts": parts,
-    "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
-}))
-"""
+def products_table(seeds: Sequence[int], processes: int) -> list[list[str]]:
+    """Rows of the table of products, the worst of each kind first."""
+    with Pool(processes) as pool:
+        seas = pool.map(counts_of, seeds, chunksize=1)
+    found: dict[tuple[str, str], list[tuple[float, list[str]]]] = defaultdict(list)
+    for _, families, counts in seas:
+        for kind, product, fraction in counts:
+            found[kind, product].append((fraction, families))
+    rows = []
+    for (kind, product), values in found.items():
+        expected = {"interval": 0.95, "truth": 0.95, "null": 0.05}.get(kind, 0.0)
+        mean, error = _mean([fraction for fraction, _ in values])
+        by_family = defaultdict(list)
+        for fraction, families in values:
+            for name in families:
+                by_family[name].append(fraction)
+        of_family = {name: _mean(v) for name, v in by_family.items() if len(v) >= FEW}
+        worst = max(of_family, default="", key=lambda name: _off(expected, *of_family[name]))
+        count = f"{len(values)}" if kind != "refusal" else f"{len(values)} of {2 * len(seeds)}"
+        mean_text = f"{mean:.3f} ± {error:.3f}" if kind != "refusal" else ""
+        worst_text = "{} {:.3f} ± {:.3f}".format(worst, *of_family[worst]) if worst else ""
+        rows.append((abs(mean - expected), [kind, product, count, mean_text, worst_text]))
+    order = ("interval", "truth", "null", "refusal")
+    rows.sort(key=lambda row: (order.index(row[1][0]), -row[0]))
+    return [cells for _, cells in rows]
 
 
-def whole(path: Path, steps: int) -> None:
-    """The whole analysis in a process of its own."""
-    title(f"The whole of analyze, five variables of {steps} x {NY} x {NX}, two threads")
-    done = subprocess.run(
-        [sys.executable, "-c", _WHOLE, str(path), str(path.with_name("waves.zarr"))],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        print(done.stderr)
-        raise SystemExit(1)
-    figures = json.loads(done.stdout.splitlines()[-1])
-    share = steps / STEPS
-    row("wall time, s", f"{60 * share:.0f}", f"{figures['wall']:.1f}")
-    row("CPU time, s (wall on two free cores is about half)", "", f"{figures['cpu']:.1f}")
-    for name, spent in figures["parts"].items():
-        row(f"  of it {name}, s", "", f"{spent:.1f}")
-    new = sum(spent for name, spent in figures["parts"].items() if name != "dispersion_fit")
-    row(
-        "CPU time over that without directional",
-        "2",
-        f"{figures['cpu'] / (figures['cpu'] - new):.2f}",
-    )
-    row("memory, GB", "2", f"{figures['memory']:.2f}")
+def current_of(case: tuple[str, int]) -> tuple[str, int, Any, Any, str]:
+    """Family, seed, error of the current, the same over its standard uncertainty, or why it was refused."""
+    sea: Sea = family(*case)
+    found = spectrum(sea.cube(("w",))["w"])
+    try:
+        fit = fit_dispersion(found["E"], sea.depth)
+    except CubeError as error:
+        return *case, None, None, str(error)
+    error = np.array([float(fit["current_x"]), float(fit["current_y"])]) - sea.current
+    std = np.array([float(fit["current_x_std"]), float(fit["current_y_std"])])
+    return *case, error, error / std, ""
+
+
+def currents_table(cases: list[tuple[str, int]], names: Sequence[str], processes: int) -> list[list[str]]:
+    """Rows of the errors of fitted currents by family."""
+    with Pool(processes) as pool:
+        fits = pool.map(current_of, cases, chunksize=1)
+    rows = []
+    for name in (*names, "all"):
+        mine = [fit for fit in fits if name in (fit[0], "all")]
+        fitted = [fit for fit in mine if not fit[4]]
+        cells = [name, str(len(mine)), str(len(mine) - len(fitted)), "", "", "", ""]
+        if fitted:
+            size = 1e3 * np.array([np.hypot(*fit[2]) for fit in fitted])
+            over = np.abs(np.array([fit[3] for fit in fitted]))
+            rms = [np.sqrt((values**2).mean()) for values in (size, over)]
+            cells[3:] = f"{rms[0]:.2f}", f"{size.max():.1f}", f"{rms[1]:.2f}", f"{over.max():.1f}"
+        rows.append(cells)
+    return rows
+
+
+PRODUCT_COLUMNS = ("kind", "product", "pairs", "fraction", "worst family")
+CURRENT_COLUMNS = ("family", "seas", "refused", "rms error, mm/s", "largest", "rms over std", "largest")
 
 
 def main() -> None:
+    """Print one of the two tables."""
     parser = parser_of(__doc__)
-    parser.add_argument("--steps", type=int, default=STEPS, help="length of the record")
-    parser.add_argument("--cube", type=Path, help="where the cube is kept between runs; by default it is not")
-    parser.add_argument("--store", type=Path, help="a cube measured from a simulated experiment")
-    parser.add_argument("--truth", type=Path, help="the exact fields of that experiment")
-    parser.add_argument("--segment", type=int, help="steps of a segment, for --store")
-    parser.add_argument("--gain", type=Path, help="a gain kept from another experiment, for --store")
-    parser.add_argument("--picture", type=Path, help="PNG of coherence and spectra to write, for --store")
+    parser.add_argument("--draws", type=int, default=300)
+    parser.add_argument("--first", type=int, default=9000, help="seed of the first sea")
+    parser.add_argument("--currents", action="store_true", help="errors of fitted currents by family")
+    parser.add_argument("--seeds", type=int, nargs=2, default=[500, 505], help="first and last, of currents")
+    parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=FAMILIES)
+    parser.add_argument("--processes", type=int, default=1)
     given = parser.parse_args()
-    if given.store:
-        truth = given.truth or given.store.parent / "truth" / "truth.zarr"
-        experiment(given.store, truth, given.segment, given.picture, given.gain)
-        return
-    in_memory()
-    with tempfile.TemporaryDirectory() as folder:
-        path = given.cube or Path(folder) / "cube.zarr"
-        if not path.exists():
-            write_cube(path, given.steps)
-        steps = xr.open_zarr(path, chunks=None, consolidated=False).sizes["time"]
-        speed(path)
-        whole(path, steps)
+    if given.currents:
+        seeds = range(given.seeds[0], given.seeds[1] + 1)
+        cases = [(name, seed) for name in given.families for seed in seeds]
+        rows = currents_table(cases, given.families, given.processes)
+        name, columns = "currents", CURRENT_COLUMNS
+    else:
+        seas = range(given.first, given.first + given.draws)
+        rows = products_table(seas, given.processes)
+        name, columns = "waves", PRODUCT_COLUMNS
+    print_table(columns, rows)
+    if given.save:
+        save_result(name, columns, rows, measures_images=False)
 
 
 if __name__ == "__main__":

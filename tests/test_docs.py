@@ -243,11 +243,17 @@ def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_document
     assert accepted - documented == set()
 
 
-def test_stored_results_are_of_this_version_of_the_measurement():
+def test_stored_results_of_an_earlier_measurement_say_so_on_their_page():
     from benchmarks.results import RESULTS, Result
     from wavefield.measurement.algorithm import ALGORITHM
 
+    pages = "".join((ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/validation.md"))
     for path in sorted(RESULTS.glob("*.json")):
         result = Result.load(path)
-        assert result.algorithm in (None, ALGORITHM), f"measure again: {result.command} --save"
-        assert result.command.startswith("python -m benchmarks."), path.name
+        module = re.match(r"python -m benchmarks\.(\w+)", result.command)
+        assert module, path.name
+        assert (ROOT / "benchmarks" / f"{module[1]}.py").exists(), path.name
+        assert f"<!-- result: {path.stem}" in pages, f"no page shows {path.name}"
+        if result.algorithm not in (None, ALGORITHM):
+            assert f"`{result.command}`, {result.origin}" in pages, "run `python docs/make_validation.py`"
+            assert f"not measured again with ALGORITHM {ALGORITHM}" in result.origin

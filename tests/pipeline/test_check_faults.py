@@ -1,10 +1,10 @@
-"""Some of the faults and of the sound experiments of `benchmarks.check_faults`."""
+"""Some of the faults and of the sound experiments of `benchmarks.faults`."""
 
 import shutil
 
 import pytest
 
-from benchmarks.check_faults import FAULTS, SOUND, free_bytes, outcome, write_experiment
+from benchmarks.faults import FAULTS, SOUND, free_bytes, outcome, write_experiment
 
 REFUSED = {
     "grid in centimetres": "did you mean {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}?",
