@@ -1,7 +1,5 @@
 """Every control of the page driven in a browser; what it draws, against numpy."""
 
-import io
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -293,26 +291,6 @@ def test_the_link_shows_the_same_view_again(page, chrome, fields):
     assert other.errors == []
 
 
-def test_what_is_seen_can_be_saved(page, fields, served):
-    base = f"{served.url}save/"
-    query = "show=w&step=7&node=0.175,0.125"
-
-    def get(name):
-        answer = page.page.request.get(f"{base}{name}?{query}")
-        assert answer.ok, (name, answer.text())
-        assert name in answer.headers["content-disposition"]
-        return answer.body()
-
-    assert get("map.png")[:4] == b"\x89PNG"
-    assert b"<svg" in get("map.svg")[:2000]
-    node = xr.open_dataset(io.BytesIO(get("node.nc")), engine="h5netcdf")
-    np.testing.assert_allclose(node.w.values, fields["w"][:, 10, 13], atol=6e-5)
-    refused = page.page.request.get(f"{base}node.csv?step=7")
-    assert refused.status == 409
-    assert "click one on the map" in refused.text()
-    assert page.page.request.get(f"{base}passwords.txt").status == 404
-
-
 def test_it_fits_a_phone(chrome, served):
     from browser import Browser
 
@@ -332,7 +310,7 @@ def test_screen_readers_and_weak_eyes_can_use_it(chrome, served, query):
     window = Browser(chrome.new_page(viewport={"width": 1400, "height": 900}))
     window.page.goto(served.url + query)
     window.wait(f"{model('node_z_series')}.data.t.length > 0 && {model('verdict_words')}")
-    for tab in ("Save", "Mask", "Node"):
+    for tab in ("Mask", "Node"):
         window.page.locator(".bk-tab").get_by_text(tab, exact=True).click()
         window.page.wait_for_timeout(1200)  # names are given every second
         assert window.barriers() == []
@@ -361,7 +339,7 @@ def test_only_this_machine_may_talk_to_it(served):
     import urllib.error
     import urllib.request
 
-    request = urllib.request.Request(served.url + "save/map.png", headers={"Host": "evil.example"})
+    request = urllib.request.Request(served.url + "metadata", headers={"Host": "evil.example"})
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(request)
 

@@ -16,10 +16,8 @@ from wavefield.explorer.node import nearest_probe, spectrum
 from wavefield.explorer.page import LookPage
 from wavefield.explorer.parts import TABS, Place
 from wavefield.explorer.record import LookSession
-from wavefield.explorer.save import FILES, as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server
 from wavefield.explorer.waves import log_density
-from wavefield.figures.display import DERIVED
 from wavefield.pipeline.analysis import analyze
 from wavefield.store.verdict import Remark, Verdict
 
@@ -176,7 +174,7 @@ def test_probes_are_marked_and_only_one_at_the_node_is_drawn_over_it(cube):
     assert nearest_probe(probes, 0.2, 0.1, 0.05) is None
 
 
-# -- what is drawn and saved -------------------------------------------------------------------------------
+# -- what is drawn -----------------------------------------------------------------------------------------
 
 
 def test_spectra_are_those_of_scipy_and_their_intervals_hold_the_truth():
@@ -192,23 +190,6 @@ def test_spectra_are_those_of_scipy_and_their_intervals_hold_the_truth():
     _, density = signal.welch(values, fs=1 / DT, nperseg=round(1 / (found.frequency[0] * DT)))
     np.testing.assert_allclose(found.density, density[1:], rtol=1e-10)
     assert spectrum(np.full(50, np.nan), DT) is None
-
-
-def test_saved_files_hold_what_is_shown(tmp_path):
-    fields = make_cube(tmp_path / "cube.zarr")
-    session = LookSession(tmp_path / "cube.zarr")
-    session.record.preview.load()
-    place = Place(node=(0.175, 0.125), step=41)
-    series, step = node_series(session.record, place), step_fields(session.record, place)
-    np.testing.assert_allclose(series.w.values, fields["w"][:, 10, 13], atol=6e-5)
-    np.testing.assert_array_equal(step.u.values, fields["u"][41])
-    assert set(DERIVED) <= set(step)
-    assert "w (m s-1)" in as_csv(series).split(b"\n", 1)[0].decode()
-    starts = {"map.png": b"\x89PNG", "map.svg": b"<?xml", "step.nc": b"\x89HDF", "node.nc": b"\x89HDF"}
-    for name, start in (starts | {"node.csv": b"time,"}).items():
-        assert FILES[name][1](session.record, place).startswith(start), name
-    with pytest.raises(WavefieldError, match="click one on the map"):
-        node_series(session.record, Place())
 
 
 # -- links -------------------------------------------------------------------------------------------------

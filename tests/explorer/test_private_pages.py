@@ -24,12 +24,11 @@ from wavefield.explorer.live import FollowedSet, Follower
 from wavefield.explorer.page import LookPage
 from wavefield.explorer.parts import TABS, Place
 from wavefield.explorer.record import LookSession
-from wavefield.explorer.save import FILES
 from wavefield.explorer.server import ServedPage, look
 from wavefield.series import Experiment
 
 POINTS = ["", "?step=3", "ws", "metadata", "autoload.js?bokeh-autoload-element=x", "static/js/bokeh.min.js",
-          "nothing/../here", *(f"save/{name}?step=3&node=0.1,0.1" for name in FILES)]  # fmt: skip
+          "nothing/../here"]  # fmt: skip
 UPGRADE = {
     "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
     "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": "bokeh, token",

@@ -29,7 +29,7 @@ from wavefield.variables import FrameStatus
 if TYPE_CHECKING:
     import xarray as xr
 
-PICKED = ("node", "save", "mask")  # tabs beside the views
+PICKED = ("node", "mask")  # tabs beside the views
 DRAGS = [("move", "pan"), ("mask", "mask")]
 _RECHECK_MS = 2000  # between checks of the ledger of a cube that is being written
 _STATUS_WORDS = {
@@ -76,7 +76,6 @@ class LookPage:
         self.surface = LazyPanel(lambda: SurfacePanel(record, self.map.limits))
         self.cameras = LazyPanel(lambda: _cameras(session, events))
         self.waves = LazyPanel(lambda: _waves(session))
-        self.save = LazyPanel(_save)
         self.masks = LazyPanel(lambda: _masks(session, events))
         views: dict[str, LazyPanel[Any]] = {
             "surface": self.surface, "cameras": self.cameras, "waves": self.waves,
@@ -85,7 +84,7 @@ class LookPage:
         bodies = [self.map.layout, *(panel.body for panel in views.values())]
         titles = [tab.capitalize() for tab in TABS]
         self.views = parts.make_tabs("views", TABS.index(place.tab), titles, bodies)
-        bodies = [self.node.layout, self.save.body, self.masks.body]
+        bodies = [self.node.layout, self.masks.body]
         self.picked = parts.make_tabs("picked", 0, [kind.capitalize() for kind in PICKED], bodies)
         self._make_controls()
         self._make_head()
@@ -340,7 +339,7 @@ class LookPage:
     def _show_picked(self) -> None:
         """Show the open tab beside the views."""
         kind = PICKED[int(self.picked.active)]
-        panel: Panel = self.node if kind == "node" else self.save() if kind == "save" else self.masks()
+        panel: Panel = self.node if kind == "node" else self.masks()
         panel.show(self.place)
         self.link.text = self.place.query()
 
@@ -440,12 +439,6 @@ def _waves(session: LookSession) -> Any:
     from wavefield.explorer.waves import WavePanel
 
     return WavePanel(session)
-
-
-def _save() -> Any:
-    from wavefield.explorer.save import SavePanel
-
-    return SavePanel()
 
 
 def _masks(session: LookSession, events: PanelEvents) -> Any:

@@ -8,11 +8,11 @@ import secrets
 import socket
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from bokeh.application import Application
@@ -23,7 +23,7 @@ from bokeh.server.tornado import BokehTornado
 from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPMessageDelegate, HTTPServerRequest
 from tornado.ioloop import IOLoop
-from tornado.web import HTTPError, RequestHandler
+from tornado.web import RequestHandler
 
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.page import LookPage
@@ -32,36 +32,6 @@ from wavefield.explorer.record import CubeRecord, LookSession
 
 DEFAULT_PORTS = range(5006, 5026)
 _HOSTS = ("localhost", "127.0.0.1")
-Route = tuple[str, type[RequestHandler], dict[str, object]]
-
-
-class SaveHandler(RequestHandler):
-    """Answers the links of the Save panel."""
-
-    session: LookSession
-
-    def initialize(self, session: LookSession) -> None:
-        """Take the session whose cube is saved."""
-        self.session = session
-
-    async def get(self, name: str) -> None:
-        """Send a file of the current view, or a sentence that says why there is none."""
-        from wavefield.explorer.save import FILES  # with matplotlib, which the page does not need
-
-        if name not in FILES:
-            raise HTTPError(404)
-        content_type, make = FILES[name]
-        query = {key: self.get_query_argument(key) for key in self.request.query_arguments}
-        record = self.session.record
-        try:
-            content = await asyncio.to_thread(make, record, record_place(self.session, query))
-        except WavefieldError as error:
-            self.set_status(409)
-            self.finish(str(error))
-            return
-        self.set_header("Content-Type", content_type)
-        self.set_header("Content-Disposition", f'attachment; filename="{name}"')
-        self.finish(content)
 
 
 def record_place(session: LookSession, query: dict[str, str]) -> Place:
@@ -93,17 +63,16 @@ class Refused(RequestHandler):
 
 
 class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has no types
-    """An application whose every address begins with a token, as ``/TOKEN/save/map.png``.
+    """An application whose every address begins with a token, as ``/TOKEN/ws``.
     A cookie of localhost goes to other users' servers, too, and is not sent from another site's notebook.
     """
 
-    def __init__(self, make_page: Callable[[Document], None], routes: Sequence[Route]) -> None:
+    def __init__(self, make_page: Callable[[Document], None]) -> None:
         self.token = secrets.token_urlsafe(32)
         super().__init__(
             {"/": Application(FunctionHandler(make_page))},
             prefix=self.token,
             extra_websocket_origins=list(_HOSTS),
-            extra_patterns=list(routes),
             check_unused_sessions_milliseconds=5000,
             unused_session_lifetime_milliseconds=60_000,
         )
@@ -139,9 +108,7 @@ class PageServer(BaseServer):  # type: ignore[misc]
         return f"http://localhost:{self.port}/{self._tornado.token}/"
 
 
-def make_server(
-    make_page: Callable[[Document], None], port: int | None, routes: Sequence[Route] = ()
-) -> PageServer:
+def make_server(make_page: Callable[[Document], None], port: int | None) -> PageServer:
     """A server on the loopback, at the first free port of the default ones if none is given."""
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
@@ -152,7 +119,7 @@ def make_server(
                 raise
             continue
         listening.setblocking(False)
-        application = GuardedTornado(make_page, routes)
+        application = GuardedTornado(make_page)
         http = HTTPServer(application)
         http.add_sockets([listening])
         return PageServer(IOLoop.current(), application, http)
@@ -174,7 +141,7 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
             place = replace(place, node=middle_node(session.record, place.step))
         LookPage(session, place).attach(document)
 
-    return make_server(make_page, port, [(r"/save/([\w.]+)", SaveHandler, {"session": session})])
+    return make_server(make_page, port)
 
 
 class ServedPage:
@@ -229,11 +196,7 @@ class ServedPage:
         return f"a page at {self.url}; `.stop()` closes it"
 
 
-if TYPE_CHECKING:
-    from wavefield.explorer.server import ServedPage
-
-
-def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None = 0) -> "ServedPage":
+def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None = 0) -> ServedPage:
     """Look at a cube in a notebook: maps, the surface, series, spectra, camera images, waves.
 
     Parameters
@@ -263,9 +226,6 @@ def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None 
         ...
     wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
     """
-    from wavefield.explorer.record import LookSession
-    from wavefield.explorer.server import ServedPage, session_server
-
     session = LookSession(Path(str(cube).removeprefix("file://")), waves)
     loading = session.load()
     page = ServedPage(lambda: session_server(session, port))

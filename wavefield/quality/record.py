@@ -180,7 +180,6 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
     """Report frames that are not there, and recordings that contradict the experiment file or each other."""
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from _missing(measuring)
-    yield from _ends(experiment, measuring)
     yield from _rates(experiment, series)
     for one in series.values():
         yield from _gaps(one)
@@ -223,23 +222,6 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
             "Copy the missing frames; frames of one moment must have one number (`offset`)",
             {"share": share, "steps": len(complete)},
         )
-
-
-def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Cameras of which much is not used because others begin later or end earlier."""
-    given = experiment.frames.first is not None, experiment.frames.last is not None
-    for name, one in series.items():
-        ends = [n for n, stated in zip(one.beyond, given) if not stated]
-        if sum(ends) > max(2, RECORD_LIMITS.unused_frames * len(one)):
-            yield Remark(
-                name,
-                "missing frames",
-                "remark",
-                f"{sum(ends)} of its frames are before or after the record, where another camera has none",
-                "They are not used",
-                "Copy the other cameras' images; frames of one moment must have one number (`offset`)",
-                {"frames": sum(ends)},
-            )
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:

@@ -57,7 +57,6 @@ class RecordLimits:
 
     bad_frames: float = 0.1  # fraction of the frames of a camera
     usable_steps: float = 0.5  # fraction of the steps
-    unused_frames: float = 0.02  # fraction of a camera's frames, before and after the record
     hours: float = 24.0  # duration of a record
     uneven_interval: float = 0.5  # by which two frames may be further apart than their numbers state
     clock_drift: float = 0.1  # intervals
