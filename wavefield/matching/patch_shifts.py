@@ -117,7 +117,7 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
         return np.nan, np.nan, float(best)
     dx = parabola_vertex(*score[row, column - 1 : column + 2].astype(float))
     dy = parabola_vertex(*score[row - 1 : row + 2, column].astype(float))
-    return column + dx, row + dy, float(best)
+    return float(column + dx), float(row + dy), float(best)
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
