@@ -5,6 +5,7 @@ import xarray as xr
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from independent_seas import LatticeSea
+from scipy import signal
 from waves_cases import GaussianSea, Waves, axes, random_waves, seen
 
 import wavefield.waves as wv
@@ -225,6 +226,14 @@ def test_velocity_and_elevation_shares_follow_linear_theory(depth):
     deep = over.sel(k=slice(25, 45)).sum()
     assert (deep.u / deep.z_t).item() == pytest.approx(0.5, rel=0.02)
     assert (deep.v / deep.z_t).item() == pytest.approx(0.5, rel=0.02)
+
+
+def test_the_frequency_spectrum_is_that_of_scipy_over_all_nodes():
+    values = np.random.default_rng(3).standard_normal((640, 20, 30)).cumsum(axis=0).astype("f4")
+    got = wv.E_omega(wv.komega(field(values), segment=128))
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(128) + 0.5) / 128)
+    _, P = signal.welch(values.reshape(640, -1), 20.0, window, 128, 64, detrend="linear", axis=0)
+    np.testing.assert_allclose(got.E[1:-1], P.mean(axis=1)[1:-1] / (2 * np.pi), rtol=1e-3)
 
 
 def test_the_frequency_spectrum_is_that_of_the_nodes():

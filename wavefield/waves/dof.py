@@ -18,7 +18,7 @@ from wavefield.variables import annotate
 from wavefield.water import dispersion, group_velocity
 from wavefield.waves import rings
 from wavefield.waves.products import Product, register
-from wavefield.waves.welch import LEAST_COUNT, Welch, hann_power, interval, richardson_lucy
+from wavefield.waves.welch import CORRELATED_CELLS, LEAST_COUNT, Welch, hann_power, interval, richardson_lucy
 
 Array = NDArray[Any]
 
@@ -266,11 +266,21 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: boo
     variance = power**2 / independent
     for axis, over in (("omega", 0), ("k", 1)):
         mean = (of_sums * variance).sum(axis=over) / np.maximum(variance.sum(axis=over), 1e-300)
-        expected = freedom_of_sums(power, independent, welch)[axis]
-        of_sum = _of_sum(powers.sum(axis=1 + over), starts, welch, expected, mean, gaussian)
+        expected, series = freedom_of_sums(power, independent, welch)[axis], powers.sum(axis=1 + over)
+        if axis == "omega" and f"nodes from {starts[0]:012d}" in sums:
+            expected, series = dof_of_all_nodes(expected, welch), _series(sums, "nodes")[1]
+        of_sum = _of_sum(series, starts, welch, expected, mean, gaussian)
         # lines and rings beyond the ends of a sea have what leaks into them
-        out[axis] = of_leakage(power.sum(axis=over), of_sum)
+        out[axis] = of_leakage(series.sum(axis=0), of_sum)
     return out
+
+
+def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
+    """Degrees of freedom of E(omega) of all nodes alike, from those under the window in space.
+    Waves of a line lie along an arc of the k plane, on which the window makes `CORRELATED_CELLS` cells one.
+    """
+    arc = np.maximum(dof / welch.dof, 1.0)
+    return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)
 
 
 def of_leakage(power: Array, dof: Array) -> Array:

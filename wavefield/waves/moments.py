@@ -18,12 +18,12 @@ from wavefield.parabola import parabola_vertex
 from wavefield.variables import annotate, validate
 from wavefield.water import group_velocity, wavenumber
 from wavefield.waves import kernels, rings
-from wavefield.waves.dof import hann_correlation, sum_freedom
+from wavefield.waves.dof import dof_of_all_nodes, hann_correlation, sum_freedom
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Noted, Product, register
 from wavefield.waves.record import Each, Record, find_record, piece
 from wavefield.waves.spectra import E_omega, komega
-from wavefield.waves.welch import CORRELATED_CELLS, Reader, Welch, add_sums, spatial_window
+from wavefield.waves.welch import Reader, Welch, add_sums, spatial_window
 
 Array = NDArray[Any]
 
@@ -75,17 +75,13 @@ def relative_std(power: Array, dof: Array, overlap: Array) -> float:
 
 def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, float]:
     """Relative standard uncertainties of the variance and of the mean square slope of all nodes.
-    From E(omega, k) and the degrees of freedom of E(omega); in moments all steps count alike.
+    From E(omega, k) and the degrees of freedom of E(omega) of all nodes; in moments all steps count alike.
     """
     energy = energy.fillna(0.0)
-    # waves of a line lie along an arc of the k plane, on which Hann windows make `CORRELATED_CELLS` cells
-    # one; moments are of all nodes alike, without a window: on a long arc that many more are independent
-    arc = np.maximum(dof / welch.dof, 1.0)
     longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
-    dof = dof * longer * (1 + (arc - 1) * CORRELATED_CELLS) / arc
     overlap = hann_correlation(energy.sizes["omega"])
     sums = {"variance": energy.sum("k"), "slope": (energy * energy["k"] ** 2).sum("k")}
-    return {name: relative_std(power.values, dof, overlap) for name, power in sums.items()}
+    return {name: relative_std(power.values, dof * longer, overlap) for name, power in sums.items()}
 
 
 MIN_PERIODS = (
@@ -492,7 +488,7 @@ def _statistics_group(
             f"Values beyond six standard deviations: {counts}. A single wild value lifts the floor of its"
             " spectra: check them before you use spectra decades below the peak."
         )
-    stds = moment_stds(spectra["E_komega_z"], spectra["dof_E_z"].values, welch)
+    stds = moment_stds(spectra["E_komega_z"], dof_of_all_nodes(spectra["dof_E_z"].values, welch), welch)
     out = spectral_peak(with_stds(moments, stds).assign(errors.data_vars), fused, depth, gamma)
     limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)
     return Noted(limited.value, [*notes, *limited.notes])

@@ -212,6 +212,25 @@ def total(density: xr.DataArray) -> xr.DataArray:
     return out
 
 
+def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
+    """The transform in space, and the values themselves, two nodes as one complex number, (pairs, steps)."""
+    flat = blocks[0].reshape(blocks[0].shape[0], -1)
+    pairs = np.ascontiguousarray(flat[:, : flat.shape[1] // 2 * 2])  # an odd node is left out
+    nodes = pairs.view(np.result_type(pairs.dtype, np.complex64)).T
+    return {"f": transform_space(blocks.pop(), memory.get("f")), "nodes": nodes}
+
+
+def _powers_of_nodes(first: Array, second: Array) -> Array:
+    """Power of a segment, one-sided in omega, summed over nodes, (n // 2 + 1,), from pairs of nodes."""
+    half = first.shape[1]
+    transform, power = TimeTransform(half, first.dtype), np.zeros(2 * half)
+    for slab in slabs(first.shape[0]):
+        lines = transform(first[slab], second[slab])
+        power += (lines.real**2 + lines.imag**2).sum(axis=0, dtype=float)
+    power[1:half] += power[:half:-1]
+    return power[: half + 1]
+
+
 def _add_ring_powers(
     table: rings.Rings, sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
@@ -224,13 +243,16 @@ def _add_ring_powers(
         kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
     sums.setdefault("f", np.zeros_like(power))
     accumulate(sums, "f", power, begin)
+    sums[f"nodes from {begin:012d}"] = _powers_of_nodes(first["nodes"], second["nodes"])
 
 
 def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
-    """E(k, omega), its freedom and interval, (4, omega, k), and freedom of E(omega) and E(k): one task."""
+    """E(k, omega), its freedom and interval, (4, omega, k); E(omega) of all nodes; freedom of both sums."""
     dof = ring_freedom(summed, "f", welch)
+    nodes = sum(power for name, power in summed.items() if name.startswith("nodes from "))
     parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
-    return {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
+    out = {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
+    return out | {"nodes": nodes * welch.node_density}
 
 
 @takes(a_field)
@@ -258,7 +280,7 @@ def komega(
     -------
     Dataset
         ``E``, ``dof``, ``low``, ``high``, ``valid`` (omega, k); ``coverage``, ``cells`` (k). The azimuthal
-        mean is E / (2 pi k coverage).
+        mean is E / (2 pi k coverage). ``E_nodes`` (omega): mean over all nodes, not weighted by the window.
 
     Raises
     ------
@@ -283,19 +305,22 @@ def komega(
     welch = Welch.of(field, segment, record, dk)
     table = welch.table
     add_powers = partial(_add_ring_powers, table)
-    summed = sum_segments([field], welch.record, welch.segment, _transform, add_powers)
+    summed = sum_segments([field], welch.record, welch.segment, _transform_and_nodes, add_powers)
     found = dask.delayed(_estimates, pure=False)(summed, welch)
     parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
     names = ("E", "dof", "low", "high")
     out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
     for axis, size in (("omega", welch.omega.size), ("k", table.k.size)):
         out[f"dof_{axis}"] = (axis, da.from_delayed(found[axis], (size,), np.float64))
+    out["E_nodes"] = ("omega", da.from_delayed(found["nodes"], (welch.omega.size,), np.float64))
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     added = filled_density(welch.record, field)
     valid = xr.DataArray(welch.valid, dims=("omega", "k"))
     out["valid"] = valid & welch.over_filled(out["E"], added) if added else valid
     out.attrs["filled_density"] = added
     out = annotate(out.assign_attrs(welch.attrs), "komega")
+    field_units = field.attrs.get("units", "1")
+    out["E_nodes"].attrs = TABLE["frequency/E"].of(_name(field), density_units(field_units, "omega"))
     out["E"].attrs = TABLE["komega/E"].of(
         _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
     )
@@ -357,8 +382,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``E`` (omega), the mean spectrum over the nodes weighted by the squared window; ``dof``, ``low``,
-        ``high`` and ``valid`` (omega).
+        ``E`` (omega), the mean spectrum over all nodes; ``dof``, ``low``, ``high`` and ``valid`` (omega).
 
     Raises
     ------
@@ -367,6 +391,8 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
+    That of an analysis is the integral of E(k, omega), weighted by the squared window: its variance is up to
+    twice as large.
     The degrees of freedom follow from the variance between the segments; with fewer than four of those from
     the degrees of the rings and the distribution of the energy over them.
 
@@ -379,7 +405,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     ('omega',)
     """
     step = float(field["k"][1] - field["k"][0])
-    energy = field["E"].sum("k", dtype=np.float64) * step
+    energy = field["E_nodes"] if "E_nodes" in field else field["E"].sum("k", dtype=np.float64) * step
     single = float(field.attrs["degrees_of_freedom"])
     table = rings.rings(*field.attrs["nodes"], *field.attrs["node_step"], step)
     theory = single * independent_cells(field["E"], field["dof"] / single, table)

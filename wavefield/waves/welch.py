@@ -395,6 +395,13 @@ class Welch:
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
 
     @property
+    def node_density(self) -> float:
+        """Factor from |F|^2 of segments, one-sided and summed over pairs of nodes, to E(omega)."""
+        ny, nx = self.record.shape
+        window = float((hann(self.segment) ** 2).sum()) * self.count
+        return self.record.dt / (2 * np.pi * window * (ny * nx // 2 * 2))
+
+    @property
     def ring_density(self) -> float:
         """Factor from ring sums of |F|^2 to E(k, omega)."""
         ny, nx = self.record.shape
