@@ -164,8 +164,8 @@ def add_segment(
             _add_products(sums, lines, pair, slab, table, quadrature)
     for name in names:
         accumulate(sums, name, powers[name], begin)
-    for pair, earlier in before.items():
-        keep_product(sums, pair, sums[pair] - earlier, begin)
+    for product, earlier in before.items():
+        keep_product(sums, product, sums[product] - earlier, begin)
 
 
 def _add_products(

@@ -243,16 +243,17 @@ def _add_ring_powers(
         kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
     sums.setdefault("f", np.zeros_like(power))
     accumulate(sums, "f", power, begin)
-    sums[f"nodes from {begin:012d}"] = _powers_of_nodes(first["nodes"], second["nodes"])
+    if "nodes" in first:
+        sums[f"nodes from {begin:012d}"] = _powers_of_nodes(first["nodes"], second["nodes"])
 
 
 def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
     """E(k, omega), its freedom and interval, (4, omega, k); E(omega) of all nodes; freedom of both sums."""
     dof = ring_freedom(summed, "f", welch)
-    nodes = sum(power for name, power in summed.items() if name.startswith("nodes from "))
+    nodes = [power for name, power in summed.items() if name.startswith("nodes from ")]
     parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
     out = {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
-    return out | {"nodes": nodes * welch.node_density}
+    return out | {"nodes": np.sum(nodes, axis=0) * welch.node_density}
 
 
 @takes(a_field)
@@ -280,7 +281,7 @@ def komega(
     -------
     Dataset
         ``E``, ``dof``, ``low``, ``high``, ``valid`` (omega, k); ``coverage``, ``cells`` (k). The azimuthal
-        mean is E / (2 pi k coverage). ``E_nodes`` (omega): mean over all nodes, not weighted by the window.
+        mean is E / (2 pi k coverage). ``E_nodes`` (omega): mean over all nodes, where none is missing.
 
     Raises
     ------
@@ -305,14 +306,17 @@ def komega(
     welch = Welch.of(field, segment, record, dk)
     table = welch.table
     add_powers = partial(_add_ring_powers, table)
-    summed = sum_segments([field], welch.record, welch.segment, _transform_and_nodes, add_powers)
+    # nodes are filled less well at the edges, where the window in space has little weight
+    transform = _transform if welch.record.holes else _transform_and_nodes
+    summed = sum_segments([field], welch.record, welch.segment, transform, add_powers)
     found = dask.delayed(_estimates, pure=False)(summed, welch)
     parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
     names = ("E", "dof", "low", "high")
     out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
     for axis, size in (("omega", welch.omega.size), ("k", table.k.size)):
         out[f"dof_{axis}"] = (axis, da.from_delayed(found[axis], (size,), np.float64))
-    out["E_nodes"] = ("omega", da.from_delayed(found["nodes"], (welch.omega.size,), np.float64))
+    if not welch.record.holes:
+        out["E_nodes"] = ("omega", da.from_delayed(found["nodes"], (welch.omega.size,), np.float64))
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     added = filled_density(welch.record, field)
     valid = xr.DataArray(welch.valid, dims=("omega", "k"))
@@ -320,7 +324,8 @@ def komega(
     out.attrs["filled_density"] = added
     out = annotate(out.assign_attrs(welch.attrs), "komega")
     field_units = field.attrs.get("units", "1")
-    out["E_nodes"].attrs = TABLE["frequency/E"].of(_name(field), density_units(field_units, "omega"))
+    if "E_nodes" in out:
+        out["E_nodes"].attrs = TABLE["frequency/E"].of(_name(field), density_units(field_units, "omega"))
     out["E"].attrs = TABLE["komega/E"].of(
         _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
     )
@@ -382,7 +387,8 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``E`` (omega), the mean spectrum over all nodes; ``dof``, ``low``, ``high`` and ``valid`` (omega).
+        ``E`` (omega), the mean spectrum over all nodes (where some are missing, weighted by the squared
+        window); ``dof``, ``low``, ``high`` and ``valid`` (omega).
 
     Raises
     ------
