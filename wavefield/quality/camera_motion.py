@@ -401,7 +401,6 @@ def spell_delays(found: Mapping[str, Delay], interval: float = np.inf) -> str:
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
 
-Array = NDArray[np.float64]
 
 MAX_STEPS = 600  # steps that are read, evenly over the record
 MAX_NODES = 2000  # of each
