@@ -29,7 +29,7 @@ def bound(described: Scene) -> NDArray[np.float64]:
     known, mean, weights = np.zeros((4, 4)), np.zeros((2, 4)), 0.0
     gradients = []
     shifts, weight = [], []
-    for name, camera in Tank(described).rig.items():
+    for name, camera in Tank(described).rig.cameras.items():
         image = np.asarray(exact[name], float)
         variance = float(np.var(np.asarray(noisy[name], float) - image))
         slopes = np.stack(np.gradient(image)[::-1]).reshape(2, -1)  # along columns, rows

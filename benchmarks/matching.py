@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from benchmarks import particle_images as images
-from benchmarks.programs import PROGRAMS, Vectors, vectors_of
+from benchmarks.programs import PROGRAMS, Vectors, is_installed, vectors_of
 from benchmarks.results import parser_of, print_table, save_result
 from wavefield.images import read_image
 from wavefield.matching import Displacement, MatchSettings, match, prepare
@@ -81,7 +81,7 @@ def errors(found: Vectors, field: images.Field) -> str:
 
 def accuracy(python: str | None, only: Sequence[str]) -> tuple[list[str], list[list[str]]]:
     """Columns and rows of the table of simulated pairs."""
-    others = list(PROGRAMS) if python else []
+    others = [name for name in PROGRAMS if python and is_installed(name, python)]
     spent: dict[str, list[Vectors]] = {}
     rows = []
     for label, given in CASES.items():
@@ -114,16 +114,15 @@ def accuracy(python: str | None, only: Sequence[str]) -> tuple[list[str], list[l
 
 def real(folder: Path, python: str) -> tuple[list[str], list[list[str]]]:
     """Columns and rows of the table of real pairs."""
+    others = [name for name in PROGRAMS if is_installed(name, python)]
     rows = []
     for label, files in REAL.items():
         a, b = (read_image(folder / file) for file in files)
         d = match(a, b, None)
-        cells = [label, f"{100 * d.valid.mean():.1f} %"]
-        for program in PROGRAMS:
-            found = vectors_of(program, python, a, b)
-            cells.append(found if isinstance(found, str) else f"{apart(d, found):.2f}")
-        rows.append(cells)
-    return ["pair", "valid", *(f"median distance from {name}, px" for name in PROGRAMS)], rows
+        found = [vectors_of(program, python, a, b) for program in others]
+        distances = [one if isinstance(one, str) else f"{apart(d, one):.2f}" for one in found]
+        rows.append([label, f"{100 * d.valid.mean():.1f} %", *distances])
+    return ["pair", "valid", *(f"median distance from {name}, px" for name in others)], rows
 
 
 def apart(d: Displacement, found: Vectors) -> float:

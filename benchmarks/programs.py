@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -92,6 +93,16 @@ class Vectors:
     u: NDArray[np.float64]
     v: NDArray[np.float64]
     seconds: float
+
+
+def is_installed(name: str, python: str) -> bool:
+    """Whether a Python has a program; says so if not."""
+    package = name.partition(",")[0].lower()
+    module = {"pivtools": "pivtools_core"}.get(package, package)
+    found = subprocess.run([python, "-c", f"import {module}"], capture_output=True).returncode == 0
+    if not found:
+        print(f"{package} is not installed in {python}: left out", file=sys.stderr)
+    return found
 
 
 def vectors_of(name: str, python: str, a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Vectors | str:
