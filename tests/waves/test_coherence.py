@@ -9,8 +9,6 @@ from independent_seas import LatticeSea, random_lattice_sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
-from wavefield.waves.dof import samples_in_time
-from wavefield.waves.welch import effective_duration, hann
 
 coherence_module = importlib.import_module("wavefield.waves.cross")
 NAMES, PAIRS = ("rise", "w", "nl"), (("rise", "w"), ("rise", "nl"), ("w", "nl"))
@@ -53,24 +51,6 @@ def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predic
     # one number for all frequencies: 600 values where there are 50 000 above
     assert np.mean(over_k) == pytest.approx(1, abs=0.1)
     assert np.mean(hits_k) == pytest.approx(0.05, abs=0.025)
-
-
-@pytest.mark.parametrize("count", [1, 2, 7, 45])
-def test_the_length_of_a_record_is_that_which_its_windows_weigh(count):
-    weight = np.zeros(32 * (count + 1))
-    for i in range(count):
-        weight[32 * i : 32 * i + 64] += hann(64) ** 2
-    expected = weight.sum() ** 2 / (weight**2).sum()
-    assert effective_duration(count, 64) == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_narrow_band_counts_few_samples_not_every_step():
-    dt, steps = 0.05, 12000
-    frequency = np.fft.rfftfreq(steps, dt)
-    for centre, width, expected in ((1.5, 0.05, 210), (5.0, 0.5, 2100)):
-        S = np.exp(-0.5 * ((frequency - centre) / width) ** 2)
-        energy = xr.DataArray(S, {"omega": 2 * np.pi * frequency}, ("omega",))
-        assert float(samples_in_time(energy, steps * dt)) == pytest.approx(expected / 2, rel=0.05)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from waves_cases import GaussianSea, second_order_sea
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.crests import tayfun
 
 
 @pytest.fixture(scope="module")
@@ -54,16 +53,6 @@ def test_crests_of_a_second_order_sea_are_those_of_tayfun():
     }
     assert misfit["tayfun"] < 0.6 * misfit["rayleigh"]
     assert bool((crest > 1.5 * trough).all())
-
-
-def test_tayfun_without_skewness_is_rayleigh():
-    levels = np.linspace(0, 4, 9)
-    np.testing.assert_allclose(tayfun(levels, 0.0), np.exp(-(levels**2) / 2))
-    np.testing.assert_allclose(tayfun(levels, 1e-4), np.exp(-(levels**2) / 2), rtol=2e-3)
-    # x = r + m r^2 / 2 of a Rayleigh amplitude
-    r = np.sqrt(-2 * np.log(1 - np.random.default_rng(0).random(200_000)))
-    crest = r + 0.1 * r**2 / 2
-    assert np.mean(crest > 3) == pytest.approx(float(tayfun(3.0, 0.3)), rel=0.05)
 
 
 def test_a_record_of_few_waves_is_refused():

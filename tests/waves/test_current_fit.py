@@ -45,13 +45,6 @@ def test_the_band_of_the_fit_can_be_given_and_is_recorded():
     assert float(fit.current_x) == pytest.approx(0.1, abs=0.004)
 
 
-def test_counts_among_the_settings_of_the_fit_are_whole_numbers():
-    settings, _ = fit_settings({"sectors": "12", "rounds": 3.0})
-    assert (settings.sectors, settings.rounds) == (12, 3)
-    assert isinstance(settings.sectors, int)
-    assert isinstance(settings.rounds, int)
-
-
 @pytest.mark.parametrize("wrong", [{"low": 1}, {"lowest": "x"}, {"highest": -1}, {"lowest": 4, "highest": 2}])
 def test_a_wrong_setting_of_the_fit_is_named(wrong):
     with pytest.raises(CubeError, match="`fit`"):

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,7 +7,6 @@ from waves_cases import GAMMA, GaussianSea, PeriodicSea, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.dispersion_points import PlaneSpectrum, explained, scan_current
 
 CURRENT = (0.04, -0.02)
 
@@ -204,19 +201,6 @@ def test_a_current_that_carries_waves_back_is_found(seed):
     fit = wv.fit_dispersion(wv.spectrum(w, segment=256).E, 0.06)
     for i, name in enumerate(("current_x", "current_y")):
         assert abs(float(fit[name]) - current[i]) < min(0.0035, 3.5 * float(fit[f"{name}_std"]))
-
-
-def test_the_relation_of_the_true_current_holds_the_energy_that_another_does_not():
-    w, current = head_on(1, 0.5)
-    E = wv.spectrum(w, segment=256).E
-    spectrum = PlaneSpectrum.of(E, 0.06)
-    spectrum = dataclasses.replace(spectrum, noise=0 * spectrum.energy)
-    lines = (spectrum.omega > 2) & (spectrum.omega < 40)
-    near = [explained(spectrum, lines, np.array([*(sign * current), GAMMA])) for sign in (1, -1)]
-    assert near[0] > 0.95
-    assert near[1] < 0.75
-    start = scan_current(spectrum, GAMMA)
-    assert np.hypot(*(start - current)) < 0.05
 
 
 def test_the_direction_of_an_isotropic_sea_is_as_uncertain_as_it_differs_between_records():

@@ -71,16 +71,6 @@ def test_surrogates_exceed_the_level_in_five_percent():
     assert np.mean(exceeded) == pytest.approx(0.05, abs=0.015)
 
 
-def test_the_largest_of_many_has_its_level():
-    rng = np.random.default_rng(4)
-    z = gaussian_lines(rng, 16, 600)
-    surrogates = [module.tricoherence_of(module.shuffle_phases(z, 20, rng))[0] for _ in range(20)]
-    level = module._level_of_largest(surrogates, 0.05)
-    fresh = [module.tricoherence_of(module.shuffle_phases(z, 20, rng))[0] for _ in range(20)]
-    defined = np.isfinite(level)
-    assert np.mean([(f > level)[defined].mean() for f in fresh]) == pytest.approx(0.05, abs=0.02)
-
-
 def test_lines_beyond_the_ends_of_a_sea_do_not_seem_coupled():
     fields = [LatticeSea(side=200, shape=(400, 12, 12)).cube(seed, names=("w",)).w for seed in (1, 2)]
     for field in fields:  # without noise: beyond 3 Hz is what the window spreads

@@ -6,7 +6,7 @@ from waves_cases import Waves, axes, cube, linear_cube, random_waves, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.motion import finite_residual_on_grid, frame_elevations, slopes
+from wavefield.waves.motion import finite_residual_on_grid, slopes
 
 
 def displaced(waves, now, dt, gx, gy, rounds=8):
@@ -97,15 +97,6 @@ def test_the_finite_displacement_residual_is_far_below_the_eulerian(exact):
     assert np.isnan(finite[0]).all()
     assert np.isnan(finite[-1]).all()
     assert rms(finite[1:-1]) < 0.1 * rms(eulerian.where(np.isfinite(finite)))
-
-
-def test_frame_elevations_come_back_exactly():
-    rng = np.random.default_rng(0)
-    frames, dt = rng.standard_normal(6), 0.05
-    z = (9 * (frames[1:-2] + frames[2:-1]) - frames[:-3] - frames[3:]) / 16
-    z_t = np.diff(frames) / dt
-    start, end = frame_elevations(z[1], z_t[1], z_t[3], z_t[2], dt)
-    np.testing.assert_allclose([start, end], frames[2:4], rtol=1e-12)
 
 
 def test_slopes_are_of_sixth_order_inside_and_right_at_the_edges():

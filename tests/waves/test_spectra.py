@@ -12,8 +12,7 @@ import wavefield.waves as wv
 from wavefield.waves import rings
 from wavefield.waves import welch as welch_module
 from wavefield.waves.cross import significance_level
-from wavefield.waves.dof import expected_segment_correlation
-from wavefield.waves.welch import hann_power, interval
+from wavefield.waves.welch import interval
 
 
 def field(values, dt=0.05, dx=0.03, units="m"):
@@ -175,16 +174,6 @@ def test_coherence_without_relation_is_as_small_as_its_samples_let_expect(free_s
         assert 0.5 < np.mean(sizes[name]) < 1.4
 
 
-def test_segments_of_waves_of_one_frequency_are_alike():
-    white = np.ones((1, 33))
-    assert expected_segment_correlation(white, 39)[0, 16] == pytest.approx(1 + (1 - 1 / 39) / 18, abs=2e-3)
-    steep = hann_power(np.arange(33.0) - 10.3)[None]
-    peak_correlation = expected_segment_correlation(steep, 39)[0]
-    assert peak_correlation[8] > 1.5
-    assert (peak_correlation > 1).all()
-    assert (peak_correlation < 5).all()
-
-
 def test_turning_the_sea_changes_the_spectrum_within_its_interval():
     from scipy.stats import f
 
@@ -274,15 +263,3 @@ def test_units_and_meaning_are_on_every_variable():
             assert "long_name" in variable.attrs, name
     assert result.E.attrs["units"] == "m3 s rad-2"
     assert result.attrs["segments"] == 7
-
-
-def test_the_degrees_of_freedom_are_those_of_half_overlapping_hann_windows():
-    assert welch_module.degrees_of_freedom(1) == 2
-    assert welch_module.degrees_of_freedom(45) == pytest.approx(2 * 45 / (1 + (44 / 45) / 18))
-
-
-@given(st.integers(8, 20000))
-def test_a_chosen_segment_fits_its_record(steps):
-    segment = welch_module.choose_segment(steps)
-    assert segment % 2 == 0
-    assert 4 <= segment <= min(steps, 512)
