@@ -2,23 +2,19 @@
 from wavefield.calibration.level_on_water import level_experiment as level
 from wavefield.calibration.light_sheet import find_sheet
 from wavefield.calibration.platform import level_frames
-from wavefield.calibration.target import Target
 from wavefield.calibration.target_images import calibrate_experiment as calibrate
 from wavefield.execution.workflow import Workflow
 from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
-from wavefield.matching.pyramid import match
-from wavefield.measurement.settings import Settings
 from wavefield.pipeline.analysis import analyze, analyze_on_workers
 from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.forecast import check
 from wavefield.pipeline.lazy import reconstruct
-from wavefield.pipeline.opened_run import Run, open_run
+from wavefield.pipeline.opened_run import open_run
 from wavefield.pipeline.running import run
 from wavefield.pipeline.uncertainty_terms import uncertainty_terms
 from wavefield.reports.compose import report
 from wavefield.reports.paper import paper
-from wavefield.rig.camera import Camera
 from wavefield.rig.formats import load_rig
 from wavefield.rig.rig import Rig
 from wavefield.series.experiment import Experiment
@@ -47,16 +43,12 @@ from wavefield.waves.estimators.statistics import statistics
 __version__: str
 
 __all__ = [
-    "Camera",
     "E_k",
     "E_omega",
     "Experiment",
     "Grid",
     "Rig",
-    "Run",
     "Scene",
-    "Settings",
-    "Target",
     "Workflow",
     "__version__",
     "analyze",
@@ -76,7 +68,6 @@ __all__ = [
     "level_frames",
     "load_rig",
     "look",
-    "match",
     "open_cube",
     "open_run",
     "open_waves",

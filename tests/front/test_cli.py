@@ -247,7 +247,6 @@ def test_every_public_name_is_there_and_known_to_type_checkers():
         "calibrate",
         "check",
         "run",
-        "match",
         "analyze",
         "report",
         "reconstruct",
