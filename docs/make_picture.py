@@ -1,34 +1,29 @@
-"""Draw the README's picture from a demo: `python docs/make_picture.py wavefield-demo`."""
+"""Photograph the head of a demo's report for the README: `python docs/make_picture.py wavefield-demo`.
 
+Needs the extra `browser` and Chromium.
+"""
+
+import shutil
 import sys
 from pathlib import Path
 
-import cv2
-import numpy as np
+from playwright.sync_api import sync_playwright
 
-from wavefield import figures
-from wavefield.pipeline import open_cube
-from wavefield.reports.numbers import snapshot
-
-PAGE = Path(__file__).with_name("surface.jpg")
-
-
-def drawn(figure: object) -> np.ndarray:
-    """A figure as an image, (row, column, BGR)."""
-    return cv2.imdecode(np.frombuffer(figure._repr_png_(), np.uint8), cv2.IMREAD_COLOR)  # type: ignore[attr-defined]
+PICTURE = Path(__file__).with_name("report.jpg")
+WIDTH, HEIGHT = 1260, 770  # px: verdict, first map and key numbers
 
 
 def main(demo: Path) -> None:
-    """Put the surface and its velocity side by side."""
-    moment = snapshot(open_cube(demo / "cube.zarr"))
-    panels = [drawn(figures.surface_3d(moment)), drawn(figures.velocity_map(moment))]
-    height = min(panel.shape[0] for panel in panels)
-    sized = [
-        cv2.resize(p, (round(p.shape[1] * height / p.shape[0]), height), interpolation=cv2.INTER_AREA)
-        for p in panels
-    ]
-    cv2.imwrite(str(PAGE), np.hstack(sized), [cv2.IMWRITE_JPEG_QUALITY, 88])
-    print(f"wrote {PAGE}, {PAGE.stat().st_size / 1000:.0f} kB")
+    """Write the picture of the report in a demo's folder."""
+    page_address = (demo / "report.html").absolute().as_uri()
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+        page.goto(page_address)
+        page.wait_for_timeout(2000)  # the map is drawn by a script
+        page.screenshot(path=PICTURE, type="jpeg", quality=88)
+        browser.close()
+    print(f"wrote {PICTURE}, {PICTURE.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":
