@@ -26,6 +26,8 @@ PAGES = (
     ),
 )
 
+ACCOMPANY = re.compile("^(low|high|dof)_|_std$")  # variables of each estimate, explained once
+
 QUALITY = {
     Quality.MEASURED: "found by matching on its own",
     Quality.FILLED: "interpolated from its neighbours",
@@ -145,9 +147,8 @@ def waves() -> str:
         families: dict[str, list[Variable]] = {}
         for row in rows_of(group):
             families.setdefault(row.family or row.name, []).append(row)
-        table = rows_to_table(
-            ("variable", "dims", "units", "meaning"), [_line(name, rows) for name, rows in families.items()]
-        )
+        lines = [_line(name, rows) for name, rows in families.items() if not ACCOMPANY.search(name)]
+        table = rows_to_table(("variable", "dims", "units", "meaning"), lines)
         parts.append(f"## `/{group}`\n\n{words}\n\n{table}\n")
     return "\n".join(parts)
 

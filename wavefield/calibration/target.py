@@ -36,36 +36,27 @@ class Target:
     Parameters
     ----------
     kind : {"strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level", "points"}
-        White strings stretched across a dark ground; chessboard corners; centres of round dots; the
-        chessboard corners of a ChArUco board; middles of the tags of an AprilGrid; dots on two parallel
-        planes, every second row on the deeper one and set off by half a dot; any points of known position,
-        in tables in place of images.
+        What the target shows; ``points`` are tables of positions in place of images.
     mesh : float
-        Distance between neighbouring nodes, metres (of an AprilGrid: a tag and the gap beside it); of a
-        two-level target that of neighbouring rows, half of that between the dots of a row; of points
-        the unit of x, y and z in their tables (0.001 for mm).
+        Distance between neighbouring nodes, m; AprilGrid: a tag and its gap; two-level: between rows; points:
+        the unit of their tables (0.001 for mm).
     shape : tuple of int, optional
-        Nodes along x and along y. Needed for a chessboard (inner corners) and for dots without marks; for
-        ChArUco the number of *squares* along x and y, as its makers count; for an AprilGrid that of tags. A
-        grid of strings needs none.
-    origin_mark, x_mark : str
-        Marks of a grid of strings: a disc on the node (0, 0), a smaller one on (1, 0). A two-level target has
-        a square in place of the dot at (0, 0) and a triangle in place of one further along x, or both between
-        the dots, the triangle at (1, 0) and the square at (0, 1). A grid of dots
-        with ``origin_mark: ring`` has rings in place of three dots: (0, 0), one further along x and one
-        further along y; with ``origin_mark: odd dot`` the one at (0, 0) has a box or a circle around it, or
-        is larger, and x is taken to the right in the image. Either may be partly out of view.
+        Nodes along x and y: inner corners of a chessboard, squares of a ChArUco board, tags of an AprilGrid.
+        Not needed for strings and marked dots.
+    origin_mark : str
+        Mark of node (0, 0): disc (strings), square (two-level), ring or odd dot (dots).
+    x_mark : str
+        Mark of the next node along x: small disc (strings), triangle (two-level).
     diameter : float, optional
-        Diameter of a dot, metres. With it the bias of a dot's centroid in perspective is removed.
+        Diameter of a dot, m; removes the bias of its centroid in perspective.
     dictionary : str
-        ChArUco, AprilGrid: OpenCV's name of the marker dictionary; left out, DICT_4X4_50 of a ChArUco board,
-        DICT_APRILTAG_36h11 of an AprilGrid.
+        ChArUco, AprilGrid: OpenCV's name of the marker dictionary.
     marker : float, optional
-        ChArUco: side of a marker, metres.
+        ChArUco: side of a marker, m.
     depth : float, optional
-        Two-level: how far the other level lies below that of the origin, metres; negative where above.
+        Two-level: how far the other level lies below the origin's, m; negative above.
     origin : (float, float)
-        Where node (0, 0) of the flat target lies in the physical frame, metres.
+        Position of node (0, 0) of the flat target, m.
 
     Raises
     ------

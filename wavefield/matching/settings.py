@@ -20,40 +20,34 @@ class MatchSettings:
     Parameters
     ----------
     iterations : tuple of int
-        Steps per pyramid level, coarsest level first; its length is the number of levels. Small images use
-        the finest levels only.
+        Steps per pyramid level, coarsest first.
     window : float
-        Side of the square of the same area as the Gaussian window that is matched, px of each level.
+        Side of the square with the area of the Gaussian window, px of each level.
     smoother_sigma : float
-        Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^smoother_order;
-        0 for no smoothing.
+        Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^smoother_order; 0: none.
     coarse_smoother_sigma : float
-        The same at all levels but the finest: less, because there a block is larger and a wave shorter.
+        The same at the coarser levels, where a block is larger.
     smoother_order : int
-        Order of the smoother: the higher, the flatter its passband.
+        The higher, the flatter the smoother's passband.
     robust : float
-        c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 given to a pixel with residual r, from the
-        second step of the finest level on; 0 for no weights. It pays where particles appear and vanish.
+        c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 of a pixel with residual r; 0: no weights.
+        Use it where particles appear and vanish.
     robust_beta : float
-        beta of that weight: how much the residual of a bright pixel may be larger.
+        beta of that weight: how much larger the residual of a bright pixel may be.
     relaxation : float
-        Factor on every step: noise makes the steps of the method too short.
+        Factor on every step; noise makes steps too short.
     normalization : float
-        Standard deviation, px, of the Gaussian window of the local normalisation to zero mean and unit
-        variance, done before matching; 0 for none. Needed where lighting differs, as between cameras.
+        Standard deviation, px, of the window of the local normalisation of brightness; 0: none.
     search_x, search_y : (float, float) or None
-        Smallest and largest displacement along columns and along rows, px, of the whole-pixel correlation
-        search at the coarsest level; None for no search (displacements then start at zero or at `initial`).
+        Smallest and largest displacement searched along columns and rows, px of the coarsest level.
     search_window : float
-        As `window`, for that search, px of the coarsest level.
+        As `window`, for that search.
     min_correlation : float
-        Blocks whose normalised correlation stays below are invalid.
+        Blocks with a lower normalised correlation are invalid.
     min_gradient_energy : float
-        Blocks whose matched gradient energy is below this fraction of the image's median are invalid: nothing
-        to match there.
+        Blocks below this fraction of the image's median gradient energy are invalid.
     max_deviation : float
-        Blocks that step further than this from the median of their 5 x 5 neighbours, px, are replaced by it,
-        and invalid if that happens in the last step.
+        Blocks further than this from the median of their neighbours, px, are replaced by it.
     """
 
     __pydantic_config__ = CHECKED

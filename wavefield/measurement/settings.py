@@ -57,45 +57,34 @@ class Settings:
     Parameters
     ----------
     pairs : tuple of (str, str)
-        Pairs of cameras whose parallax gives z; one camera, the reference, belongs to all of them. Empty: the
-        middle camera with each of the others.
+        Pairs of cameras that give z; one camera, the reference, is in all of them. Empty: the middle camera
+        with each other one.
     velocity_cameras : tuple of str
-        Cameras whose displacements give u, v, w, at least two. Empty: all.
+        Two or more cameras that give u, v, w. Empty: all.
     z_range : (float, float) or None
-        Lowest and highest elevation to search, metres. None: 2 % of the reference camera's distance up and
-        down (9 cm at 4.4 m).
+        Lowest and highest elevation to search, m. None: 2 % of the cameras' distance up and down.
     sheet_thickness : float or None
-        Thickness of a light sheet on z = 0, metres: particles in it are measured, and no surface; z is 0 with
-        an uncertainty of a quarter of the thickness, and no cameras are matched with each other. None: a
-        surface.
+        Thickness of a light sheet on z = 0, m: velocities in it are measured, z is 0. None: a surface.
     bead_height : float
-        Height above the water of the visible part of a floating bead, metres, as a still-water record gives
-        it where z = 0 of the calibration is the water's level: its tilt is corrected in u and v. z is not
-        changed.
+        Height of the visible part of a bead above the water, m; corrects u and v for its tilt.
     pixel : float or None
-        Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
-        least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
+        Pixel of the rectified images, m. None: the finest of the cameras that give z.
     smoothing : float
-        Thin-plate smoothing of z on the lattice of blocks, beyond what matching does, block lengths to the
-        fourth power; it halves waves of 2 pi smoothing^(1/4) blocks.
+        Thin-plate smoothing of z, block lengths to the fourth power.
     eps_limit : float
-        A match is rejected where its mismatch across the sight line exceeds this many times its rms.
+        Reject a match whose mismatch across the sight line exceeds this many times its rms.
     eps_floor : float
         Mismatch that is never rejected, px of the rectified images.
     min_valid : float
-        Smallest share of the common view that a frame must measure; below, it counts as missing.
+        Smallest fraction of the common view that a frame must measure to count.
     row_delays : tuple of (str, float)
-        For cameras with a rolling shutter, name and frame intervals by which a row is read later than the one
-        above it, negative if earlier; a frame's time is that of its middle row. `run` makes them of the
-        experiment's ``row_time``.
+        Camera and frame intervals between its rows; `run` makes them of ``row_time``.
     vibration : {"leave", "correct"}
-        Whether each frame of each camera is turned back by its epipolar error (constant, tilt, roll) before
-        it is measured; the cube stores by how much (``camera_shift``).
+        Whether each frame is first turned back by its epipolar error (``camera_shift``).
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings
-        Matching between frames. Floating beads stay in view; where particles come and go, set its ``robust``
-        to 1.5: a third more time.
+        Matching between frames. Where particles come and go set its ``robust`` to 1.5: a third more time.
 
     Examples
     --------
