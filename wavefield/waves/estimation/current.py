@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield.waves.estimation.record import Record, piece
 from wavefield.waves.estimation.segments import spatial_window
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def _fitted(current: CurrentUsed) -> CurrentUsed | None:
 
 
 register(
-    Product("current", ("dispersion_fit", "fit_settings"), _current),
-    Product("fitted_or_given_current", ("current",), _fitted_or_given),
-    Product("fitted_current", ("current",), _fitted),
+    WaveProduct("current", ("dispersion_fit", "fit_settings"), _current),
+    WaveProduct("fitted_or_given_current", ("current",), _fitted_or_given),
+    WaveProduct("fitted_current", ("current",), _fitted),
 )

@@ -19,7 +19,7 @@ from wavefield.water import dispersion, group_velocity
 from wavefield.waves.estimation import rings
 from wavefield.waves.estimation.segments import hann_power, interval, richardson_lucy
 from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -447,4 +447,4 @@ def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
     return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
 
 
-register(Product("cell_dof", ("ring_sums", "welch"), partial(cell_freedom, "w")))
+register(WaveProduct("cell_dof", ("ring_sums", "welch"), partial(cell_freedom, "w")))

@@ -5,7 +5,7 @@ import xarray as xr
 
 from wavefield.waves.estimation.record import Record, filled_error
 from wavefield.waves.estimation.welch import Welch
-from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.products import Noted, WaveProduct, register
 
 FEW_SEGMENTS = 7  # with fewer, single cells of a spectrum are uncertain
 MIN_PERIODS = (
@@ -108,4 +108,6 @@ def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:
     return Noted(fit, [f"No surface tension was fitted: {reason}."])
 
 
-register(Product("dispersion", ("dispersion_fit", "welch"), without_uncertain_tension, group="dispersion"))
+register(
+    WaveProduct("dispersion", ("dispersion_fit", "welch"), without_uncertain_tension, group="dispersion")
+)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
 from wavefield.water import dispersion
 from wavefield.waves.estimation.welch import Welch
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 Values = TypeVar("Values", float, Array, xr.DataArray)
@@ -218,4 +218,4 @@ def time_gains(welch: Welch) -> xr.Dataset:
     return xr.Dataset({name: ("omega", gain) for name, gain in gains.items()})
 
 
-register(Product("time_gains", ("welch",), time_gains, group="spectra"))
+register(WaveProduct("time_gains", ("welch",), time_gains, group="spectra"))

@@ -20,7 +20,7 @@ from wavefield.waves.estimators.cross_spectra import (
     transforms,
 )
 from wavefield.waves.estimators.field_spectra import finish
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 NAMES = ("rise", "w", "nl")
 MIN_SIGNAL_TO_NOISE = 2.0  # of the energy of a ring over that of its noise
@@ -125,7 +125,7 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     return finish(from_spectra(ring), cube["z_t"])
 
 
-register(Product("coherence", ("ring",), from_spectra, group="coherence", pairs=PAIRS))
+register(WaveProduct("coherence", ("ring",), from_spectra, group="coherence", pairs=PAIRS))
 
 
 Array = NDArray[Any]

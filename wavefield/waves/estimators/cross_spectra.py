@@ -22,7 +22,7 @@ from wavefield.waves.estimation.rings import Rings, half_plane
 from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import correction, with_directions
 from wavefield.waves.estimators import field_spectra
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -384,6 +384,6 @@ def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: We
 
 
 register(
-    Product("ring", ("ring_sums", "pairs", "welch"), _ring),
-    Product("spectra", ("ring", "gain", "plane_w", "welch", "filled"), _spectra, group="spectra", cost=2),
+    WaveProduct("ring", ("ring_sums", "pairs", "welch"), _ring),
+    WaveProduct("spectra", ("ring", "gain", "plane_w", "welch", "filled"), _spectra, group="spectra", cost=2),
 )

@@ -21,7 +21,7 @@ from wavefield.waves.estimation.welch import Welch, frames_of
 from wavefield.waves.estimators.dispersion_fit import fit_dispersion
 from wavefield.waves.estimators.dispersion_points import PlaneSpectrum
 from wavefield.waves.estimators.field_spectra import plane_of
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -536,7 +536,7 @@ def directional_group(
 
 
 register(
-    Product(
+    WaveProduct(
         "directional",
         ("density_w", "depth", "gamma", "fitted_or_given_current", "welch"),
         directional_group,
@@ -544,7 +544,7 @@ register(
         without="No directional spectrum",
         cost=3,
     ),
-    Product(
+    WaveProduct(
         "direction",
         ("density_w", "map_lines", "current", "depth", "gamma", "welch"),
         direction_group,

@@ -31,7 +31,7 @@ from wavefield.waves.estimators.dispersion_points import (
     sectors_of,
 )
 from wavefield.waves.estimators.field_spectra import plane_of
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -488,6 +488,6 @@ def _product(
 
 
 register(
-    Product("fit_settings", ("fit",), fit_settings),
-    Product("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
+    WaveProduct("fit_settings", ("fit",), fit_settings),
+    WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
 )

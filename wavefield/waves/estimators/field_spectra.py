@@ -40,7 +40,7 @@ from wavefield.waves.estimation.inputs import (
 from wavefield.waves.estimation.record import Record, filled_density
 from wavefield.waves.estimation.segments import effective_duration, interval
 from wavefield.waves.estimation.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -509,10 +509,10 @@ def maps(z: xr.DataArray, w: xr.DataArray, lines: list[int]) -> xr.Dataset:
 
 register(
     *(
-        Product(f"density_{name}", ("ring_sums", "welch"), partial(_density, name), planes=(name,))
+        WaveProduct(f"density_{name}", ("ring_sums", "welch"), partial(_density, name), planes=(name,))
         for name in ("z", "w")
     ),
-    Product("plane_w", ("density_w",), _sum_of_lines),
-    Product("map_lines", ("welch", "map_frequencies"), map_lines),
-    Product("maps", ("density_z", "density_w", "map_lines"), maps, group="spectra"),
+    WaveProduct("plane_w", ("density_w",), _sum_of_lines),
+    WaveProduct("map_lines", ("welch", "map_frequencies"), map_lines),
+    WaveProduct("maps", ("density_z", "density_w", "map_lines"), maps, group="spectra"),
 )

@@ -40,7 +40,7 @@ from wavefield.waves.estimation.window_gain import (
 from wavefield.waves.estimators.cross_spectra import Requested, door, label, lazy_sums
 from wavefield.waves.estimators.dispersion_fit import fit_dispersion
 from wavefield.waves.estimators.field_spectra import E_omega, density, plane_density
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -701,13 +701,13 @@ def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
 
 
 register(
-    Product(
+    WaveProduct(
         "fused",
         ("ring", "ring_sums", "welch", "density_w", "current", "gain", "depth", "gamma"),
         _fused,
         pairs=PAIRS,
         planes=PLANES,
     ),
-    Product("elevation_spectra", ("fused", "ring", "filled"), _elevation_spectra, group="spectra"),
-    Product("fusion", ("fused",), _fusion_group, group="fusion"),
+    WaveProduct("elevation_spectra", ("fused", "ring", "filled"), _elevation_spectra, group="spectra"),
+    WaveProduct("fusion", ("fused",), _fusion_group, group="fusion"),
 )

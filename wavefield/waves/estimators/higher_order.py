@@ -14,7 +14,7 @@ from wavefield.variables import annotate
 from wavefield.waves.estimation.segments import hann, segment_count
 from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
 from wavefield.waves.estimators.coherence import significance_level
-from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.products import Noted, WaveProduct, register
 
 APART = 2  # lines: nearer ones share waves under a Hann window
 SHARED = 0.1  # of the correlation by chance: pairs whose lines share more are no test of coupling
@@ -211,4 +211,4 @@ def _group(series: np.ndarray, welch: Welch) -> xr.Dataset | Noted:
     return higher_order(series, welch.record.dt, welch.segment)
 
 
-register(Product("higher_order", ("point_series", "welch"), _group, group="higher_order", cost=1))
+register(WaveProduct("higher_order", ("point_series", "welch"), _group, group="higher_order", cost=1))

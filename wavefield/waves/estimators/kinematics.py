@@ -16,7 +16,7 @@ from wavefield.waves.estimation.current import delayed_current
 from wavefield.waves.estimation.inputs import a_cube, takes
 from wavefield.waves.estimation.record import check_axes, whole_record
 from wavefield.waves.estimation.welch import along_paths
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -349,7 +349,7 @@ def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
 
 
 register(
-    Product("kinematics", ("balance_rows", "cube"), balance_group, group="kinematics"),
-    Product("record_current", ("mean_current",), mean_current_group, group="kinematics"),
-    Product("nonlinear_ratio", ("spectra",), ratio_group, group="kinematics"),
+    WaveProduct("kinematics", ("balance_rows", "cube"), balance_group, group="kinematics"),
+    WaveProduct("record_current", ("mean_current",), mean_current_group, group="kinematics"),
+    WaveProduct("nonlinear_ratio", ("spectra",), ratio_group, group="kinematics"),
 )

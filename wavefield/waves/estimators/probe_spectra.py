@@ -12,7 +12,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.waves.estimation.segments import degrees_of_freedom, hann, interval, segment_count
 from wavefield.waves.estimation.welch import LOWEST, Welch, omega_coords
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 
 Array = NDArray[Any]
 LONGEST_GAP = 3  # samples that are bridged
@@ -196,4 +196,4 @@ def _group(probes: xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Data
     return probe_spectra(probes, axis, (float(time[runs[0][0]]), float(time[runs[-1][1] - 1])))
 
 
-register(Product("probe_spectra", ("probes", "welch", "cube"), _group, group="spectra"))
+register(WaveProduct("probe_spectra", ("probes", "welch", "cube"), _group, group="spectra"))

@@ -25,7 +25,7 @@ from wavefield.waves.estimation.record_limits import MIN_PERIODS, without_short_
 from wavefield.waves.estimation.segments import CORRELATED_CELLS, spatial_window
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimators.field_spectra import E_omega, komega
-from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.products import Noted, WaveProduct, register
 
 Array = NDArray[Any]
 
@@ -472,9 +472,9 @@ def _statistics_group(
 
 
 register(
-    Product("moments", ("survey_sums", "scale", "welch", "pixel_size", "density_z"), _moments),
-    Product("error_statistics", ("complete_cube", "welch", "each"), _error_group),
-    Product(
+    WaveProduct("moments", ("survey_sums", "scale", "welch", "pixel_size", "density_z"), _moments),
+    WaveProduct("error_statistics", ("complete_cube", "welch", "each"), _error_group),
+    WaveProduct(
         "statistics",
         ("moments", "error_statistics", "fused", "spectra", "welch", "depth", "gamma"),
         _statistics_group,
