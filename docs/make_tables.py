@@ -26,7 +26,7 @@ PAGES = (
     ),
 )
 
-ACCOMPANY = re.compile("^(low|high|dof)_|_std$")  # variables of each estimate, explained once
+INTERVAL = re.compile("^(low|high|dof)_")  # names of variables that the page explains once
 
 QUALITY = {
     Quality.MEASURED: "found by matching on its own",
@@ -147,7 +147,11 @@ def waves() -> str:
         families: dict[str, list[Variable]] = {}
         for row in rows_of(group):
             families.setdefault(row.family or row.name, []).append(row)
-        lines = [_line(name, rows) for name, rows in families.items() if not ACCOMPANY.search(name)]
+        lines = [
+            _line(name, rows)
+            for name, rows in families.items()
+            if not INTERVAL.search(name) and "standard uncertainty" not in rows[0].long_name
+        ]
         table = rows_to_table(("variable", "dims", "units", "meaning"), lines)
         parts.append(f"## `/{group}`\n\n{words}\n\n{table}\n")
     return "\n".join(parts)

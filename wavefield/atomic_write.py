@@ -200,12 +200,20 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder; after an interruption Zarr's threads may write into it for a moment."""
+    """Remove a folder, also where a signal comes in the middle or Zarr's threads still write for a moment."""
+    stop: BaseException | None = None
     for _ in range(_REMOVALS):
-        shutil.rmtree(folder, ignore_errors=True)
-        if not folder.exists():
-            return
-        time.sleep(_PAUSE)
+        try:
+            shutil.rmtree(folder, ignore_errors=True)
+            if not folder.exists():
+                break
+            time.sleep(_PAUSE)
+        except KeyboardInterrupt as interruption:
+            stop = interruption
+        except OSError as error:  # interrupted, rmtree may close a folder twice
+            stop = error.__context__ or error
+    if stop is not None:
+        raise stop
 
 
 def _put_back(folder: Path, path: Path) -> None:

@@ -8,7 +8,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.variables import TABLE, Variable
 from wavefield.waves import products
-from wavefield.waves.products import Noted, Product, compute_ready, register
+from wavefield.waves.products import Noted, WaveProduct, compute_ready, register
 
 
 def refused():
@@ -21,7 +21,7 @@ def test_a_registered_product_is_part_of_the_store(monkeypatch):
     monkeypatch.setitem(TABLE, "peaks/largest", None)
     del TABLE["peaks/largest"]
     register(
-        Product(
+        WaveProduct(
             "peaks",
             ("density_w", "depth"),
             lambda density, depth: xr.Dataset({"largest": density.max()}, attrs={"depth": depth}),
@@ -37,12 +37,12 @@ def test_a_registered_product_is_part_of_the_store(monkeypatch):
 
 def test_products_are_computed_in_the_order_of_their_inputs_and_left_out_where_one_is_missing():
     waiting = [
-        Product("sum", ("double", "one"), lambda a, b: a + b),
-        Product("double", ("one",), lambda a: 2 * a, cost=1),
-        Product("nothing", ("one",), lambda a: Noted(None, ["nothing is there"])),
-        Product("rests_on_nothing", ("nothing",), str),
-        Product("short", (), refused, without="No result"),
-        Product("later", ("sums",), str),
+        WaveProduct("sum", ("double", "one"), lambda a, b: a + b),
+        WaveProduct("double", ("one",), lambda a: 2 * a, cost=1),
+        WaveProduct("nothing", ("one",), lambda a: Noted(None, ["nothing is there"])),
+        WaveProduct("rests_on_nothing", ("nothing",), str),
+        WaveProduct("short", (), refused, without="No result"),
+        WaveProduct("later", ("sums",), str),
     ]
     values = {"one": 1}
     notes = compute_ready(waiting, values)
@@ -54,16 +54,16 @@ def test_products_are_computed_in_the_order_of_their_inputs_and_left_out_where_o
 
 def test_an_error_without_a_note_is_raised():
     with pytest.raises(CubeError, match="too short"):
-        compute_ready([Product("short", (), refused)], {})
+        compute_ready([WaveProduct("short", (), refused)], {})
 
 
 def test_a_name_is_taken_once(monkeypatch):
     monkeypatch.setattr(products, "_REGISTRY", {})
-    register(Product("one", (), str))
+    register(WaveProduct("one", (), str))
     with pytest.raises(ValueError, match="'one'"):
-        register(Product("one", (), int))
+        register(WaveProduct("one", (), int))
     with pytest.raises(ValueError, match="'cube'"):
-        register(Product("cube", (), int))
+        register(WaveProduct("cube", (), int))
 
 
 def test_every_input_is_given_or_a_product():

@@ -38,19 +38,21 @@ class Target:
     kind : {"strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level", "points"}
         What the target shows; ``points`` are tables of positions in place of images.
     mesh : float
-        Distance between neighbouring nodes, m; AprilGrid: a tag and its gap; two-level: between rows; points:
-        the unit of their tables (0.001 for mm).
+        Distance between neighbouring nodes, m; AprilGrid: a tag and its gap; two-level: between rows, half of
+        that between the dots of a row; points: the unit of their tables (0.001 for mm).
     shape : tuple of int, optional
         Nodes along x and y: inner corners of a chessboard, squares of a ChArUco board, tags of an AprilGrid.
         Not needed for strings and marked dots.
     origin_mark : str
-        Mark of node (0, 0): disc (strings), square (two-level), ring or odd dot (dots).
+        Mark of node (0, 0): disc (strings), square (two-level), ring or odd dot (dots). Rings replace three
+        dots: at the origin and further along x and y. With an odd dot x is to the right in the image.
     x_mark : str
-        Mark of the next node along x: small disc (strings), triangle (two-level).
+        Mark of node (1, 0) of strings: small disc. Of a two-level target a triangle further along x; where
+        both marks are between the dots, the triangle is at (1, 0) and the square at (0, 1).
     diameter : float, optional
         Diameter of a dot, m; removes the bias of its centroid in perspective.
     dictionary : str
-        ChArUco, AprilGrid: OpenCV's name of the marker dictionary.
+        OpenCV's name of the markers; by default DICT_4X4_50 (ChArUco), DICT_APRILTAG_36h11 (AprilGrid).
     marker : float, optional
         ChArUco: side of a marker, m.
     depth : float, optional

@@ -20,7 +20,7 @@ class MatchSettings:
     Parameters
     ----------
     iterations : tuple of int
-        Steps per pyramid level, coarsest first.
+        Steps per pyramid level, coarsest first; its length is the number of levels.
     window : float
         Side of the square with the area of the Gaussian window, px of each level.
     smoother_sigma : float
@@ -39,7 +39,8 @@ class MatchSettings:
     normalization : float
         Standard deviation, px, of the window of the local normalisation of brightness; 0: none.
     search_x, search_y : (float, float) or None
-        Smallest and largest displacement searched along columns and rows, px of the coarsest level.
+        Smallest and largest displacement searched along columns and rows, px of the coarsest level; None: no
+        search.
     search_window : float
         As `window`, for that search.
     min_correlation : float
@@ -47,7 +48,8 @@ class MatchSettings:
     min_gradient_energy : float
         Blocks below this fraction of the image's median gradient energy are invalid.
     max_deviation : float
-        Blocks further than this from the median of their neighbours, px, are replaced by it.
+        Blocks further than this from the median of their 5 x 5 neighbours, px, are replaced by it; in the
+        last step they are invalid.
     """
 
     __pydantic_config__ = CHECKED

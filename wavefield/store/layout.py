@@ -5,6 +5,7 @@ Every stored chunk ends with a checksum of Zarr's own codec, so that any reader 
 
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -14,8 +15,10 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from wavefield.atomic_write import atomic
+from wavefield.errors import StoreError
 from wavefield.store.metadata import seal_metadata
 from wavefield.store.recipe import Recipe
+from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find, register
 
 # arrays of which every chunk of steps has a file of its own; the ledger is written last
@@ -216,6 +219,20 @@ def gather_metadata(path: Path) -> None:
 
 
 _PLACES = {"frame_fault": "c/0/{}", "frame_status": "c/{}", "camera_shift": "c/0/{}/0"}
+
+
+@contextmanager
+def named_damage(array: Path) -> Iterator[None]:
+    """Turn what a codec makes of damaged bytes into a `StoreError` that names the array."""
+    try:
+        yield
+    except StoreError:
+        raise
+    except Exception as error:
+        raise StoreError(
+            f"{array} is damaged ({one_line(error)[:200]}): `wavefield verify {array.parent}` finds the "
+            "damaged steps, and `wavefield run` measures them again"
+        ) from None
 
 
 def chunk_path(path: Path, name: str, number: int) -> Path:

@@ -8,8 +8,7 @@ import xarray as xr
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from wavefield.errors import StoreError
-from wavefield.text import one_line
+from wavefield.store.layout import named_damage
 
 
 class _NamedArray(BackendArray):
@@ -25,15 +24,8 @@ class _NamedArray(BackendArray):
         return out
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
-        try:
+        with named_damage(self.path):
             return np.asarray(self.variable[key].values)
-        except StoreError:
-            raise
-        except Exception as error:  # whatever a codec makes of damaged bytes
-            raise StoreError(
-                f"{self.path} is damaged ({one_line(error)[:200]}): `wavefield verify {self.path.parent}` "
-                "finds the damaged steps, and `wavefield run` measures them again"
-            ) from None
 
 
 def named_variable(path: Path, variable: xr.Variable) -> xr.Variable:

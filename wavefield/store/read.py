@@ -12,7 +12,7 @@ from zarr.storage import LocalStore
 
 from wavefield.atomic_write import MARK_ATTRIBUTE
 from wavefield.errors import StoreError
-from wavefield.store.layout import CHUNKED, PACKING, CubeGroup, StoreLayout, chunk_path
+from wavefield.store.layout import CHUNKED, PACKING, CubeGroup, StoreLayout, chunk_path, named_damage
 from wavefield.store.metadata import CHECKSUM, FINISHED, read_metadata
 from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS, TABLE, annotate
@@ -118,15 +118,8 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
 
 def read_array(group: CubeGroup, path: Path, name: str) -> np.ndarray:
     """All values of an array, as stored; damaged bytes are a `StoreError` that names it."""
-    try:
+    with named_damage(path / name):
         return np.asarray(group[name][...])
-    except StoreError:
-        raise
-    except Exception as error:  # whatever a codec makes of damaged bytes
-        raise StoreError(
-            f"{path / name} is damaged ({one_line(error)[:200]}): `wavefield verify {path}` finds the "
-            "damaged steps, and `wavefield run` measures them again"
-        ) from None
 
 
 def read_layout(group: Any) -> StoreLayout:

@@ -12,7 +12,7 @@ from scipy import fft, special
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.waves.cross import significance_level
-from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.welch import LEAST_COUNT, Welch, hann, segment_count
 
 APART = 2  # lines: nearer ones share waves under a Hann window
@@ -210,4 +210,4 @@ def _group(series: np.ndarray, welch: Welch) -> xr.Dataset | Noted:
     return higher_order(series, welch.record.dt, welch.segment)
 
 
-register(Product("higher_order", ("point_series", "welch"), _group, group="higher_order", cost=1))
+register(WaveProduct("higher_order", ("point_series", "welch"), _group, group="higher_order", cost=1))

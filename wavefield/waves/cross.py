@@ -19,7 +19,7 @@ from wavefield.waves.dof import accumulate, independent_samples, keep_product, r
 from wavefield.waves.gains import correction, from_moving_frame, with_directions
 from wavefield.waves.gains import to_frame_time as frame_time_factor
 from wavefield.waves.inputs import a_cube, takes
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.spectra import E_k, E_omega, finish
@@ -395,8 +395,8 @@ def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: We
 
 
 register(
-    Product("ring", ("ring_sums", "pairs", "welch"), _ring),
-    Product("spectra", ("ring", "gain", "plane_w", "welch", "filled"), _spectra, group="spectra", cost=2),
+    WaveProduct("ring", ("ring_sums", "pairs", "welch"), _ring),
+    WaveProduct("spectra", ("ring", "gain", "plane_w", "welch", "filled"), _spectra, group="spectra", cost=2),
 )
 
 
@@ -503,7 +503,7 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     return finish(coherence_group(ring), cube["z_t"])
 
 
-register(Product("coherence", ("ring",), coherence_group, group="coherence", pairs=COHERENCE_PAIRS))
+register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence", pairs=COHERENCE_PAIRS))
 
 
 STEPS_AT_A_TIME = 128

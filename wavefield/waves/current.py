@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record, piece
 from wavefield.waves.welch import spatial_window
 
@@ -108,7 +108,7 @@ def _fitted(current: CurrentUsed) -> CurrentUsed | None:
 
 
 register(
-    Product("current", ("dispersion_fit", "fit_settings"), _current),
-    Product("fitted_or_given_current", ("current",), _fitted_or_given),
-    Product("fitted_current", ("current",), _fitted),
+    WaveProduct("current", ("dispersion_fit", "fit_settings"), _current),
+    WaveProduct("fitted_or_given_current", ("current",), _fitted_or_given),
+    WaveProduct("fitted_current", ("current",), _fitted),
 )

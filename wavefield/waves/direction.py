@@ -18,7 +18,7 @@ from wavefield.waves.dispersion_points import PlaneSpectrum
 from wavefield.waves.dof import correlation_at, expected_segment_correlation
 from wavefield.waves.gains import elevation_from_w
 from wavefield.waves.inputs import is_cube
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.spectra import plane_of
 from wavefield.waves.welch import Welch, frames_of, interval
 
@@ -535,7 +535,7 @@ def directional_group(
 
 
 register(
-    Product(
+    WaveProduct(
         "directional",
         ("density_w", "depth", "gamma", "fitted_or_given_current", "welch"),
         directional_group,
@@ -543,7 +543,7 @@ register(
         without="No directional spectrum",
         cost=3,
     ),
-    Product(
+    WaveProduct(
         "direction",
         ("density_w", "map_lines", "current", "depth", "gamma", "welch"),
         direction_group,

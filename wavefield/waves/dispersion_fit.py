@@ -29,7 +29,7 @@ from wavefield.waves.dispersion_points import (
     sectors_of,
 )
 from wavefield.waves.inputs import takes
-from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.spectra import plane_of
 from wavefield.waves.welch import Welch, k_coords
 
@@ -489,7 +489,9 @@ def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:
 
 
 register(
-    Product("fit_settings", ("fit",), fit_settings),
-    Product("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
+    WaveProduct("fit_settings", ("fit",), fit_settings),
+    WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
 )
-register(Product("dispersion", ("dispersion_fit", "welch"), without_uncertain_tension, group="dispersion"))
+register(
+    WaveProduct("dispersion", ("dispersion_fit", "welch"), without_uncertain_tension, group="dispersion")
+)

@@ -17,7 +17,7 @@ from scipy import ndimage
 from wavefield.variables import annotate
 from wavefield.water import dispersion, group_velocity
 from wavefield.waves import rings
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.welch import CORRELATED_CELLS, LEAST_COUNT, Welch, hann_power, interval, richardson_lucy
 
 Array = NDArray[Any]
@@ -456,4 +456,4 @@ def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
     return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
 
 
-register(Product("cell_dof", ("ring_sums", "welch"), partial(cell_freedom, "w")))
+register(WaveProduct("cell_dof", ("ring_sums", "welch"), partial(cell_freedom, "w")))

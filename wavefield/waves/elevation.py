@@ -34,7 +34,7 @@ from wavefield.waves.gains import (
     with_directions,
 )
 from wavefield.waves.inputs import a_cube, takes
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import E_omega, density, plane_density
 from wavefield.waves.welch import (
@@ -707,13 +707,13 @@ def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
 
 
 register(
-    Product(
+    WaveProduct(
         "fused",
         ("ring", "ring_sums", "welch", "density_w", "current", "gain", "depth", "gamma"),
         _fused,
         pairs=PAIRS,
         planes=PLANES,
     ),
-    Product("elevation_spectra", ("fused", "ring", "filled"), _elevation_spectra, group="spectra"),
-    Product("fusion", ("fused",), _fusion_group, group="fusion"),
+    WaveProduct("elevation_spectra", ("fused", "ring", "filled"), _elevation_spectra, group="spectra"),
+    WaveProduct("fusion", ("fused",), _fusion_group, group="fusion"),
 )

@@ -20,7 +20,7 @@ from wavefield.water import group_velocity, wavenumber
 from wavefield.waves import kernels, rings
 from wavefield.waves.dof import dof_of_all_nodes, hann_correlation, sum_freedom
 from wavefield.waves.inputs import a_cube, takes
-from wavefield.waves.products import Noted, Product, register
+from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.record import Each, Record, find_record, piece
 from wavefield.waves.spectra import E_omega, komega
 from wavefield.waves.welch import Reader, Welch, add_sums, spatial_window
@@ -495,9 +495,9 @@ def _statistics_group(
 
 
 register(
-    Product("moments", ("survey_sums", "scale", "welch", "pixel_size", "density_z"), _moments),
-    Product("error_statistics", ("complete_cube", "welch", "each"), _error_group),
-    Product(
+    WaveProduct("moments", ("survey_sums", "scale", "welch", "pixel_size", "density_z"), _moments),
+    WaveProduct("error_statistics", ("complete_cube", "welch", "each"), _error_group),
+    WaveProduct(
         "statistics",
         ("moments", "error_statistics", "fused", "spectra", "welch", "depth", "gamma"),
         _statistics_group,

@@ -14,7 +14,7 @@ from wavefield.variables import annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.current import delayed_current
 from wavefield.waves.inputs import a_cube, takes
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import check_axes, whole_record
 from wavefield.waves.welch import along_paths
 
@@ -349,7 +349,7 @@ def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
 
 
 register(
-    Product("kinematics", ("balance_rows", "cube"), balance_group, group="kinematics"),
-    Product("record_current", ("mean_current",), mean_current_group, group="kinematics"),
-    Product("nonlinear_ratio", ("spectra",), ratio_group, group="kinematics"),
+    WaveProduct("kinematics", ("balance_rows", "cube"), balance_group, group="kinematics"),
+    WaveProduct("record_current", ("mean_current",), mean_current_group, group="kinematics"),
+    WaveProduct("nonlinear_ratio", ("spectra",), ratio_group, group="kinematics"),
 )

@@ -13,7 +13,7 @@ from scipy import fft, ndimage  # scipy.signal takes a second to import
 from wavefield.errors import CubeError
 from wavefield.parabola import parabola_vertex
 from wavefield.variables import annotate
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.welch import (
     LOWEST,
     Welch,
@@ -355,4 +355,4 @@ def _group(probes: xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Data
     return probe_spectra(probes, axis, (float(time[runs[0][0]]), float(time[runs[-1][1] - 1])))
 
 
-register(Product("probe_spectra", ("probes", "welch", "cube"), _group, group="spectra"))
+register(WaveProduct("probe_spectra", ("probes", "welch", "cube"), _group, group="spectra"))

@@ -4,7 +4,7 @@
 and puts those that name a group into the wave store. A new product is one module of this room (or one that a
 user imports before the analysis), with for example
 
-    register(Product("skewness", ("density_w", "depth"), skewness_group, group="statistics"))
+    register(WaveProduct("skewness", ("density_w", "depth"), skewness_group, group="statistics"))
 """
 
 import importlib
@@ -45,7 +45,7 @@ GIVEN = {
 
 
 @dataclass(frozen=True)
-class Product:
+class WaveProduct:
     """A value that an analysis computes from others."""
 
     name: str
@@ -70,10 +70,10 @@ class Noted(NamedTuple):
     notes: Sequence[str]
 
 
-_REGISTRY: dict[str, Product] = {}
+_REGISTRY: dict[str, WaveProduct] = {}
 
 
-def register(*products: Product) -> None:
+def register(*products: WaveProduct) -> None:
     """Add products to the registry."""
     for product in products:
         if product.name in GIVEN or _REGISTRY.setdefault(product.name, product) != product:
@@ -81,7 +81,7 @@ def register(*products: Product) -> None:
         register_variables(*product.variables)
 
 
-def registered() -> list[Product]:
+def registered() -> list[WaveProduct]:
     """All products of this room, and those that were registered before."""
     package = importlib.import_module(__package__)
     for module in pkgutil.walk_packages(package.__path__, f"{__package__}."):
@@ -90,7 +90,7 @@ def registered() -> list[Product]:
 
 
 def compute_ready(
-    waiting: list[Product], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
+    waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
     """Compute waiting products whose inputs are among the values, and add them; gives the notes of each."""
     notes: dict[str, Sequence[str]] = {}

@@ -41,7 +41,7 @@ from wavefield.waves.inputs import (
     takes,
     water_parameters,
 )
-from wavefield.waves.products import Product, register
+from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record, filled_density
 from wavefield.waves.welch import (
     MIN_OVER_FILLED,
@@ -527,10 +527,10 @@ def maps(z: xr.DataArray, w: xr.DataArray, lines: list[int]) -> xr.Dataset:
 
 register(
     *(
-        Product(f"density_{name}", ("ring_sums", "welch"), partial(_density, name), planes=(name,))
+        WaveProduct(f"density_{name}", ("ring_sums", "welch"), partial(_density, name), planes=(name,))
         for name in ("z", "w")
     ),
-    Product("plane_w", ("density_w",), _sum_of_lines),
-    Product("map_lines", ("welch", "map_frequencies"), map_lines),
-    Product("maps", ("density_z", "density_w", "map_lines"), maps, group="spectra"),
+    WaveProduct("plane_w", ("density_w",), _sum_of_lines),
+    WaveProduct("map_lines", ("welch", "map_frequencies"), map_lines),
+    WaveProduct("maps", ("density_z", "density_w", "map_lines"), maps, group="spectra"),
 )
