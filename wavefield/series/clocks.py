@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
-from wavefield.series.formats import VIDEO_ENDINGS, file_of, open_recording
+from wavefield.series.formats import VIDEO_ENDINGS, Recording, file_of, open_recording
 from wavefield.series.formats.recording import usual_interval
+from wavefield.series.formats.video import Video
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import Numbered
 
@@ -255,20 +256,28 @@ def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]
     return _rates(cameras, folder, videos=True)
 
 
+def video_rotations(cameras: Mapping[str, object], folder: Path) -> dict[str, int]:
+    """Degrees by which videos state that they are to be turned, by camera; frames are read as stored."""
+    turned = {name: one.rotation for name, one in _recordings(cameras, folder) if isinstance(one, Video)}
+    return {name: degrees for name, degrees in turned.items() if degrees}
+
+
 def _rates(cameras: Mapping[str, object], folder: Path, videos: bool) -> dict[str, float]:
-    rates = {}
+    found = {name: one.rate for name, one in _recordings(cameras, folder) if isinstance(one, Video) == videos}
+    return {name: rate for name, rate in found.items() if rate}
+
+
+def _recordings(cameras: Mapping[str, object], folder: Path) -> Iterator[tuple[str, Recording]]:
+    """The first recording of each camera; those that cannot be opened are reported with the images."""
     for name, images in _images(cameras):
         paths = recordings_of(images, name, folder)
-        if not paths or is_video(paths[0]) != videos:
-            continue
         try:
-            recording = open_recording(paths[0])
-        except FrameError:  # reported when the images are opened
+            recording = open_recording(paths[0]) if paths else None
+        except FrameError:
             continue
-        if recording.rate:
-            rates[name] = recording.rate
-        recording.close()
-    return rates
+        if recording is not None:
+            yield name, recording
+            recording.close()
 
 
 def is_video(path: Path) -> bool:
