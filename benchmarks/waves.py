@@ -1,16 +1,12 @@
 """Coverage of the wave estimators on random seas of an independent generator.
 
     python -m benchmarks.waves [--first SEED] [--draws N] [--processes N] [--save]
-    python -m benchmarks.waves --currents [--families NAME ...] [--seeds FIRST LAST] [--save]
 
 Gaussian seas of exact free waves are drawn at random: depth, current, directions (isotropic to s = 50, one or
 two parts), band, slope, noise, length, window, gaps, sampling. `analyze` is run on two draws of each sea. The
 table has, by product, the fraction of 95 % intervals that hold the truth (of currents) or the difference of
 the two draws (of other products, whose truth is the same), how often 5 % levels are exceeded where there is
 no relation, and what was refused. The family of seas that departs most is named beside.
-
-With ``--currents`` the table has the error of the fitted current, mm/s, the same over its standard
-uncertainty, and the number of refusals, for six families of linear seas.
 """
 
 import sys
@@ -26,11 +22,11 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "waves"))
 
-from independent_seas import FAMILIES, Sea, family, random_lattice_sea
+from independent_seas import random_lattice_sea
 
 from benchmarks.results import parser_of, print_table, save_result
 from wavefield.errors import CubeError
-from wavefield.waves import analyze, coherence, fit_dispersion, spectrum
+from wavefield.waves import analyze, coherence
 
 Array = NDArray[Any]
 
@@ -216,63 +212,20 @@ def products_table(seeds: Sequence[int], processes: int) -> list[list[str]]:
     return [cells for _, cells in rows]
 
 
-def current_of(case: tuple[str, int]) -> tuple[str, int, Any, Any, str]:
-    """Family, seed, error of the current, the same over its standard uncertainty, or why it was refused."""
-    sea: Sea = family(*case)
-    found = spectrum(sea.cube(("w",))["w"])
-    try:
-        fit = fit_dispersion(found["E"], sea.depth)
-    except CubeError as error:
-        return *case, None, None, str(error)
-    error = np.array([float(fit["current_x"]), float(fit["current_y"])]) - sea.current
-    std = np.array([float(fit["current_x_std"]), float(fit["current_y_std"])])
-    return *case, error, error / std, ""
-
-
-def currents_table(cases: list[tuple[str, int]], names: Sequence[str], processes: int) -> list[list[str]]:
-    """Rows of the errors of fitted currents by family."""
-    with Pool(processes) as pool:
-        fits = pool.map(current_of, cases, chunksize=1)
-    rows = []
-    for name in (*names, "all"):
-        mine = [fit for fit in fits if name in (fit[0], "all")]
-        fitted = [fit for fit in mine if not fit[4]]
-        cells = [name, str(len(mine)), str(len(mine) - len(fitted)), "", "", "", ""]
-        if fitted:
-            size = 1e3 * np.array([np.hypot(*fit[2]) for fit in fitted])
-            over = np.abs(np.array([fit[3] for fit in fitted]))
-            rms = [np.sqrt((values**2).mean()) for values in (size, over)]
-            cells[3:] = f"{rms[0]:.2f}", f"{size.max():.1f}", f"{rms[1]:.2f}", f"{over.max():.1f}"
-        rows.append(cells)
-    return rows
-
-
-PRODUCT_COLUMNS = ("kind", "product", "pairs", "fraction", "worst family")
-CURRENT_COLUMNS = ("family", "seas", "refused", "rms error, mm/s", "largest", "rms over std", "largest")
+COLUMNS = ("kind", "product", "pairs", "fraction", "worst family")
 
 
 def main() -> None:
-    """Print one of the two tables."""
+    """Measure and print the table."""
     parser = parser_of(__doc__)
     parser.add_argument("--draws", type=int, default=300)
     parser.add_argument("--first", type=int, default=9000, help="seed of the first sea")
-    parser.add_argument("--currents", action="store_true", help="errors of fitted currents by family")
-    parser.add_argument("--seeds", type=int, nargs=2, default=[500, 505], help="first and last, of currents")
-    parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=FAMILIES)
     parser.add_argument("--processes", type=int, default=1)
     given = parser.parse_args()
-    if given.currents:
-        seeds = range(given.seeds[0], given.seeds[1] + 1)
-        cases = [(name, seed) for name in given.families for seed in seeds]
-        rows = currents_table(cases, given.families, given.processes)
-        name, columns = "currents", CURRENT_COLUMNS
-    else:
-        seas = range(given.first, given.first + given.draws)
-        rows = products_table(seas, given.processes)
-        name, columns = "waves", PRODUCT_COLUMNS
-    print_table(columns, rows)
+    rows = products_table(range(given.first, given.first + given.draws), given.processes)
+    print_table(COLUMNS, rows)
     if given.save:
-        save_result(name, columns, rows, measures_images=False)
+        save_result("waves", COLUMNS, rows, measures_images=False)
 
 
 if __name__ == "__main__":
