@@ -25,6 +25,8 @@ RATE_ERROR = 1e-3  # by which the rates of clocks differ
 MAX_PLACES_PER_IMAGE = 10  # more: several records in one file
 RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
 RATE_DISAGREEMENT = 0.01  # of a rate: clocks differ by less, and by as much a velocity would be wrong
+SMALL_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # per second
+UNIT_TOLERANCE = 0.05  # of a rate that the experiment file rounds
 _EVEN = 2e-4  # intervals: smaller departures change nothing
 _RATE_ERROR = 1e-4  # of a quartz
 _DECIMALS = 7  # of departures in intervals
@@ -76,12 +78,18 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
         scatter = float(intervals.max()) / len(intervals)
     if not interval > 0:
         return
-    if abs(interval * frame_rate - 1.0) > max(RATE_DISAGREEMENT, SIGNIFICANCE * scatter / interval):
+    frames = interval * frame_rate  # per interval
+    if abs(frames - 1.0) > max(RATE_DISAGREEMENT, SIGNIFICANCE * scatter / interval):
         rate = float(f"{1.0 / interval:.4g}")
-        raise ExperimentError(
-            f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: set `frame_rate: {rate:g}`, or "
-            "correct the times (they are in seconds)"
+        unit = next(
+            (name for name, per in SMALL_UNITS.items() if abs(frames / per - 1.0) < UNIT_TOLERANCE), ""
         )
+        remedy = (
+            f"these look like {unit}; write seconds"
+            if unit
+            else f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"
+        )
+        raise ExperimentError(f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: {remedy}")
 
 
 def recorded_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times:
