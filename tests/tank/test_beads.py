@@ -46,20 +46,6 @@ def test_path_agrees_with_tiny_steps_and_leads_back(steep, rng):
     assert np.hypot(cx - x, cy - y).max() < 2e-7
 
 
-def test_water_stays_on_the_surface_along_its_path(steep, rng):
-    """Integrating w along the path gives the elevation at its end."""
-    x, y = rng.uniform(-0.1, 0.1, (2, 20))
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    rise = 0.0
-    for node, weight in zip(nodes, weights, strict=True):
-        t = 0.025 * (node + 1)
-        px, py = carry(steep.basin, x, y, 0.0, t)
-        rise = rise + 0.025 * weight * steep.sea.at(px, py, t)["w"]
-    ex, ey = carry(steep.basin, x, y, 0.0, 0.05)
-    climbed = steep.sea.at(ex, ey, 0.05)["z"] - steep.sea.at(x, y, 0.0)["z"]
-    assert np.abs(rise - climbed).max() < 1e-8
-
-
 def test_truth_gives_both_rates_and_small_steps_bring_them_together(steep):
     grid = Grid(x=(-0.1, 0.1), y=(-0.05, 0.05), step=0.05)
     long, short = truth(steep.basin, grid, 0.4, 0.05), truth(steep.basin, grid, 0.4, 0.0005)

@@ -56,11 +56,6 @@ def test_truth_is_that_of_the_flow(tank):
     assert not truth.z.any()
 
 
-def test_images_do_not_depend_on_what_was_drawn_before(tank):
-    other = Tank(tank.scene)
-    np.testing.assert_array_equal(other.render(3)["cam2"], tank.render(3)["cam2"])
-
-
 def test_its_experiment_file_asks_for_the_measurement_of_a_sheet(tmp_path):
     from wavefield.series import Experiment
     from wavefield.tank import simulate

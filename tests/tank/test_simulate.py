@@ -98,16 +98,6 @@ def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):
         assert (folder / file).read_bytes() == (tmp_path / "alone" / file).read_bytes(), file
 
 
-def test_faults_of_cameras_are_in_the_images_that_are_written(tmp_path):
-    faults = {"cam1": {"late": 1}, "cam2": {"mirrored": True, "shift": (3.0, 0.0)}}
-    scene = SCENE.with_(frames=3, calibration={"tilted": 0}, faults=faults)
-    simulate(scene, tmp_path / "faulty", workers=1)
-    tank = Tank(scene)
-    for frame in range(3):
-        for name, image in tank.render(frame).items():
-            assert np.array_equal(read_image(tmp_path / "faulty" / name / f"img_{frame:05d}.tif"), image)
-
-
 def test_nothing_is_overwritten(folder):
     with pytest.raises(ExperimentError, match="not empty"):
         simulate(SCENE, folder)
