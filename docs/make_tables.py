@@ -14,7 +14,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
-from wavefield.variables import CUBE_FIELDS, GROUPS, TABLE, FrameStatus, Quality, Variable, rows_of
+from wavefield.series.masks import MaskSection
+from wavefield.variables import CUBE_DIMS, GROUPS, TABLE, FrameStatus, Quality, Variable, rows_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = (
@@ -35,15 +36,12 @@ QUALITY = {
     Quality.REJECTED_CORRELATION: "the images do not look alike there",
     Quality.REJECTED_EPS: "sight lines miss one another",
     Quality.REJECTED_NEIGHBOURS: "far from its neighbours",
-    Quality.REJECTED_RANGE: "beyond the range that was searched, or waves far above the sampled ones",
-    Quality.TWO_FRAME_MEAN: "z at mid-time, or a camera's path there, from fewer than four frames",
-    Quality.FEWER_CAMERAS: "a camera's frame is missing, or contradicts the others there: they did the work",
-    Quality.MASKED: "covered: not water, or hidden from the cameras by what is not",
-    Quality.WITHOUT_1: "of fewer cameras: without the first of the cube's `cameras`",
-    Quality.WITHOUT_2: "without the second",
-    Quality.WITHOUT_3: "without the third",
-    Quality.WITHOUT_4: "without the fourth",
-    Quality.WITHOUT_5: "without the fifth",
+    Quality.REJECTED_RANGE: "outside the range searched, or far above the waves sampled",
+    Quality.TWO_FRAME_MEAN: "z or a path from fewer than four frames",
+    Quality.FEWER_CAMERAS: "measured without a camera, whose frame is missing or contradicts the others",
+    Quality.MASKED: "masked, or hidden from the cameras by a mask",
+    Quality.WITHOUT_1: "measured without the first of the cube's `cameras`; the next four bits: without the"
+    " second to the fifth",
     Quality.WITHOUT_6: "without the sixth, or one behind it",
 }
 STATUS = {
@@ -51,7 +49,7 @@ STATUS = {
     FrameStatus.DONE: "measured",
     FrameStatus.DONE_WITH_FAULTS: "measured, without a frame or with too few nodes",
     FrameStatus.FAILED: "could not be measured; NaN",
-    FrameStatus.DISCONTINUOUS: "over a lost, doubled or late frame, or beside it; NaN",
+    FrameStatus.DISCONTINUOUS: "at or beside a lost, doubled or late frame; NaN",
 }
 
 
@@ -61,61 +59,58 @@ def rows_to_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
+def _line(rows: list[Variable], name: str = "", usual: tuple[str, ...] = ()) -> tuple[str, str, str]:
+    """Name with dimensions (left out if usual), units, and meaning of variables that share a line."""
+    names = f"`{name}`" if name else ", ".join(f"`{row.name}`" for row in rows)
+    shapes = dict.fromkeys(", ".join(row.dims) for row in rows if row.dims != usual)
+    dims = f" ({'; '.join(shapes)})" if any(shapes) else ""
+    texts = [row.long_name.split() for row in rows]
+    shared = [column[0] for column in takewhile(lambda column: len(set(column)) == 1, zip(*texts))]
+    words = " ".join(shared) or ", ".join(dict.fromkeys(row.long_name for row in rows))
+    if len(rows) > 1:
+        words = re.sub("( of| from| with| along)?( the)?:?$", "", words)
+    notes = [row.meaning for row in rows if row.meaning][:1]
+    units = {row.units for row in rows}
+    unit = units.pop() if len(units) == 1 else ""
+    return names + dims, "" if unit == "1" else unit, "; ".join(text for text in (words, *notes) if text)
+
+
 def cube() -> str:
     """Variables of a cube."""
     importlib.import_module("wavefield.store.layout")  # registers the ledger's variables
-    names = (
-        "time",
-        "y",
-        "x",
-        *CUBE_FIELDS,
-        "path_frames",
-        "z_level_std",
-        "frame_status",
-        "frame",
-        "camera",
-        "frame_fault",
-        "camera_shift",
-        "gain/direction",
-        "k",
-        *(f"gain/gain_{name}" for name in "zuvw"),
+    lines = (
+        *(
+            ("z",),
+            ("z_t",),
+            ("u", "v", "w"),
+            ("eps_y",),
+            ("eps_piv",),
+            ("z_std",),
+            ("u_std", "v_std", "w_std"),
+        ),
+        *(("quality",), ("path_frames",), ("z_level_std",), ("frame_status",), ("frame_fault",)),
+        *(("camera_shift",), tuple(f"gain/gain_{name}" for name in "zuvw")),
     )
-    rows = []
-    for v in (TABLE[name] for name in names):
-        meaning = v.long_name + (f"; {v.meaning}" if v.meaning else "")
-        rows.append((f"`{v.name}`", ", ".join(v.dims), v.units, v.dtype, meaning))
-    return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
+    rows = [
+        (line[0], line[1] or "-", TABLE[names[0]].dtype, line[2])
+        for names in lines
+        for line in [_line([TABLE[name] for name in names], usual=CUBE_DIMS)]
+    ]
+    return rows_to_table(("variable", "units", "type", "meaning"), rows)
 
 
 def frames() -> str:
     """Variables of the frames of an experiment."""
-    rows = [
-        (
-            f"`{v.name}`",
-            ", ".join(v.dims),
-            v.units,
-            "as the file" if v.name == "image" else v.dtype,
-            v.long_name,
-        )
-        for v in rows_of("frames")
-    ]
-    return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
+    lines = [_line([row]) for row in rows_of("frames")]
+    rows = [(line[0], line[2] + (line[1] and f" ({line[1]})")) for line in lines]
+    return rows_to_table(("variable", "meaning (units)"), rows)
 
 
 def pairs() -> str:
     """Variables of the group of camera pairs."""
     importlib.import_module("wavefield.store.camera_pairs")  # registers them
-    rows = [
-        (
-            f"`{v.name}`",
-            ", ".join(v.dims),
-            v.units or "as the error's",
-            v.dtype,
-            v.long_name + (f"; {v.meaning}" if v.meaning else ""),
-        )
-        for v in rows_of("pair_statistics")
-    ]
-    return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
+    rows = [(line[0], line[2]) for line in (_line([row]) for row in rows_of("pair_statistics"))]
+    return rows_to_table(("variable", "meaning"), rows)
 
 
 def flags(meanings: dict, name: str) -> str:
@@ -129,31 +124,26 @@ def flags(meanings: dict, name: str) -> str:
     )
 
 
-def _line(name: str, rows: list[Variable]) -> tuple[str, ...]:
-    # what the variables of a family have in common
-    texts = [row.long_name.split() for row in rows]
-    shared = [column[0] for column in takewhile(lambda column: len(set(column)) == 1, zip(*texts))]
-    words = " ".join(shared).removesuffix(" of").removesuffix(" from").removesuffix(" with").rstrip(":")
-    notes = [row.meaning for row in rows if row.meaning][:1]
-    units = {row.units or "-" for row in rows}
-    dims = ", ".join(rows[0].dims) or "-"
-    return f"`{name}`", dims, units.pop() if len(units) == 1 else "as the field's", "; ".join([words, *notes])
-
-
 def waves() -> str:
-    """Groups of a wave store."""
+    """Groups of a wave store. A variable whose name says all is listed by its name only."""
     parts = []
     for group, words in GROUPS.items():
         families: dict[str, list[Variable]] = {}
         for row in rows_of(group):
             families.setdefault(row.family or row.name, []).append(row)
-        lines = [
-            _line(name, rows)
-            for name, rows in families.items()
-            if not INTERVAL.search(name) and "standard uncertainty" not in rows[0].long_name
-        ]
-        table = rows_to_table(("variable", "dims", "units", "meaning"), lines)
-        parts.append(f"## `/{group}`\n\n{words}\n\n{table}\n")
+        lines, plain = [], []
+        for name, rows in families.items():
+            if INTERVAL.search(name) or "standard uncertainty" in rows[0].long_name:
+                continue  # the page explains them once
+            variable, unit, meaning = _line(rows, name)
+            unit = unit and f" ({unit})"
+            if meaning in ("", name.replace("_", " ")):
+                plain.append(variable + unit)
+            else:
+                lines.append((variable, meaning + unit))
+        table = rows_to_table(("variable", "meaning (units)"), lines)
+        also = f"\nAlso {'; '.join(plain)}.\n" if plain else ""
+        parts.append(f"## `/{group}`\n\n{words}\n\n{table}\n{also}")
     return "\n".join(parts)
 
 
@@ -184,74 +174,106 @@ def _type(annotation: Any) -> str:
 
 def _default(value: object) -> str:
     if isinstance(value, BaseModel) or value in (None, "", {}, [], ()):
-        return "-"
+        return ""
     return f"`{str(value).lower() if isinstance(value, bool) else value}`"
 
 
-def keys(model: type[BaseModel], prefix: str = "") -> list[tuple[str, str, str, str]]:
-    """Rows (key, type, default, meaning) of every key of a section and of those within it."""
-    rows = []
+Row = tuple[str, str, str]
+
+
+def _value(kind: str, needed: bool, default: object) -> str:
+    """Type and default of a key: "number, needed", "number, `0.5`", "text"."""
+    shown = "needed" if needed else _default(default)
+    return ", ".join(part for part in (kind, shown) if part)
+
+
+def keys(model: type[BaseModel], prefix: str = "", shown: str = "") -> list[Row]:
+    """Rows (key, value, meaning) of every key of a section and of those within it.
+
+    Keys with the same value and meaning share a row. No example is given of a key that an example `shown`
+    already contains, nor of a number.
+    """
+    rows: list[Row] = []
     for name, field in model.model_fields.items():
         per_name = get_origin(field.annotation) is dict or any(
             get_origin(part) is dict for part in get_args(field.annotation)
         )
         key = f"{prefix}{name}"
-        example = f"e.g. `{field.examples[0].strip(chr(34))}`" if field.examples else ""
-        inner = _models(field.annotation)
+        example = field.examples[0].strip(chr(34)) if field.examples else ""
+        inner = [section for section in _models(field.annotation) if section is not MaskSection]
+        if (
+            len(inner) == 1 and len(inner[0].model_fields) == 1
+        ):  # a section of one key is described by that key
+            words = inner[0].__doc__.strip().splitlines()[0].rstrip(".")
+            [(first, value, more)] = keys(inner[0], f"{key}.")
+            rows.append((first, value, "; ".join(text for text in (words, more) if text)))
+            continue
         first = inner[0].__doc__.strip().splitlines()[0].rstrip(".") if inner else ""
-        meaning = "; ".join(text for text in (field.description or first, example) if text)
-        default = "needed" if field.is_required() else _default(field.get_default(call_default_factory=True))
-        rows.append((f"`{key}`", _type(field.annotation), default, meaning.replace("|", "or")))
+        plain = name in shown or re.fullmatch(r"[\d.]+", example)
+        texts = (field.description or first, "" if plain or not example else f"`{example}`")
+        meaning = "; ".join(text for text in texts if text).replace("|", "or")
+        default = None if field.is_required() else field.get_default(call_default_factory=True)
+        row = (f"`{key}`", _value(_type(field.annotation), field.is_required(), default), meaning)
+        if rows and rows[-1][1:] == row[1:]:
+            rows[-1] = (f"{rows[-1][0]}, {row[0]}", *row[1:])
+        elif row[1] != "section":  # its keys say what it is
+            rows.append(row)
         for section in inner:
-            rows += keys(section, f"{key}.NAME." if per_name else f"{key}.")
+            rows += keys(section, f"{key}.NAME." if per_name else f"{key}.", shown + example)
     return rows
 
 
-def settings(kind: type, prefix: str = "") -> list[tuple[str, str, str, str]]:
-    """Rows of the fields of a settings class, with their meanings from its docstring."""
+def settings(kind: type, *presets: object) -> list[Row]:
+    """Rows of the fields of a settings class, with their meanings from its docstring.
+
+    Defaults are those of the class, or of the presets, one after the other.
+    """
     text = inspect.getdoc(kind).split("Parameters\n----------\n")[1].split("\n\n")[0]
-    meanings: dict[str, str] = {}
+    meanings: dict[str, tuple[str, str]] = {}
     for entry in re.split(r"\n(?=\w)", text):
         names, _, rest = entry.partition(" : ")
         declared, *words = rest.splitlines()
         for name in names.split(", "):
-            meanings[name] = f"{declared}\0{' '.join(word.strip() for word in words)}"
-    rows = []
+            meanings[name] = declared.replace(", optional", ""), " ".join(word.strip() for word in words)
+    rows: list[Row] = []
     for field in dataclasses.fields(kind):
         if field.name in ("stereo", "piv"):
             continue
-        declared, meaning = meanings[field.name].split("\0")
-        needed = field.default is dataclasses.MISSING
-        default = "needed" if needed else _default(field.default)
-        rows.append((f"`{prefix}{field.name}`", declared, default, meaning))
+        declared, meaning = meanings[field.name]
+        value = _value(declared, field.default is dataclasses.MISSING, field.default)
+        if presets:
+            defaults = (_default(getattr(one, field.name)) for one in presets)
+            value = f"{declared}, {' and '.join(dict.fromkeys(defaults))}"
+        rows.append((f"`{field.name}`", value, meaning))
     return rows
 
 
-def key_table(rows: list[tuple[str, str, str, str]]) -> str:
+def key_table(rows: list[Row]) -> str:
     """A table of keys."""
-    return rows_to_table(("key", "type", "default", "meaning"), rows)
+    return rows_to_table(("key", "value", "meaning"), rows)
 
 
 def settings_table() -> str:
-    """Settings of the measurement, and of each of its two matchings with both defaults."""
+    """Settings of the measurement."""
+    from wavefield.measurement import Settings
+
+    return key_table(settings(Settings))
+
+
+def matching_table() -> str:
+    """Settings of both matchings, with both defaults."""
     from wavefield.matching import MatchSettings
     from wavefield.measurement import Settings
 
-    both = Settings()
-    rows = settings(Settings)
-    for key, kind, _, meaning in settings(MatchSettings):
-        name = key.strip("`")
-        defaults = (_default(getattr(one, name)) for one in (both.stereo, both.piv))
-        default = " / ".join(dict.fromkeys(defaults))
-        rows.append((f"`stereo.{name}`, `piv.{name}`", kind, default, meaning))
-    return key_table(rows)
+    return key_table(settings(MatchSettings, Settings().stereo, Settings().piv))
 
 
 def experiment() -> str:
     """Keys of an experiment file."""
     from wavefield.series.experiment import Experiment
 
-    return key_table(keys(Experiment))
+    page = (ROOT / "docs" / "experiment-file.md").read_text(encoding="utf-8")
+    return key_table(keys(Experiment, shown=page.partition("## Keys")[0]))
 
 
 def workflow() -> str:
@@ -302,6 +324,7 @@ TABLES = {
     "rooms": rooms,
     "experiment": experiment,
     "settings": settings_table,
+    "matching": matching_table,
     "workflow": workflow,
     "target": target,
     "frames": frames,

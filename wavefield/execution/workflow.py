@@ -46,7 +46,7 @@ class Workflow(ConfigSection):
         description="worker processes; auto: one per core",
     )
     memory: str | None = Field(
-        default=None, examples=["2 GB"], description="limit per worker; one above it is replaced"
+        default=None, examples=["2 GB"], description="limit of a worker; beyond it the worker is replaced"
     )
     address: str | None = Field(
         default=None, examples=["tcp://host:8786"], description="of a running scheduler"
@@ -60,9 +60,9 @@ class Workflow(ConfigSection):
         default=None, examples=["11h 50m"], description="stop cleanly after this time"
     )
     steps_per_block: int | None = Field(
-        default=None, ge=1, examples=["64"], description="steps per task and shard"
+        default=None, ge=1, examples=["64"], description="steps that a worker measures and stores together"
     )
-    packing: Literal["float32", "int16"] = Field(default="float32", description="how values are stored")
+    packing: Literal["float32", "int16"] = Field(default="float32", description="type of stored values")
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
     _path: Path | None = PrivateAttr(default=None)
 

@@ -20,27 +20,26 @@ class MatchSettings:
     Parameters
     ----------
     iterations : tuple of int
-        Steps per pyramid level, coarsest first; its length is the number of levels.
+        Steps on each pyramid level, coarsest first; one number per level.
     window : float
         Side of the square with the area of the Gaussian window, px of each level.
     smoother_sigma : float
         Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^smoother_order; 0: none.
     coarse_smoother_sigma : float
-        The same at the coarser levels, where a block is larger.
+        The same on the coarser levels, where a block is larger.
     smoother_order : int
-        The higher, the flatter the smoother's passband.
+        Higher: a flatter passband of the smoother.
     robust : float
-        c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 of a pixel with residual r; 0: no weights.
-        Use it where particles appear and vanish.
+        c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 of a pixel with residual r, for particles
+        that appear and vanish; 0: none.
     robust_beta : float
-        beta of that weight: how much larger the residual of a bright pixel may be.
+        beta of that weight: allows larger residuals on bright pixels.
     relaxation : float
         Factor on every step; noise makes steps too short.
     normalization : float
-        Standard deviation, px, of the window of the local normalisation of brightness; 0: none.
+        Standard deviation of the window that normalises brightness, px; 0: none.
     search_x, search_y : (float, float) or None
-        Smallest and largest displacement searched along columns and rows, px of the coarsest level; None: no
-        search.
+        Smallest and largest displacement to search, px of the coarsest level; None: no search.
     search_window : float
         As `window`, for that search.
     min_correlation : float

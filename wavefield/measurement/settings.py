@@ -57,36 +57,34 @@ class Settings:
     Parameters
     ----------
     pairs : tuple of (str, str)
-        Pairs of cameras that give z; one camera, the reference, is in all of them. Empty: the middle camera
-        with each other one.
+        Pairs of cameras that give z; one camera, the reference, is in all. Default: the middle camera with
+        each other one.
     velocity_cameras : tuple of str
-        Two or more cameras that give u, v, w. Empty: all.
+        Two or more cameras that give u, v, w. Default: all.
     z_range : (float, float) or None
-        Lowest and highest elevation to search, m. None: at least 2 % of the reference camera's distance, up
-        and down.
+        Elevations to search, m. None: at least 2 % of the reference camera's distance, up and down.
     sheet_thickness : float or None
-        Thickness of a light sheet on z = 0, m: velocities in it are measured, and z is 0 with an uncertainty
-        of a quarter of the thickness. None: a surface.
+        Thickness of a light sheet on z = 0, m; z is 0, uncertain by a quarter of it. None: a surface.
     bead_height : float
         Height of the visible part of a bead above the water, m; corrects u and v for its tilt, not z.
     pixel : float or None
         Pixel of the rectified images, m. None: the finest side of a pixel of the camera that resolves least,
         or down to half of it where blocks of five would be wider than 0.8 grid steps.
     smoothing : float
-        Thin-plate smoothing of z, block lengths to the fourth power; it halves waves of 2 pi smoothing^(1/4)
+        Thin-plate smoothing of z, block lengths to the fourth power; halves waves of 2 pi smoothing^(1/4)
         blocks.
     eps_limit : float
-        Reject a match whose mismatch across the sight line exceeds this many times its rms.
+        Matches are rejected beyond this many times the rms of the mismatch across the sight line.
     eps_floor : float
         Mismatch that is never rejected, px of the rectified images.
     min_valid : float
-        Smallest fraction of the common view that a frame must measure to count.
+        Fraction of the common view that a frame must measure to count.
     row_delays : tuple of (str, float)
-        Rolling shutter: camera, and frame intervals by which a row is read later than the one above it,
-        negative if earlier. `run` makes them of ``row_time``.
+        Rolling shutter: camera, and delay of a row after the one above, in frame intervals. `run` derives
+        them from ``row_time``.
     vibration : {"leave", "correct"}
-        Whether each frame is turned back by its epipolar error (constant, tilt, roll) before it is measured;
-        the cube stores by how much (``camera_shift``).
+        correct: turn each frame back by its epipolar error (constant, tilt, roll), stored as
+        ``camera_shift``.
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings

@@ -62,10 +62,12 @@ class Experiment(RecordSection):
     rest: PathText | dict[str, PathText] | None = Field(
         default=None,
         examples=['"rest/{camera}/img_{frame:05d}.tif"'],
-        description="images of still water, one pattern or one per camera: they correct and level the rig",
+        description="images of still water, which correct and level the rig",
     )
     rig: PathText | dict[str, PathText] | None = Field(
-        default=None, examples=["rig.yaml"], description="this program's or another's; or one file per camera"
+        default=None,
+        examples=["rig.yaml"],
+        description="one file, of this program or another, or one per camera",
     )
     surface: SurfaceSection | None = None
     velocity: VelocitySection | None = None
@@ -76,18 +78,18 @@ class Experiment(RecordSection):
     background: PathText | dict[str, PathText] | None = Field(
         default=None,
         examples=['"background/{camera}.tif"'],
-        description="images that are subtracted from the frames: those of `wavefield background`",
+        description="images to subtract from the frames (`wavefield background`)",
     )
     mask: dict[str, list[masks.MaskSection]] = Field(
         default_factory=dict,
         examples=["{cam1: masks/cam1.png, water: {cylinder: {x: 0.2, y: -0.1, radius: 0.1}}}"],
-        description="what covers the water, by camera (px) or on the `water` (m)",
+        description="what is not water; see Masks",
     )
     probes: ProbesSection | None = Field(default=None, examples=["probes.csv"])
-    smooth: bool = Field(
-        default=False, description="whether a run writes `smooth.zarr` beside its cube (`wavefield smooth`)"
+    smooth: bool = Field(default=False, description="write `smooth.zarr` after each run")
+    settings: dict[str, Any] = Field(
+        default_factory=dict, description="measurement settings that differ; see below"
     )
-    settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
 
     _path: Path = PrivateAttr(default=Path("experiment.yaml"))
 

@@ -8,6 +8,9 @@ from wavefield.config_files import ConfigSection, Name, PathText, safe_name
 from wavefield.grid import Grid
 from wavefield.water import tension_over_density
 
+_RANGE = "first and last frame number to use, both included, as in `--frames FIRST:LAST`"
+_NODES = "first and last node, m; left out: the common view of the cameras"
+
 
 class CameraSection(ConfigSection):
     """Where the images of one camera are."""
@@ -19,15 +22,15 @@ class CameraSection(ConfigSection):
     offset: int = Field(default=0, description="added to this camera's frame numbers")
     times: PathText | None = Field(
         default=None,
-        description="file of time stamps, s, one per image: a number a line, or a CSV with a column `time`; "
-        "`recorded`: those in a recording, where all cameras share one clock",
+        description="file of time stamps, s, one per image (one per line, or a CSV with a column `time`); "
+        "or `recorded`: those in the recording",
     )
     row_time: float = Field(
         default=0.0,
         ge=-1e-2,
         le=1e-2,
         examples=["8e-6"],
-        description="rolling shutter: s by which each row of an image is later than the one above it",
+        description="rolling shutter: delay of each row of an image after the one above, s",
     )
 
     @model_validator(mode="before")
@@ -37,10 +40,10 @@ class CameraSection(ConfigSection):
 
 
 class FramesSection(ConfigSection):
-    """Range of frame numbers to use, both included, as in `--frames FIRST:LAST`."""
+    """Range of frame numbers to use, both included."""
 
-    first: int | None = Field(default=None, examples=["0"])
-    last: int | None = Field(default=None, examples=["11999"])
+    first: int | None = Field(default=None, examples=["0"], description=_RANGE)
+    last: int | None = Field(default=None, examples=["11999"], description=_RANGE)
 
 
 class RecordSection(ConfigSection):
@@ -72,30 +75,36 @@ class RecordSection(ConfigSection):
 
 
 class CalibrationSection(ConfigSection):
-    """Target images and what the target is; read by the calibration."""
+    """Target images, and what the target is."""
 
-    target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"])
-    tilted: PathText | list[PathText] = Field(examples=['"calib/{camera}/tilt_*.tif"'])
-    flat: PathText | None = Field(default=None, examples=['"calib/{camera}/flat.tif"'])
-    model: str | None = Field(default=None, description="camera model, where the default does not do")
+    target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"], description="see below")
+    tilted: PathText | list[PathText] = Field(
+        examples=['"calib/{camera}/tilt_*.tif"'], description="images of the tilted target"
+    )
+    flat: PathText | None = Field(
+        default=None,
+        examples=['"calib/{camera}/flat.tif"'],
+        description="image of the target on the still water",
+    )
+    model: str | None = Field(default=None, description="camera model in place of the default")
     lens: Literal["auto", "perspective", "fisheye"] = Field(
-        default="auto", description="kind of the lenses; auto finds which of them are fisheyes"
+        default="auto", description="kind of the lenses; auto: found from the images"
     )
     target_std: float = Field(
         default=0.0,
         ge=0,
         examples=["0.001"],
-        description="uncertainty of the target's nodes, m: their offsets are solved for",
+        description="standard uncertainty of the target's nodes, m; their offsets are fitted",
     )
     heights: dict[str, float] = Field(
         default_factory=dict,
         examples=["{z_1: -0.003, z_2: 0.0, z_3: 0.003}"],
-        description="z of a target that was moved along z, by pose (the file's name without the camera), m",
+        description="z of a target moved along z, m, by pose (file name without the camera)",
     )
     camera_distance: dict[str, float] = Field(
         default_factory=dict,
         examples=["{cam1: 4.5}"],
-        description="from the origin, by tape, m: checks the mesh",
+        description="measured distance from the origin, m; checks the mesh",
     )
 
 
@@ -112,11 +121,11 @@ class VelocitySection(ConfigSection):
 
 
 class GridSection(ConfigSection):
-    """Nodes of the grid, metres; without x and y the extent is the cameras' common view."""
+    """Nodes of the grid."""
 
-    x: tuple[float, float] | None = Field(default=None, examples=["[-1.0, 1.0]"])
-    y: tuple[float, float] | None = Field(default=None, examples=["[-0.75, 0.75]"])
-    step: float = Field(gt=0, examples=["0.01"])
+    x: tuple[float, float] | None = Field(default=None, examples=["[-1.0, 1.0]"], description=_NODES)
+    y: tuple[float, float] | None = Field(default=None, examples=["[-0.75, 0.75]"], description=_NODES)
+    step: float = Field(gt=0, examples=["0.01"], description="distance between nodes, m")
 
     @model_validator(mode="after")
     def _complete(self) -> "GridSection":
@@ -128,12 +137,16 @@ class GridSection(ConfigSection):
 
 
 class WaterSection(ConfigSection):
-    """The water."""
+    """Properties of the water."""
 
-    depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="m")
-    level: float = Field(default=0.0, description="height of the still water above z = 0 of the rig file, m")
-    density: float | None = Field(default=None, ge=400, le=30_000, examples=["1000"], description="kg m-3")
-    surface_tension: float | None = Field(default=None, ge=0, le=5, examples=["0.073"], description="N m-1")
+    depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="depth, m")
+    level: float = Field(default=0.0, description="still water above z = 0 of the rig file, m")
+    density: float | None = Field(
+        default=None, ge=400, le=30_000, examples=["1000"], description="kg m-3; default 1000"
+    )
+    surface_tension: float | None = Field(
+        default=None, ge=0, le=5, examples=["0.073"], description="N m-1; default 0.0728"
+    )
 
     def attributes(self) -> dict[str, float]:
         """Attributes of cubes and frames on the water: ``water_depth``, ``surface_tension_over_density``."""
@@ -147,13 +160,13 @@ class ProbesSection(ConfigSection):
     """A CSV file of wave probes: ``time`` (s) and a column per probe."""
 
     file: PathText = Field(examples=["probes.csv"])
-    unit: Literal["m", "cm", "mm", "um"] = Field(default="m", description="of the elevations")
+    unit: Literal["m", "cm", "mm", "um"] = Field(default="m", description="unit of the elevations")
     factor: float = Field(
-        default=1.0, description="multiplies the elevations: -1 for gauges that count downwards"
+        default=1.0, description="multiplies the elevations; -1 for gauges that count downwards"
     )
-    clock: float = Field(default=0.0, description="s, added to their times")
+    clock: float = Field(default=0.0, description="added to the times, s")
     places: dict[str, tuple[float, float]] = Field(
-        default_factory=dict, examples=["{p1: [0.2, -0.1]}"], description="x, y of every probe, m"
+        default_factory=dict, examples=["{p1: [0.2, -0.1]}"], description="x, y of each probe, m"
     )
 
     @model_validator(mode="before")

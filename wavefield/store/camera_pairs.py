@@ -15,16 +15,18 @@ GROUP, KIND = "pair_statistics", "pair statistics"
 _TEXTS = ("quantity", "cameras", "units")  # text coordinates, kept as attributes: Zarr 3 has no fixed strings
 
 register(
-    Variable("rms", ("error",), "", "rms of an error, without what exceeds three times it", group=GROUP),
+    Variable(
+        "rms", ("error",), "", "rms of an error, without values beyond three times the rms", group=GROUP
+    ),
     Variable("rms_all", ("error",), "", "rms of an error", group=GROUP),
-    Variable("beyond", ("error",), "1", "fraction that exceeds three times the rms", group=GROUP),
+    Variable("beyond", ("error",), "1", "fraction of values beyond three times the rms", group=GROUP),
     Variable(
         "density",
         ("error", "bin"),
         "1",
         "probability density of an error over its rms",
         group=GROUP,
-        meaning="times the rms; bins are multiples of the rms",
+        meaning="in units of 1/rms",
     ),
     Variable("bin", ("bin",), "1", "centre of a bin, over the rms", dtype="float64", group=GROUP),
 )

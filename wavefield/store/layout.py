@@ -29,9 +29,9 @@ register(
         "camera_shift",
         ("camera", "frame", "part"),
         "pixel",
-        "by how much the picture of a camera was turned back",
-        meaning="across the sight lines, px on the water: in the middle, more at the right, at the upper "
-        "edge; only with `settings: {vibration: correct}`",
+        "correction of each frame for a camera that shakes",
+        meaning="across the sight lines, px on the water: in the middle, additional at the right, at the "
+        "upper edge; only with `settings: {vibration: correct}`",
     ),
 )
 

@@ -96,9 +96,8 @@ register(
         "1",
         "frames that velocity and rate of rise come from",
         dtype="uint8",
-        meaning="6 where the frame rate is high beside the waves; else 7, which also stands for six frames,"
-        " by weights exact to the fifth degree in time; fewer beside lost frames and ends; 4 of paths through"
-        " four frames, 2 of displacements over one step, 1 of instantaneous velocities",
+        meaning="6: six frames, least noise; 7: six frames, exact to the fifth degree in time; 4: four frames;"
+        " 2: one step; 1: instantaneous velocities. Fewer are used beside lost frames and at the ends",
         extra={
             "flag_values": [1, 2, 4, 6, EXACT_SIX],
             "flag_meanings": "instantaneous one_step four_frames six_frames_smooth six_frames_exact",
@@ -109,14 +108,14 @@ register(
         "m",
         "surface elevation",
         standard_name="water_surface_height_above_reference_datum",
-        meaning="at mid-time, from the six frames around it, where the mean flow takes the node",
+        meaning="at mid-time, from six frames, in a frame that moves with the mean flow",
         extra={"ancillary_variables": "z_std z_level_std quality", "frames": 2 * AROUND + 2, "moving": 1},
     ),
     _cube(
         "z_t",
         "m s-1",
         "rate of rise of the surface",
-        meaning="at a fixed node: rise of the surface along the water's path, less u . grad z",
+        meaning="at a fixed node",
     ),
     *(
         _cube(
@@ -124,7 +123,7 @@ register(
             "m s-1",
             text,
             standard_name=standard_name,
-            meaning="at mid-time, along the path through the frames around it",
+            meaning="at mid-time, along the path of the water",
             extra={"ancillary_variables": f"{name}_std quality"},
         )
         for name, text, standard_name in (
@@ -142,7 +141,7 @@ register(
         "m",
         "standard uncertainty of z = 0",
         dtype="float64",
-        meaning="common to all nodes and times, not contained in z_std: the height of beads above the water",
+        meaning="common to all nodes and times; z_std excludes it",
     ),
     _cube("u_std", "m s-1", "standard uncertainty of u"),
     _cube("v_std", "m s-1", "standard uncertainty of v"),

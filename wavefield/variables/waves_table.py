@@ -105,7 +105,7 @@ for _f, _unit in FIELD_UNITS.items():
             rows("spectra", _dims, (f"{_q}_{_name}_{_f}", "1", _qt), family=f"{_q}_{_name}_*")
     if _f not in ("rise", "nl"):
         _half = "where the measurement keeps half of a wave or more"
-        _more = "undone there in `E_komega_*`, `E_k_*` and `E_*`; with a gain alone"
+        _more = "the spectra are corrected there; only with a gain"
         rows("spectra", ("k",), (f"valid_k_{_f}", "1", _half, _more), dtype="bool", family="valid_k_*")
 rows("spectra", ("omega", "k"), ("valid_komega", "1", _TRUST), dtype="bool")
 for _m, _text in METHODS.items():
@@ -166,17 +166,17 @@ for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
                 f"C_{_t}{_ending}",
                 "1",
                 f"coherence of z_t with {_text}, common normalisation",
-                "complex; its real part is the mean over both signs of omega; C_w + C_nl = C_tot,"
-                " so that the modulus of C_w may exceed 1",
+                "complex; real part: mean over both signs of omega; C_w + C_nl = C_tot, so that the modulus"
+                " of C_w may exceed 1",
             ),
             dtype="complex128",
-            family=f"C_*{_ending}",
+            family="C_*",
         )
         rows(
             "coherence",
             _dims,
             (f"gamma2_{_t}{_ending}", "1", f"coherence of z_t with {_text}, magnitude squared"),
-            family=f"gamma2_*{_ending}",
+            family="gamma2_*",
         )
         for _q, _qt, _note in (
             (
@@ -187,7 +187,7 @@ for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
             ("bias", "mean gamma2 of unrelated signals", ""),
             ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
         ):
-            rows("coherence", _dims, (f"{_q}_{_t}{_ending}", "1", _qt, _note), family=f"{_q}_*{_ending}")
+            rows("coherence", _dims, (f"{_q}_{_t}{_ending}", "1", _qt, _note), family=f"{_q}_*")
 
 
 _SECTION = re.compile(r"/(\w*) \(([\w, ]*)\) ?(\w*)")
@@ -212,16 +212,16 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "z is at frame times; nl is u . grad z. `E_komega_*` is the integral over the angle of k; the"
-    " azimuthal mean is E / (2 pi k coverage). `Ez_*` is the spectrum of the elevation by each method,"
-    " transfer functions in time undone (with a gain the matching windows as well).",
+    "spectra": "z is at frame times; nl is u . grad z. `E_komega_*` is integrated over the angle of k; the"
+    " azimuthal mean is E / (2 pi k coverage). `Ez_*` is the elevation spectrum by each method, corrected for"
+    " the response in time (with a gain also for the matching windows).",
     "coherence": "Of z_t with w, with -u . grad z and with their sum.",
     "kinematics": "The balance z_t = w - u . grad z at sampled steps.",
-    "statistics": "Distributions and moments; displacements dx, dy, dz are those over one time step.",
-    "dispersion": "The theory alone where the dispersion relation could not be fitted.",
+    "statistics": "Distributions and moments of z and of the displacements over one step.",
+    "dispersion": "Only the theory where the dispersion relation could not be fitted.",
     "fusion": "Noise of stereo and of the integrated w, and their best combination.",
     "direction": "On the ridge. `isotropy` has its own omega.",
-    "directional": "E(f, theta) of the elevation as wavespectra takes it:"
+    "directional": "E(f, theta) of the elevation for wavespectra:"
     " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Missing where the dispersion"
     " relation could not be fitted.",
     "higher_order": "Missing where the record holds fewer than four segments.",
