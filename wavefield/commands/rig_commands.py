@@ -9,6 +9,9 @@ from wavefield.commands.progress import Progress, print_next
 from wavefield.commands.sources import EXPERIMENT, FILE, NEW_RIG, RIG, frames_option, source_of_experiment
 from wavefield.text import short_path
 
+if TYPE_CHECKING:
+    from wavefield.rig import Rig
+
 
 @click.command(
     epilog="""\b
@@ -79,10 +82,6 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         print_next("rig", "sheet", experiment, "--rig", output, "-o", output.with_name("sheet.yaml"))
     else:
         print_next("check", experiment)
-
-
-if TYPE_CHECKING:
-    from wavefield.rig import Rig
 
 
 @click.command(

@@ -39,7 +39,7 @@ from wavefield.store.verdict import Remark
 from wavefield.variables import CUBE_FIELDS, TABLE
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, Settings
+    from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings
 
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: a macro lens, and a platform at sea
 _MAX_BASELINE = 20.0  # m; cameras on ships and platforms are 2 to 10 m apart
@@ -281,8 +281,7 @@ def _pixels(rig: Rig) -> list[float]:
     return [pixel_sides(camera, *_middle(camera)[0])[1] for camera in rig.cameras.values()]
 
 
-if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings
+# -- the run
 
 SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
 MAX_CHUNK_STEPS = 100  # steps; a chunk costs one to two steps more for its five extra frames

@@ -398,9 +398,7 @@ def spell_delays(found: Mapping[str, Delay], interval: float = np.inf) -> str:
     return "; ".join(words) or "not determined: too little moves or matches"
 
 
-if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, LearnedRecord
-
+# -- motion of the mounts, from eps_y at every step
 
 MAX_STEPS = 600  # steps that are read, evenly over the record
 MAX_NODES = 2000  # of each
