@@ -53,10 +53,6 @@ def covered(name, frame):
     return image
 
 
-def reversed_(name, frame):
-    return SOUND(name, COUNT - 1 - frame if name == "cam2" else frame)
-
-
 def swapped(name, frame):
     return SOUND({"cam1": "cam2", "cam2": "cam1"}.get(name, name), frame)
 
@@ -76,7 +72,6 @@ def late(name, frame):
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
         (swapped, "cam1 and cam2", "swapped", "when their images are exchanged"),
         (late, "cam3", "offset", "Take 1 from its `offset`"),
-        (reversed_, "cam2", "offset", "is run backwards"),
         (covered, "cam2", "covered", "shows nothing in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "blurred", "blurred by"),
     ],

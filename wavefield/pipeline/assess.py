@@ -198,7 +198,7 @@ def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Rema
     # of a short record, not most of its cost
     instants = min(LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6))
     yield from remarks_on_clocks(synchrony_of(prepared, instants))
-    yield from remarks_on_mounts(cube, prepared.geometry, prepared.record, _patch_matcher(prepared))
+    yield from remarks_on_mounts(cube)
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:

@@ -71,7 +71,7 @@ class Measured:
     faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the whole series
     messages: list[str]  # A sentence about each of them
     # (3,): Rotation by which each camera was corrected in each frame, by index in the whole series
-    # (`wavefield.quality.stabilized`); empty without `vibration: correct`
+    # (`wavefield.quality.camera_motion`); empty without `vibration: correct`
     shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
@@ -165,7 +165,7 @@ def measure_chunk(
     given: Mapping[str, Sequence[np.ndarray | None]] = frames
     corrections: dict[int, dict[str, np.ndarray]] = {}
     if geometry.settings.vibration == "correct":
-        from wavefield.quality.stabilized import StabilizedFrames, Stabilizer
+        from wavefield.quality.camera_motion import StabilizedFrames, Stabilizer
 
         stabilizer = Stabilizer(frames, geometry)
         given, corrections = {name: StabilizedFrames(stabilizer, name) for name in frames}, stabilizer.shifts

@@ -89,7 +89,7 @@ def learn_from(
 ) -> dict[str, Any]:
     """Learn from sample steps; frame rate in Hz."""
     from wavefield.measurement import learn
-    from wavefield.quality.stabilized import corrected
+    from wavefield.quality.camera_motion import corrected
 
     def still(images: dict[str, Any]) -> dict[str, Any]:
         return corrected(images, geometry)[0] if geometry.settings.vibration == "correct" else images

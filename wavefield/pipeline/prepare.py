@@ -27,8 +27,8 @@ from wavefield.measurement.search_range import (
     wide_enough,
 )
 from wavefield.pipeline.opened_run import image_names
+from wavefield.quality.camera_motion import refuse_unless_in_a_row
 from wavefield.quality.remarks import MIN_COVERAGE, MIN_USEFUL_COVERAGE
-from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import common_field, pixel_sides, pixel_size
 from wavefield.sampling import evenly_spaced

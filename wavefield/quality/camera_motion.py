@@ -20,10 +20,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import cv2
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavefield.errors import ExperimentError
 from wavefield.quality.cameras import (
     MIN_CORRELATION,
     REACH,
@@ -37,10 +39,11 @@ from wavefield.quality.cameras import (
     scaled,
 )
 from wavefield.quality.remarks import CAMERA_LIMITS
-from wavefield.quality.stabilized import prepared, shifts
-from wavefield.robust import PER_MEDIAN
+from wavefield.rig.stereo import parallax
+from wavefield.robust import PER_MEDIAN, reweighted_lstsq
 from wavefield.sampling import from_first_to_last
 from wavefield.store.verdict import Remark
+from wavefield.variables import AROUND
 from wavefield.water import GRAVITY
 
 if TYPE_CHECKING:
@@ -50,7 +53,6 @@ if TYPE_CHECKING:
 MIN_PATCHES = 12  # of an instant
 MIN_BLOCKS = 4  # matched ones of a patch
 NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
-_SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
 _CELLS = 3  # along either side: parts of the field whose errors are independent
 SIGNIFICANCE = 4.0  # standard deviations
 MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
@@ -135,7 +137,7 @@ def _furthest(geometry: "GridGeometry", name: str) -> int:
 
 
 def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) -> Array | None:
-    """How far what one camera shows in each patch moves in a frame, px, (n, 2): by four frames or two."""
+    """How far what one camera shows in each patch moves in a frame, px, (n, 2), from five frames."""
     still = np.zeros((len(patch_matcher.x), 2), np.int64)
     now = patch_matcher.around(name, frame, still, 0)
 
@@ -154,20 +156,15 @@ def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) ->
     if before is None:
         return None
     last = np.where(before.peak_correlation[:, None] > MIN_CORRELATION, before.moved, np.nan)
-    found: dict[int, Comparison | None] = {1: after, -1: before}
     # and two frames away about where a parabola goes
-    found |= {k: find(k, k * (first - last) / 2 + 2 * (first + last), NARROW_REACH) for k in (-2, 2)}
-    for slope in (_SLOPE[5], _SLOPE[3]):
-        around = [(weight, found[k], found[-k]) for k, weight in slope.items()]
-        sides = [(weight, a, b) for weight, a, b in around if a is not None and b is not None]
-        if len(sides) < len(around):
-            continue
-        moved = sum((weight * (a.moved - b.moved) for weight, a, b in sides), np.zeros(1))
-        worst = np.min([np.minimum(a.peak_correlation, b.peak_correlation) for _, a, b in sides], axis=0)
-        moved = np.where(worst[:, None] > MIN_CORRELATION, moved, np.nan)
-        if np.isfinite(moved).all(axis=1).sum() >= MIN_PATCHES:
-            return np.asarray(moved)
-    return None
+    further = {k: find(k, k * (first - last) / 2 + 2 * (first + last), NARROW_REACH) for k in (-2, 2)}
+    two_before, two_after = further[-2], further[2]
+    if two_before is None or two_after is None:
+        return None
+    out = 2 / 3 * (after.moved - before.moved) - 1 / 12 * (two_after.moved - two_before.moved)
+    worst = np.min([one.peak_correlation for one in (before, after, two_before, two_after)], axis=0)
+    out = np.where(worst[:, None] > MIN_CORRELATION, out, np.nan)
+    return np.asarray(out) if np.isfinite(out).all(axis=1).sum() >= MIN_PATCHES else None
 
 
 def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequence[Array]) -> Array:
@@ -511,52 +508,23 @@ def shaking(found: CameraMotion, cuts: Sequence[int]) -> tuple[float, float]:
     return float(np.sqrt(power)), float(np.sqrt(noise / (2 * freedom)))
 
 
-def who(geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, count: int) -> tuple[str, float]:
-    """The camera that a knock moved (its picture alone has moved since), else `rig`.
-    With how much its picture has moved, rms over the field, px.
-    """
-    sides = []
-    for frames in (
-        range(max(frame - MIN_STEPS_PER_SIDE, 0), frame),
-        range(frame, min(frame + MIN_STEPS_PER_SIDE, count)),
-    ):
-        found = [
-            shifts({name: patch_matcher.read(name, k) for name in geometry.cameras}, geometry) for k in frames
-        ]
-        sides.append([one for one in found if one])
-    if not all(sides):
-        return "rig", 0.0
-    middle = [{name: np.median([one[name] for one in side], axis=0) for name in side[0]} for side in sides]
-    moved = {name: rms_over_field(middle[1][name] - middle[0][name]) for name in middle[0]}
-    first, *others = sorted(moved, key=lambda name: -moved[name])
-    if len(moved) < 3 or moved[first] < 2 * moved[others[0]]:
-        return "rig", 0.0
-    return first, moved[first]
-
-
-def remarks_on_mounts(
-    cube: xr.Dataset, geometry: "GridGeometry", record: "LearnedRecord | None", patch_matcher: PatchMatcher
-) -> Iterator[Remark]:
-    """Remarks on cameras that move."""
-    first_frame = int(cube.frame[0])
-    yield from _turned_back(cube, first_frame)
+def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
+    """Remarks on cameras that are knocked or shake."""
     found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return
     jumps = knocks(cube, found)
     for one in jumps:
-        name, alone = who(geometry, patch_matcher, one.frame, cube.sizes["frame"])
-        off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
+        frame = int(cube.frame[0]) + one.frame
         yield Remark(
-            name,
+            "rig",
             "moved",
-            "grave" if off > 10 * CAMERA_LIMITS.motion else "remark",
-            f"sight lines miss each other by {off:.2f} px more from frame {first_frame + one.frame} on",
-            f"It was knocked between frames {first_frame + one.frame - 1} and {first_frame + one.frame}; z "
-            "is off by about as much since then",
+            "grave" if one.size > 10 * CAMERA_LIMITS.motion else "remark",
+            f"sight lines miss each other by {one.size:.2f} px more from frame {frame} on",
+            f"A camera was knocked between frames {frame - 1} and {frame}; z is off by as much or more since",
             "Run the two parts by themselves (`frames: {first, last}`), the second with a rig corrected by "
-            "`wavefield refine`",
-            {"frame": first_frame + one.frame, "px": off},
+            "`wavefield refine`; `check` of the second part names the camera",
+            {"frame": frame, "px": one.size},
         )
     rms, std = shaking(found, [one.frame for one in jumps])
     if rms > max(CAMERA_LIMITS.jump, 3 * std):
@@ -618,23 +586,165 @@ def remark_on_level(motion: float, z_std: float, pixel: float) -> Iterator[Remar
         )
 
 
-def _turned_back(cube: xr.Dataset, first_frame: int) -> Iterator[Remark]:
-    """What was corrected, of a cube that was measured so."""
-    if "camera_shift" not in cube:
-        return
-    for name, low in zip(cube.attrs["cameras"], cube.camera_shift.values.astype(float)):
-        known = np.flatnonzero(np.isfinite(low).all(axis=1))
-        if not known.size:
-            continue
-        rms = float(np.sqrt(np.mean([rms_over_field(one) ** 2 for one in low[known]])))
-        at = jump(low[known])
-        when = "" if at is None else f", most of it from frame {first_frame + int(known[at])} on"
-        if rms > CAMERA_LIMITS.jump / 5:
-            yield Remark(
-                name,
-                "vibration",
-                "note",
-                f"its images were turned back by {rms:.3f} px rms across the sight lines{when}",
-                "As the settings request (`vibration: correct`)",
-                values={"px": rms} | ({} if at is None else {"frame": float(first_frame + known[at])}),
+# -- frames of cameras that shake, turned back before they are measured: `settings: {vibration: correct}`
+#
+# Of every frame the low-order part of eps_y between the reference camera and each other one (constant, and
+# linear along x and y) is measured and taken off by an affine map of the raw image, across the sight lines.
+# Motion along them cannot be separated from the water's. A frame's correction follows from that frame's
+# images alone, so that neither blocks nor workers matter; it is kept in the cube as `camera_shift`.
+
+RawImage = NDArray[Any]
+BLOCKS_APART = 5  # blocks: nearer ones share their window
+MIN_FITTED_BLOCKS = 40  # of them, to correct a frame
+FRAMES_KEPT = 2 * AROUND + 2  # frames
+MIN_COSINE = 0.9  # cosine: cameras in one line share the direction across their sight lines
+
+
+def refuse_unless_in_a_row(geometry: "GridGeometry") -> None:
+    """Make sure that the pairs of cameras share the direction across their sight lines."""
+    along = {}
+    for pair in geometry.pairs:
+        rise = parallax(geometry.rig, pair, np.mean(geometry.grid.x), np.mean(geometry.grid.y))
+        along[pair] = rise / max(float(np.hypot(*rise)), 1e-12)
+    (first, of_first), *others = along.items()
+    for pair, direction in others:
+        cosine = abs(float(direction @ of_first))
+        if cosine <= MIN_COSINE:
+            raise ExperimentError(
+                f"`vibration: correct` is for cameras in a row: the sight lines of {'-'.join(first)} and of "
+                f"{'-'.join(pair)} part in directions {np.degrees(np.arccos(cosine)):.0f} degrees apart, and "
+                "which camera shakes cannot be determined; leave `vibration` out of the settings, or measure "
+                "z with two cameras (`surface: {pairs: ...}`)"
             )
+
+
+class Stabilizer:
+    """Corrected frames of a block, and by how much each was corrected."""
+
+    def __init__(self, frames: Mapping[str, Sequence[RawImage | None]], geometry: "GridGeometry") -> None:
+        self.frames, self.geometry = frames, geometry
+        self.shifts: dict[int, dict[str, Array]] = {}
+        self._kept: dict[int, dict[str, RawImage | None]] = {}
+
+    def __call__(self, position: int) -> dict[str, RawImage | None]:
+        """Images of all cameras at a position of the block, corrected."""
+        if position not in self._kept:
+            raw = {name: one[position] for name, one in self.frames.items()}
+            self._kept[position], self.shifts[position] = corrected(raw, self.geometry)
+            while len(self._kept) > FRAMES_KEPT:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[position]
+
+
+class StabilizedFrames(Sequence[RawImage | None]):
+    """Corrected frames of one camera."""
+
+    def __init__(self, stabilizer: Stabilizer, name: str) -> None:
+        self._stabilizer, self._name = stabilizer, name
+
+    def __len__(self) -> int:
+        return len(self._stabilizer.frames[self._name])
+
+    def __getitem__(self, position: Any) -> Any:
+        return self._stabilizer(position)[self._name]
+
+
+def corrected(
+    images: Mapping[str, RawImage | None], geometry: "GridGeometry"
+) -> tuple[dict[str, RawImage | None], dict[str, Array]]:
+    """Images of one moment turned back, and by how much, as from `shifts`."""
+    found = shifts(images, geometry)
+    out: dict[str, RawImage | None] = dict(images)
+    for name, low in found.items():
+        image = images[name]
+        if image is not None:
+            out[name] = moved_back(image, low, name, geometry)
+    return out, found
+
+
+def prepared(
+    images: Mapping[str, RawImage | None], geometry: "GridGeometry", widths: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """Images of an instant, ready for matching between cameras; those that cannot be used are left out.
+    The widths of their beads, px, are found where they are not given.
+    """
+    from wavefield.measurement.images import prepare, ready, usable
+
+    out = {}
+    for name in geometry.surface_cameras:
+        image = images.get(name)
+        if image is not None and usable(image, geometry.rig[name].size):
+            flat = ready(image, geometry.sights[name].binning, widths[name] if widths else None)
+            out[name] = prepare(flat, name, geometry)
+    return out
+
+
+def shifts(images: Mapping[str, RawImage | None], geometry: "GridGeometry") -> dict[str, Array]:
+    """By how much each camera's picture has moved across the sight lines, in one frame.
+    (3,), px on the water: in the middle of the lattice, and what is added at its right and upper edge.
+    """
+    from wavefield.measurement.pair import match_pair
+
+    flat = prepared(images, geometry)
+    if len(flat) < len(geometry.surface_cameras):
+        return {}
+    found: dict[str, Array] = {geometry.reference: np.zeros(3)}
+    normals: list[Array] = []
+    cells = np.s_[::BLOCKS_APART, ::BLOCKS_APART]
+    design = np.stack([part[cells] for part in _scaled(geometry)], axis=-1)
+    for a, b in geometry.pairs:
+        match = match_pair(flat[a], flat[b], (a, b), geometry)
+        low = _fit(design[match.matched[cells]], match.eps_y[cells][match.matched[cells]] / geometry.pixel)
+        if low is None:
+            return {}
+        normals.append(_across(match.parallax))
+        cosine = float(normals[-1] @ normals[0])
+        if not abs(cosine) > MIN_COSINE:
+            return {}  # cameras that are not in one line: which one moved is not a matter of signs
+        found[b] = np.sign(cosine) * low
+    usual = np.median(list(found.values()), axis=0)
+    return {name: low - usual for name, low in found.items()}
+
+
+def _scaled(geometry: "GridGeometry") -> tuple[Array, Array, Array]:
+    """1, and places on the lattice from -1 to 1 along x and y."""
+    x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, len(v)) for v in (geometry.lattice.x, geometry.lattice.y)))
+    return np.ones_like(x), x, y
+
+
+def _fit(design: Array, values: Array) -> Array | None:
+    def huber(residual: Array) -> Array:
+        miss = np.abs(residual)
+        bound = 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9)
+        return np.asarray(np.sqrt(np.minimum(1.0, bound / np.maximum(miss, 1e-12))))
+
+    if len(values) < MIN_FITTED_BLOCKS:
+        return None
+    return reweighted_lstsq(design, values, np.ones(len(values)), huber, 6)[0]
+
+
+def _across(parallax: Array) -> Array:
+    """Mean unit vector across the sight lines of a pair, (2,)."""
+    along = np.nanmean(parallax.reshape(2, -1), axis=1)
+    along = along / max(float(np.hypot(*along)), 1e-12)
+    return np.array([along[1], -along[0]])
+
+
+def moved_back(image: RawImage, low: Array, name: str, geometry: "GridGeometry") -> NDArray[np.float32]:
+    """A raw image (row, column) moved back by what its camera has moved, `low` (3,) as from `shifts`."""
+    x, y = (v[::8, ::8].ravel() for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
+    design = np.stack([part[::8, ::8].ravel() for part in _scaled(geometry)], axis=-1)
+    along = parallax(geometry.rig, geometry.pairs[0], x, y)
+    along /= np.maximum(np.hypot(*along), 1e-12)
+    # eps_y is the part of x_b - x_a along (dD_y, -dD_x) / |dD|, and dD = D_b - D_a points against `along`
+    size = -(design @ low) * geometry.pixel
+    dx, dy = -along[1] * size, along[0] * size
+    camera = geometry.rig[name]
+    before = np.stack(camera.project(x, y, 0.0), axis=-1)
+    after = np.stack(camera.project(x + dx, y + dy, 0.0), axis=-1)
+    A = np.column_stack([before, np.ones(len(before))])
+    affine = np.linalg.lstsq(A, after - before, rcond=None)[0].T + np.eye(2, 3)
+    size_px = (image.shape[1], image.shape[0])
+    flat = np.ascontiguousarray(image, np.float32)
+    out = cv2.warpAffine(flat, affine, size_px, flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    return np.maximum(np.asarray(out, np.float32), 0)

@@ -495,13 +495,15 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
         for name in sorted(inconsistent)
     ]
     if not consistent:  # nobody agrees with anybody: what is explained goes first
-        remarks = [one for one in remarks if one.kind != "disagree"][:1] or [_nobody(table)]
+        remarks = [one for one in remarks if one.kind != "disagree"][:1] or [_disagree(table)]
     return inconsistent, remarks
 
 
-def _nobody(table: ConsistencyTable) -> Remark:
-    best = max(score(found) for found in table.found.values())
-    share = max(float(np.mean([one.fraction for one in found])) for found in table.found.values())
+def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
+    """A camera that matches none, or cameras of which no two match, and nothing that explains it."""
+    pairs = {pair: found for pair, found in table.found.items() if not name or name in pair}
+    best = max(map(score, pairs.values()))
+    share = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
     sentence = (
         f"at best {100 * share:.0f} % of the patches of two cameras match (sound records: more than "
         f"{100 * CAMERA_LIMITS.agreement:.0f} %)"
@@ -509,12 +511,12 @@ def _nobody(table: ConsistencyTable) -> Remark:
     if share > best:  # found, but of no use
         sentence += f", and their sight lines miss each other irregularly, by {MAX_SCATTER:g} px or more"
     return Remark(
-        "cameras",
+        name or "cameras",
         "disagree",
         "grave",
         sentence,
-        "No two of them see the same water: nothing can be measured",
-        "Is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
+        "It does not see the same water as the others" if name else "Nothing can be measured",
+        "Is it sharp, bright and seeded, are its frames of the same moments (`offset`), is the rig its own?",
         {"agreement": best},
     )
 
@@ -556,15 +558,13 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
         for later in (-2, -1, 1, 2):
             key = "late" if later > 0 else "early", str(abs(later)), partner
             tried[key] = [table.compare(pair, k, later=later) for k in frames if 0 <= k + later < count]
-        mirror = {k: count - 1 - 2 * k for k in frames if abs(count - 1 - 2 * k) > 1}
-        tried["reversed", "", partner] = [table.compare(pair, k, later=n) for k, n in mirror.items()]
         for other in (n for n in table.names if n not in pair):
             tried["swapped", other, partner] = [table.compare((partner, other), k, pair) for k in frames]
     scores = {key: score(found) for key, found in tried.items()}
     (change, detail, _), best = max(scores.items(), key=lambda one: one[1])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
     if best < max(CAMERA_LIMITS.agreement, level, 2 * now):
-        return _inconsistent_pairs(table, name, now)
+        return _disagree(table, name)
     return _explained(name, change, detail, {"agreement": best, "as it is": now})
 
 
@@ -590,31 +590,12 @@ _EXPLANATIONS = {
         "it agrees with the others when its frames are taken {} before",
         "Add {} to its `offset` in the experiment file",
     ),
-    "reversed": (
-        "offset",
-        "it agrees with the others when its record is run backwards",
-        "Number its images in the order of time",
-    ),
 }
 
 
 def _explained(name: str, change: str, detail: str, values: Mapping[str, float]) -> Remark:
     kind, found, remedy = (part.format(detail) for part in _EXPLANATIONS[change])
     return Remark(name, kind, "grave", found, "Nothing measured with it is right", remedy, values)
-
-
-def _inconsistent_pairs(table: ConsistencyTable, name: str, now: float) -> Remark:
-    usual = max(score(found) for found in table.found.values())
-    others = f", {100 * usual:.0f} % among the others" if usual else ""
-    return Remark(
-        name,
-        "disagree",
-        "grave",
-        f"{100 * now:.0f} % of its patches match those of any other camera{others}",
-        "It does not see the same water as the others",
-        "Is it sharp and bright, are its frames of the same moments, is the rig that of these images?",
-        {"agreement": now, "usual": usual},
-    )
 
 
 def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:

@@ -109,7 +109,7 @@ def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
 def remark_on_frames(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection], sample: tuple[int, ...]
 ) -> Iterator[Remark]:
-    """Report cameras with many bad or repeated frames, and records of which few steps can be measured."""
+    """Report cameras with many bad or repeated frames."""
     for name, found in inspections.items():
         read = [index for index in found.read if index in set(sample)]
         if not read:
@@ -133,7 +133,6 @@ def remark_on_frames(
             what = f"frames read equal the frame before them in every pixel: frames {numbers}"
             remedy = "Copy the recording again, or leave these frames out (`frames`)"
             yield _bad_frames(name, len(found.repeated), pairs, what, remedy)
-    yield from _usable(series, inspections, sample)
 
 
 def _bad_frames(name: str, bad: int, count: int, what: str, remedy: str) -> Remark:
@@ -146,35 +145,6 @@ def _bad_frames(name: str, bad: int, count: int, what: str, remedy: str) -> Rema
         remedy,
         {"bad": bad, "frames": count},
     )
-
-
-def _usable(
-    series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection], sample: tuple[int, ...]
-) -> Iterator[Remark]:
-    complete = complete_steps(series)
-    good = {
-        name: {index for index in found.read if index not in found.faults}
-        for name, found in inspections.items()
-    }
-    drawn = [index for index in sample if index + 1 in sample and index < len(complete) and complete[index]]
-    usable = [
-        all(
-            index in good[name] and index + 1 in good[name] and index + 1 not in inspections[name].repeated
-            for name in inspections
-        )
-        for index in drawn
-    ]
-    share = float(complete.mean()) * float(np.mean(usable)) if usable else 0.0
-    if share < RECORD_LIMITS.usable_steps and complete.any() and not all(usable):
-        yield Remark(
-            "record",
-            "bad frames",
-            "grave",
-            f"only about {100 * share:.0f} % of {len(complete)} steps have two good frames of every camera",
-            "The other steps are measured with fewer cameras, or not at all",
-            "Copy the frames named here again, or state a range of good ones (`frames`)",
-            {"share": share, "steps": len(complete)},
-        )
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:

@@ -19,7 +19,7 @@ from wavefield.rig import Rig
 from wavefield.sampling import from_first_to_last
 from wavefield.series import Experiment
 from wavefield.store.ledger import Status
-from wavefield.store.verdict import Remark
+from wavefield.store.verdict import Remark, Weight
 from wavefield.text import spell_ranges, spell_uncertain
 from wavefield.variables import Quality
 
@@ -228,58 +228,53 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
     """Report what z = 0 is; ``level_std`` is its uncertainty, metres."""
+
+    def note(found: str, means: str, remedy: str = "", weight: Weight = "note", **values: float) -> Remark:
+        return Remark("rig", "water level", weight, found, means, remedy, values)
+
     if experiment.settings.get("sheet_thickness") is not None:
         return _remark_on_sheet(experiment, rig)
     found = rig.provenance.get("levelled")
     if isinstance(found, dict) and {"height_m", "rms_m", "points"} <= set(found):
-        height, rms = 1e3 * float(found["height_m"]), 1e3 * float(found["rms_m"])
-        stated = float(experiment.settings.get("bead_height", 0.0)) > 0
-        plausible = BEAD_HEIGHTS_M[0] < height / 1e3 < BEAD_HEIGHTS_M[1]
-        return Remark(
-            "rig",
-            "water level",
-            "note",
-            f"{found['points']} points of the water at rest were {height:+.2f} mm from the target's plane, "
-            f"{rms:.2f} mm rms about their own",
+        height, rms = float(found["height_m"]), float(found["rms_m"])
+        remedy = ""
+        if BEAD_HEIGHTS_M[0] < height < BEAD_HEIGHTS_M[1] and "bead_height" not in experiment.settings:
+            remedy = (
+                "If the target's plane was the water's level, beads show so far above it, and "
+                f"`settings: {{bead_height: {height:.2g}}}` corrects u and v"
+            )
+        return note(
+            f"{found['points']} points of the water at rest were {1e3 * height:+.2f} mm from the target's "
+            f"plane, {1e3 * rms:.2f} mm rms about their own",
             "z = 0 is the water at rest",
-            ""
-            if stated or not plausible
-            else "If the target's plane was the water's level, beads show so far above it, and "
-            f"`settings: {{bead_height: {height / 1e3:.2g}}}` corrects u and v",
-            values={"height_m": height / 1e3, "rms_m": rms / 1e3},
+            remedy,
+            height_m=height,
+            rms_m=rms,
         )
     if isinstance(found, dict) and "camera_height_m" in found:
-        tilt, height = found["tilt_std_deg"], found["camera_height_std_m"]
+        tilt, height_std = found["tilt_std_deg"], found["camera_height_std_m"]
         certain = f"its tilt is uncertain by {tilt:.2g} degrees, " if np.isfinite(tilt) else ""
-        certain += f"{next(iter(rig))} is {spell_uncertain(found['camera_height_m'], height, 'm')} above it"
-        certain += "" if np.isfinite(height) else ", uncertainty unknown"
-        return Remark(
-            "rig",
-            "water level",
-            "note",
-            f"{found['by']}; {certain}",
-            "z = 0 is the mean surface of moving water",
+        certain += (
+            f"{next(iter(rig))} is {spell_uncertain(found['camera_height_m'], height_std, 'm')} above it"
         )
+        certain += "" if np.isfinite(height_std) else ", uncertainty unknown"
+        return note(f"{found['by']}; {certain}", "z = 0 is the mean surface of moving water")
     if experiment.rest:
-        return Remark(
-            "rig",
-            "water level",
-            "remark",
+        file = experiment.path.name
+        return note(
             "the rig was made without the still-water record that the experiment names",
             "z = 0 is the target's plane, not the water at rest",
-            f"Run `wavefield calibrate {experiment.path.name}` again, or `wavefield refine "
-            f"{experiment.path.name}` for the rig of another program",
+            f"Run `wavefield calibrate {file}` again, or `wavefield refine {file}` for the rig of another "
+            "program",
+            "remark",
         )
-    return Remark(
-        "rig",
-        "water level",
-        "note",
+    uncertain = f", uncertain by {1e3 * level_std:.2g} mm" if level_std > 0 else ""
+    return note(
         "there is no still-water record",
-        "z = 0 is the target's plane"
-        + (f", uncertain by {1e3 * level_std:.2g} mm" if level_std > 0 else "")
-        + "; visible beads are above the water, which lowers u and v of 12 cm waves by about 2 %",
+        f"z = 0 is the target's plane{uncertain}; visible beads are above the water, which lowers u and v of "
+        "12 cm waves by about 2 %",
         "Record some twenty frames of still, seeded water and name them with the key `rest`",
-        {"level_std_m": level_std} if level_std > 0 else {},
+        **({"level_std_m": level_std} if level_std > 0 else {}),
     )
 
 
@@ -322,35 +317,33 @@ def remark_on_mean_plane(cube: "xr.Dataset") -> Iterator[Remark]:
 
 
 def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
-    found = rig.provenance.get("light_sheet")
-    if not isinstance(found, dict) or "height_m" not in found:
-        return Remark(
-            "rig",
-            "light sheet",
+    def remark(weight: Weight, found: str, means: str, remedy: str = "", **values: float) -> Remark:
+        return Remark("rig", "light sheet", weight, found, means, remedy, values)
+
+    sheet = rig.provenance.get("light_sheet")
+    if not isinstance(sheet, dict) or "height_m" not in sheet:
+        return remark(
             "remark",
             "the position of the light sheet has not been determined",
             "z = 0 is the target's plane; displacements are taken at wrong places if the sheet is elsewhere",
             f"Run `wavefield rig sheet {experiment.path.name} -o sheet.yaml`, and use that rig",
         )
-    height, elsewhere = float(found["height_m"]), float(found.get("elsewhere_m", 0.0))
+    height, elsewhere = float(sheet["height_m"]), float(sheet.get("elsewhere_m", 0.0))
     if elsewhere > 0:
-        return Remark(
-            "rig",
-            "light sheet",
+        return remark(
             "remark",
             "a camera has moved since the calibration; two cameras do not show which, nor how far along "
             "their parallax",
             f"All places in the sheet may be off by {1e3 * elsewhere:.1f} mm",
             "Calibrate again, or add a third camera",
-            values={"height_m": height, "elsewhere_m": elsewhere},
+            height_m=height,
+            elsewhere_m=elsewhere,
         )
-    return Remark(
-        "rig",
-        "light sheet",
+    return remark(
         "note",
         f"the middle of the light sheet was {round(1e3 * height, 2) + 0.0:+.2f} mm from the target's plane",
         "z = 0 is the middle of the light sheet",
-        values={"height_m": height},
+        height_m=height,
     )
 
 
