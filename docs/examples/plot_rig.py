@@ -2,7 +2,7 @@
 Cameras and their frames
 ========================
 
-The rig, and how a step is made from the frames of all cameras.
+The rig, and a frame of each camera.
 """
 
 import xarray as xr
@@ -18,7 +18,3 @@ figures.rig_views(rig, grid)
 # One frame of each camera with the outline of the grid, and the seeding.
 frames = xr.open_datatree("wavefield-demo/experiment.yaml", engine="wavefield")
 figures.camera_frames({name: frames[name].image[20].values for name in rig}, rig, grid)
-
-# %%
-# From frames to a step.
-figures.method_diagram([("cam3", "cam1"), ("cam3", "cam2")], ["cam1", "cam2", "cam3"])

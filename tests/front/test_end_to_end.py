@@ -6,7 +6,6 @@ import re
 import shutil
 from contextlib import redirect_stdout
 
-import numpy as np
 import pytest
 import yaml
 from test_cli import examples_of
@@ -196,14 +195,6 @@ def test_export_writes_netcdf(folder, tmp_path):
     assert main(["-q", "export", str(folder / "cube.zarr"), str(tmp_path / "cube.nc")]) == 0
     with xr.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as back:
         assert set("zuvw") <= set(back.data_vars)
-        rms = back.w.std("time")
-    cube = str(folder / "cube.zarr")
-    assert main(["-q", "export", cube, str(tmp_path / "mean.nc"), "--average", "time"]) == 0
-    with xr.open_dataset(tmp_path / "mean.nc", engine="h5netcdf") as back:
-        np.testing.assert_allclose(back.w_rms, rms, rtol=1e-4)
-        assert back.w_rms.attrs["units"] == "m s-1"
-    assert main(["-q", "export", cube, str(tmp_path / "mean.mat"), "--average", "time"]) == 2
-    assert main(["-q", "export", cube, str(tmp_path / "mean.nc"), "--average", "mean"]) == 2
 
 
 def test_catalog_takes_the_experiment(folder, tmp_path, capsys):

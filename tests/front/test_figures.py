@@ -24,7 +24,6 @@ def labels(figure: Figure) -> str:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("nonlinear_maps", ["nonlinear term u·∇z", "residual z_t − w + u·∇z"]),
         ("surface_3d", ["w (cm s⁻¹)", "x (m)", "t = 0.525 s"]),
         ("velocity_map", ["w (cm s⁻¹)", "y (m)"]),
         ("elevation_map", ["z (cm)"]),

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavefield.grid import Grid
-from wavefield.measurement import GridGeometry
 from wavefield.pipeline import Run
 from wavefield.reports import write_report
 from wavefield.reports.calibration import with_std
@@ -187,23 +185,21 @@ def test_text_from_outside_is_escaped(cube, tmp_path, undrawn):
     assert "<script>alert" not in text
 
 
-def test_the_verdict_with_description_and_dates_stands_first(cube, tmp_path):
+def test_the_verdict_with_description_and_date_stands_first(cube, tmp_path):
     from wavefield.series import Experiment
     from wavefield.store.verdict import Remark, Verdict
 
     experiment = Experiment.model_construct(description="Waves of a paddle, 12 cm of water", mask={})
-    (tmp_path / "frame_status" / "c").mkdir(parents=True)
-    (tmp_path / "frame_status" / "c" / "0").touch()
     run = replace(run_of(cube), store=tmp_path)
     vars(run).update(experiment=experiment, frames={})
     verdict = Verdict.of([Remark("cam1", "focus", "grave", "its images are blurred")])
     found = render(head_of(run, verdict), []).split("<header>")[1]
     words = [
-        found.index(w) for w in ("Verdict: not to be trusted: cam1 focus", "Waves of a paddle", "Measured 20")
+        found.index(w)
+        for w in ("Verdict: not to be trusted: cam1 focus", "Waves of a paddle", "This page made 20")
     ]
     assert words == sorted(words)
     assert 'class="verdict bad"' in found
-    assert "this page made 20" in found
 
 
 def test_no_folder_of_this_machine_is_reported(cube, tmp_path, undrawn):
@@ -219,25 +215,6 @@ def test_no_folder_of_this_machine_is_reported(cube, tmp_path, undrawn):
     assert "experiment.yaml" in text
 
 
-def test_cameras_are_shown_over_time(cube, tmp_path, undrawn):
-    from wavefield.store.verdict import Verdict
-
-    numbers = {"blur": [0.6, 1.8], "brightness": [20.0, 21.0], "coverage": [1.0, 0.9]}
-    verdict = Verdict.of(
-        [],
-        {"cam1": numbers, "cam2": numbers},
-        {"cam1-cam2": {"agreement": [0.9, 0.8], "eps_y": [0.1, 0.3]}},
-        [0, 40],
-    )
-    text = write_report(run_of(cube), tmp_path / "report.html", verdict=verdict).read_text(encoding="utf-8")
-    assert '<section id="cameras-over-time" class="folded">' in text
-    assert "cam1: details of 1.2 px, brightness 20.5, at least 90 % in view" in text
-    without = write_report(run_of(cube), tmp_path / "none.html", verdict=Verdict()).read_text(
-        encoding="utf-8"
-    )
-    assert "cameras-over-time" not in without
-
-
 def test_a_long_cube_is_thinned_to_fit(cube):
     wide = xr.concat([cube] * 4, "time").isel(x=np.arange(120) % 44, y=np.arange(90) % 36)
     wide = wide.assign_coords(x=0.01 * np.arange(120), y=0.01 * np.arange(90), time=np.arange(192) / 20)
@@ -250,19 +227,10 @@ def test_the_nonlinear_term_and_its_residual_are_those_of_the_store(cube, page_t
 
     snap = snapshot(cube)
     stored = kinematic_fields(cube).sel(time=snap.time)
-    picture = next(p["alt"] for p in Page(page_text).all("img") if p["alt"].startswith("Two maps. Rms"))
+    picture = next(p["alt"] for p in Page(page_text).all("img") if p["alt"].startswith("Four maps. Rms"))
     for name, words in (("nonlinear", "nonlinear term"), ("residual", "residual")):
         rms = 100 * float(np.sqrt(np.nanmean(stored[name].values.astype(float) ** 2)))
         assert f"{words} {rms:.3g} cm/s" in picture
-
-
-def test_the_pairs_reported_are_those_measured_when_the_origin_lies_aside(cube, tmp_path, undrawn):
-    rig = paper_rig().moved(np.eye(3), (2.0, 0.0, 0.0))  # the origin below the outer camera, or beyond it
-    run = run_of(cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=rig)
-    pictures = Page(write_report(run, tmp_path / "aside.html").read_text(encoding="utf-8")).all("img")
-    diagram = next(p["alt"] for p in pictures if p["alt"].startswith("Diagram."))
-    measured = GridGeometry(rig, Grid((-2.2, -1.8), (-0.2, 0.2), 0.01)).pairs
-    assert "Stereo pairs " + ", ".join(f"{a} with {b}" for a, b in measured) in diagram
 
 
 @pytest.mark.parametrize(

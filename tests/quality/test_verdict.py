@@ -54,7 +54,6 @@ def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab
     found = json.loads(printed("check", str(lab), "--json", *here, status=3))["verdict"]
     assert found["verdict"] == "not to be trusted"
     assert (found["remarks"][0]["subject"], found["remarks"][0]["kind"]) == ("cam2", "mirrored")
-    assert set(found["cameras"]["cam2"]) == {"blur", "brightness", "coverage"}
     assert "cam2 mirrored" in printed("run", str(lab), *here, status=3)
     assert printed("status", cube, status=3).startswith("verdict: not to be trusted: cam2 mirrored")
     printed("report", cube, status=0)

@@ -2,16 +2,12 @@
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from wavefield.commands.progress import Progress, print_next
 from wavefield.commands.rig_commands import level, sheet
 from wavefield.commands.sources import CUBE, EXPERIMENT, FILE, PATH, find_cube
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 @click.command(
@@ -21,21 +17,13 @@ Examples:
   wavefield export cube.zarr cube.mat                   # MATLAB 7.3
   wavefield export cube.zarr cube.nc --steps 0:500:5    # every fifth step
   wavefield export cube.zarr run7.uvmat                 # a folder of files for UVMAT
-  wavefield export cube.zarr mean.nc --average time     # mean and rms at every node
-  wavefield export cube.zarr phases.nc --average 0.8    # phase averages of waves of 0.8 s
 """
 )
 @click.argument("store", metavar=CUBE, type=PATH)
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--steps", help="Some of the steps, counted from 0: FIRST:STOP or FIRST:STOP:EVERY.")
-@click.option(
-    "--average",
-    metavar="time|PERIOD",
-    help="In place of the steps, as NetCDF: `time` for mean and rms of every field, or the period of the "
-    "waves (s) for phase averages with their standard uncertainties.",
-)
 @click.pass_context
-def export(context: click.Context, store: Path, output: Path, steps: str | None, average: str | None) -> None:
+def export(context: click.Context, store: Path, output: Path, steps: str | None) -> None:
     """Write a cube as NetCDF, MATLAB or UVMAT files.
 
     The ending of OUTPUT chooses the format. The exit status is 3 where steps of the cube are missing.
@@ -47,16 +35,11 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None,
         raise click.UsageError(
             f"{output} is not a supported output format: let its name end in {exports.KNOWN}"
         )
-    if average and exports.ENDINGS[output.suffix.lower()] != "netcdf":
-        raise click.UsageError(f"averages are written as NetCDF: let {output} end in .nc")
     store = find_cube(store)
     note = unfinished_note(store)
     with Progress(f"Writing {output}"), warnings.catch_warnings():
         warnings.simplefilter("ignore" if note else "default", UserWarning)  # printed below
-        if average:
-            exports.write_netcdf(_averaged(store, _slice(steps), average), output)
-        else:
-            exports.export(store, output, _slice(steps))
+        exports.export(store, output, _slice(steps))
     click.echo(f"Wrote {output}; open it in {_READERS[exports.ENDINGS[output.suffix.lower()]]}.")
     if note:
         click.echo(f"note: {note}", err=True)
@@ -68,28 +51,6 @@ _READERS = {
     "matlab": "MATLAB (load or h5read)",
     "uvmat": "UVMAT",
 }
-
-
-def _averaged(store: Path, steps: slice | None, average: str) -> "xr.Dataset":
-    """Averages of some steps of a cube over time, or over the phase of a period, s."""
-    from wavefield.store.read import open_cube
-    from wavefield.waves import phase_average
-    from wavefield.waves.phases import FIELDS
-
-    cube = open_cube(store).isel(time=steps or slice(None))
-    try:
-        period = None if average == "time" else float(average)
-    except ValueError:
-        raise click.BadParameter(f"--average {average!r}: write time, or a period in seconds") from None
-    if period is not None:
-        phases = min(24, max(int(period * float(cube.attrs["frame_rate"]) + 1e-6), 2))  # each of some steps
-        return phase_average(cube, period, phases=phases).assign_attrs(cube.attrs | {"period": period})
-    fields = cube[[name for name in FIELDS if name in cube]].drop_vars("camera", errors="ignore")
-    rms = fields.std("time", keep_attrs=True)
-    for one in rms.data_vars.values():
-        one.attrs = {"units": one.attrs.get("units", ""), "long_name": f"rms of {one.attrs['long_name']}"}
-    mean = fields.mean("time", keep_attrs=True)
-    return mean.assign({f"{name}_rms": field for name, field in rms.data_vars.items()}).compute()
 
 
 def _slice(words: str | None) -> slice | None:

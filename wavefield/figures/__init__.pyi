@@ -3,10 +3,8 @@ from wavefield.figures.kinematics import (
     balance_history,
     coherence_curves,
     kinematics_maps,
-    nonlinear_maps,
     nonlinear_ratio_curves,
     plane_coherence_maps,
-    vorticity_map,
 )
 from wavefield.figures.measurement import (
     coverage_map,
@@ -20,7 +18,7 @@ from wavefield.figures.measurement import (
     rest_distributions,
     uncertainty_maps,
 )
-from wavefield.figures.rig import camera_frames, method_diagram, rig_views
+from wavefield.figures.rig import camera_frames, rig_views
 from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
 from wavefield.figures.waves import (
     bicoherence_map,
@@ -54,11 +52,9 @@ __all__ = [
     "flatness_curves",
     "kinematics_maps",
     "komega_map",
-    "method_diagram",
     "misfit_distributions",
     "misfit_maps",
     "noise_spectra",
-    "nonlinear_maps",
     "nonlinear_ratio_curves",
     "plane_coherence_maps",
     "probe_series",
@@ -68,7 +64,6 @@ __all__ = [
     "surface_3d",
     "uncertainty_maps",
     "velocity_map",
-    "vorticity_map",
     "wavenumber_spectra",
     "wavevector_map",
 ]

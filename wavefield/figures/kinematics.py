@@ -1,10 +1,9 @@
-"""The nonlinear term, the residual of the kinematic condition, vorticity, and the coherence of the terms."""
+"""The nonlinear term, the residual of the kinematic condition, and the coherence of the terms."""
 
 import numpy as np
 import xarray as xr
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from wavefield.figures.display import POSITIVE, limit
 from wavefield.figures.style import (
@@ -47,60 +46,16 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     Counterpart of the paper's maps of eta, u . grad eta and the error field. The residual has the scale of
     the nonlinear term, for comparison.
     """
+    from wavefield.waves.motion import kinematics_at  # imports compiled kernels
+
     figure, axes = map_panels(snapshot.z, 2, 2)
     title = f"elevation, {moment_title(snapshot)}"
     draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=title)
     draw_map(axes[0, 1], snapshot.w, "w (cm s⁻¹)", factor=100, title="vertical velocity")
-    _draw_terms(axes[1], snapshot, cube)
-    return figure
-
-
-def nonlinear_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figure:
-    """Nonlinear term and residual of the kinematic condition at one moment, on the scale of the term.
-
-    Parameters
-    ----------
-    snapshot : Dataset, (y, x)
-        One step of a cube with z (m) and z_t, u, v, w (m s-1).
-    cube : Dataset, (time, y, x), optional
-        As `wavefield.waves.kinematics_at` takes it.
-
-    Returns
-    -------
-    Figure
-    """
-    figure, axes = map_panels(snapshot.z, 2)
-    _draw_terms(axes[0], snapshot, cube)
-    return figure
-
-
-def _draw_terms(axes: NDArray[np.object_], snapshot: xr.Dataset, cube: xr.Dataset | None) -> None:
-    """Draw the nonlinear term and the residual, both on the scale of the term."""
-    from wavefield.waves.motion import kinematics_at  # imports compiled kernels
-
     terms = kinematics_at(snapshot, cube)
     half = 100 * limit(terms.nonlinear)
-    for ax, (name, title) in zip(axes, _TERMS.items(), strict=True):
+    for ax, (name, title) in zip(axes[1], _TERMS.items(), strict=True):
         draw_map(ax, terms[name], "cm s⁻¹", factor=100, scale=(-half, half), title=title)
-
-
-def vorticity_map(terms: xr.Dataset) -> Figure:
-    """Vertical vorticity and divergence of the surface water at one moment.
-
-    Parameters
-    ----------
-    terms : Dataset, (y, x)
-        One step of the result of `wavefield.kinematics`: vorticity and divergence, s-1.
-
-    Returns
-    -------
-    Figure
-    """
-    figure, axes = map_panels(terms.vorticity, 2)
-    half = max(limit(terms.vorticity), limit(terms.divergence))
-    for ax, name in zip(axes[0], ("vorticity", "divergence"), strict=True):
-        title = f"{name}, {moment_title(terms)}"
-        draw_map(ax, terms[name], f"{name} (s⁻¹)", scale=(-half, half), title=title)
     return figure
 
 

@@ -1,12 +1,9 @@
-"""The cameras: their places and views, and how a step is measured from their frames."""
+"""The cameras: their places, their views and their frames."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from numpy.typing import NDArray
 
 from wavefield.figures.style import LINES, panels
@@ -122,84 +119,3 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
         zoomed = _rectangle((cx - half, cx + half), (cy - half, cy + half))
         top.plot(*zoomed.T, color="#56B4E9", linewidth=1.2)
     return figure
-
-
-def method_diagram(pairs: Sequence[tuple[str, str]], velocity: Sequence[str]) -> Figure:
-    """How one step is measured from the frames of all cameras.
-
-    Parameters
-    ----------
-    pairs : sequence of (str, str)
-        Camera pairs for the surface.
-    velocity : sequence of str
-        Cameras for the velocity.
-
-    Returns
-    -------
-    Figure
-
-    Notes
-    -----
-    Counterpart of the paper's general organisation of the measurement.
-    """
-    cameras = list(dict.fromkeys([*velocity[:1], *(c for pair in pairs for c in pair), *velocity[1:]]))
-    # the reference of the pairs in the middle, so that no arrow crosses a box
-    middle = [c for c in cameras if sum(c in pair for pair in pairs) > 1]
-    outer = [c for c in cameras if c not in middle]
-    order = [*outer[: len(outer) // 2], *middle, *outer[len(outer) // 2 :]]
-    figure, [[ax]] = panels(1, width=8.6, height=3.9)
-    blue, orange = LINES[1]["color"], LINES[2]["color"]
-    place = {name: 1.0 - i for i, name in enumerate(order)}
-    wide = max(_width(f"{name}, t + dt") for name in order)
-    second = wide + 0.7
-    for column, moment in ((0.0, "t"), (second, "t + dt")):
-        for name, row in place.items():
-            _box(ax, column, row, f"{name}, {moment}", "#DDEBF7", wide)
-        for a, b in pairs:
-            _arrow(ax, (column, place[a]), (column, place[b]), blue, gap=22)
-    for name in velocity:
-        _arrow(ax, (wide / 2, place[name]), (second - wide / 2, place[name]), orange)
-    bottom = min(place.values())
-    middle_row = (1.0 + bottom) / 2
-    stereo = "surface at t and t + dt,\nits neighbours: z at mid-time"
-    motion = "displacement of each camera\nat its mid-time place"
-    broad = max(_width(stereo), _width(motion))
-    end = second + wide / 2
-    third = end + 0.8 + broad / 2
-    right = third + broad / 2
-    _box(ax, third, 1.0, stereo, "#EAF4EC", broad)
-    _box(ax, third, bottom, motion, "#FBEFE4", broad)
-    result = "u, v, w\non the surface\nat t + dt/2"
-    _box(ax, right + 0.8 + _width(result) / 2, middle_row, result, "#F3EAF4", _width(result))
-    _arrow(ax, (end, middle_row + 0.35), (end + 0.8, 0.95), blue)
-    _arrow(ax, (end, middle_row - 0.35), (end + 0.8, bottom + 0.05), orange)
-    _arrow(ax, (right, 0.85), (right + 0.8, middle_row + 0.2), "0.2")
-    _arrow(ax, (right, bottom + 0.15), (right + 0.8, middle_row - 0.2), "0.2")
-    _arrow(ax, (third, 0.66), (third, bottom + 0.34), "0.2")
-    ax.plot([], [], color=blue, label="stereo: parallax between cameras")
-    ax.plot([], [], color=orange, label="PIV: displacement in time")
-    ax.legend(loc="lower center", ncols=2, bbox_to_anchor=(0.5, -0.12), frameon=False)
-    ax.set(xlim=(-wide / 2 - 0.1, right + 0.9 + _width(result)), ylim=(bottom - 0.75, 1.5))
-    ax.axis("off")
-    return figure
-
-
-def _width(text: str) -> float:
-    """Width of a box that holds these lines."""
-    return max(0.064 * max(map(len, text.split("\n"))) + 0.25, 1.0)
-
-
-def _box(ax: Axes, x: float, y: float, text: str, colour: str, width: float) -> None:
-    height = 0.26 * len(text.split("\n")) + 0.16
-    corner = x - width / 2, y - height / 2
-    style: dict[str, Any] = {"facecolor": colour, "edgecolor": "0.35", "zorder": 2}
-    ax.add_patch(FancyBboxPatch(corner, width, height, "round,pad=0.02", **style))
-    ax.text(x, y, text, ha="center", va="center", fontsize=9, zorder=3)
-
-
-def _arrow(
-    ax: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, gap: float = 2
-) -> None:
-    line: dict[str, Any] = {"color": colour, "linewidth": 1.6, "zorder": 1}
-    shape: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 12, "shrinkA": gap, "shrinkB": gap}
-    ax.add_patch(FancyArrowPatch(start, end, **shape, **line))

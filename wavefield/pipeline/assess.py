@@ -28,7 +28,7 @@ from wavefield.quality.camera_motion import (
     remarks_on_mounts,
     spell_delays,
 )
-from wavefield.quality.cameras import CameraFaults, PatchMatcher, find_camera_faults
+from wavefield.quality.cameras import INCONSISTENT, CameraFaults, PatchMatcher, find_camera_faults
 from wavefield.quality.record import (
     COMPARED,
     RiseRatios,
@@ -73,29 +73,32 @@ class RunLimits:
     instants_for_first_delays: int = 4  # the same before it
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
+    measured_by_all: float = 0.5  # of the nodes: 0.0 with a wrong camera, 0.9 in sound records
     deep_sheet: float = 4.0  # px between sight lines: particles of thinner ones make one picture
 
 
 LIMITS = RunLimits()
 
 
-def compare_cameras(prepared: PreparedRun) -> CameraFaults:
-    """Compare the cameras' images at some instants of the record.
-    Patches of deep light sheets overlap differently in each camera, and disagree whatever the rig.
+def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> CameraFaults:
+    """Compare the cameras' images at some instants of the record; `quality` is of some measured steps.
+
+    Patches disagree whatever the rig where waves are steeper or higher than their search allows for, and in
+    deep light sheets. Where all cameras together measured most nodes they do not contradict each other.
     """
     count, matcher = prepared.steps + 1, _patch_matcher(prepared)
     frames = evenly_spaced(count, LIMITS.instants)
     with one_thread():  # each of them
         found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
     thickness = prepared.geometry.settings.sheet_thickness
-    if thickness is None:
-        return found
-    depth = thickness * max(float(np.median(matcher.parallax(pair))) for pair in prepared.geometry.pairs)
-    if depth < LIMITS.deep_sheet * matcher.pixel:
-        return found
-    remarks = [
-        _not_compared(depth / matcher.pixel) if one.kind == "disagree" else one for one in found.remarks
-    ]
+    remarks = list(found.remarks)
+    if thickness is None and fraction_measured(quality, by_all=True) > LIMITS.measured_by_all:
+        remarks = [one for one in remarks if one.kind not in INCONSISTENT]
+    if thickness is not None:
+        depth = thickness * max(float(np.median(matcher.parallax(pair))) for pair in prepared.geometry.pairs)
+        if depth >= LIMITS.deep_sheet * matcher.pixel:
+            deep = _not_compared(depth / matcher.pixel)
+            remarks = [deep if one.kind == "disagree" else one for one in remarks]
     return replace(found, remarks=tuple(remarks))
 
 
@@ -169,9 +172,10 @@ def check_record(prepared: PreparedRun, status: Status) -> RecordCheck | None:
 def assess_run(prepared: PreparedRun, status: Status, checked: RecordCheck | None) -> Verdict:
     """The verdict on a cube whose run has ended."""
     experiment, series = prepared.experiment, prepared.series
-    faults, cube = compare_cameras(prepared), open_cube(status.store)
+    cube = open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
     sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
+    faults = compare_cameras(prepared, sample.quality.values)
     grave = any(one.weight == "grave" for one in faults.remarks)
     remarks = [
         *faults.remarks,
@@ -184,7 +188,7 @@ def assess_run(prepared: PreparedRun, status: Status, checked: RecordCheck | Non
         *(_stored_values(cube, sample, checked) if checked else ()),
         *_short_waves(sample, prepared),
     ]
-    return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
+    return Verdict.of(remarks, faults.pairs, faults.frames)
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
@@ -240,10 +244,11 @@ def _stored_values(cube: xr.Dataset, sample: xr.Dataset, checked: RecordCheck) -
     yield from remark_on_mean_plane(cube)
 
 
-def fraction_measured(quality: np.ndarray) -> float:
-    """Fraction of the nodes in view that were measured; filled nodes do not count."""
+def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
+    """Fraction of the nodes in view that were measured, if asked by all cameras; filled ones do not count."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
-    return float((quality[visible] & Quality.MEASURED != 0).mean()) if visible.any() else 0.0
+    marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
+    return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
 MAX_STEPS = 8

@@ -407,7 +407,7 @@ def check(
             experiment.at_rest().open_frames()  # are they there?
         with one_thread():
             cost, fields = measure_cost(prepared)
-        faults = compare_cameras(prepared)
+        faults = compare_cameras(prepared, fields["quality"])
     except (RigError, ExperimentError) as error:
         problem = str(error)
     coverage = expected_coverage(prepared.rig, prepared.grid) if prepared else None
@@ -428,7 +428,7 @@ def check(
         remarks += _remarks_on_trial(prepared, coverage or 0.0, fields, wrong)
     verdict = Verdict.of(remarks) if remarks else None
     if faults:
-        verdict = Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
+        verdict = Verdict.of(remarks, faults.pairs, faults.frames)
     return Check(
         experiment=experiment.name,
         path=experiment.path,

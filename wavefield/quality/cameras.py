@@ -11,8 +11,7 @@ agree is what is wrong with it.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import combinations, product
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -36,10 +35,8 @@ SIDE = 32  # px of a patch
 REACH = 40  # px: search radius of a patch
 WHOLE = SIDE + 2 * REACH
 MAX_PATCHES = 120
-Plane = tuple[float, float, float]  # height of a patch's middle, m, and slopes along x and y
-STILL: Plane = (0.0, 0.0, 0.0)
-KNOTS = 15  # along either side, at which tilted patches are projected
 MIN_CORRELATION = 0.5  # of patches that show the same water
+INCONSISTENT = ("mirrored", "swapped", "offset", "disagree")  # kinds of remark on cameras that match none
 FLIPS: dict[str, tuple[slice, ...]] = {
     "mirrored": np.s_[:, ::-1],
     "upside down": np.s_[::-1, :],
@@ -63,8 +60,6 @@ class PatchMatcher:
     read: Read  # From camera and frame to the image, or None
     rig: Rig  # The cameras
     grid: Grid  # Area that is compared
-    planes: Sequence[Plane] = (STILL,)  # On which patches are laid: each counts where it is most alike
-    most: int = MAX_PATCHES
 
     def __post_init__(self) -> None:
         self.pixel = float(pixel_size(self.rig, self.grid))
@@ -83,25 +78,17 @@ class PatchMatcher:
             for a, b in ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)):
                 visible &= camera.sees(X + a * pitch, Y + b * pitch, 0.0)
         chosen = np.flatnonzero(visible)
-        chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(self.most, len(chosen))).astype(int)]
+        chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(MAX_PATCHES, len(chosen))).astype(int)]
         return X[chosen], Y[chosen]
 
-    def _map(self, name: str, plane: Plane = STILL) -> tuple[Image, Image]:
-        if plane == STILL and name in self._maps:
-            return self._maps[name]
-        offset = np.arange(WHOLE) - (WHOLE - 1) / 2
-        knots = offset if plane == STILL else np.linspace(offset[0], offset[-1], KNOTS)
-        x, y = knots * self.pixel, knots[:, None] * self.pixel
-        level, along_x, along_y = plane
-        places = self.x[:, None, None] + x, self.y[:, None, None] + y, level + along_x * x + along_y * y
-        parts = np.stack(self.rig[name].project(*places))
-        if plane != STILL:
-            between = np.stack([np.interp(offset, knots, one) for one in np.eye(KNOTS)], axis=1)
-            parts = between @ parts @ between.T
-        column, row = parts.reshape(2, -1, WHOLE).astype(np.float32)
-        if plane == STILL:
+    def _map(self, name: str) -> tuple[Image, Image]:
+        if name not in self._maps:
+            offset = (np.arange(WHOLE) - (WHOLE - 1) / 2) * self.pixel
+            places = self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None]
+            parts = np.stack(self.rig[name].project(*places, 0.0))
+            column, row = parts.reshape(2, -1, WHOLE).astype(np.float32)
             self._maps[name] = column, row
-        return column, row
+        return self._maps[name]
 
     def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
         """Patches of one image with their surroundings, (n, WHOLE, WHOLE) grey levels.
@@ -112,14 +99,12 @@ class PatchMatcher:
             self._patches[key] = self.sampled(name, frame, change, through)
         return self._patches[key]
 
-    def sampled(
-        self, name: str, frame: int, change: str = "", through: str = "", plane: Plane = STILL
-    ) -> Image | None:
-        """The same on any plane, not kept."""
+    def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
+        """The same, not kept."""
         image = self.read(name, frame)
         if image is not None and change:
             image = np.asarray(image)[FLIPS[change]]
-        return _sampled(image, *self._map(through or name, plane), WHOLE)
+        return _sampled(image, *self._map(through or name), WHOLE)
 
     def around(self, name: str, frame: int, near: NDArray[np.int64], reach: int) -> Image | None:
         """Surroundings (n, SIDE + 2 reach, SIDE + 2 reach) of places `near` (n, 2), px, from the patches."""
@@ -146,15 +131,6 @@ class PatchMatcher:
     def parallax(self, pair: Pair) -> Array:
         """Displacement from one camera to the other per height, (n,)."""
         return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
-
-    def on_still_water(self, found: Comparison | None, pair: Pair, plane: Plane) -> Comparison | None:
-        """What was found on a plane as it would be displaced on that of still water."""
-        if found is None or plane == STILL:
-            return found
-        level, *slopes = plane
-        sight = np.transpose(self.rig[pair[1]].sight_line(self.x, self.y))
-        moved = found.moved - sight * (found.moved @ slopes)[:, None]
-        return Comparison(moved + self._rise(pair) * level / self.pixel, found.peak_correlation)
 
     def _rise(self, pair: Pair) -> Array:
         return parallax(self.rig, pair, self.x, self.y).T
@@ -199,16 +175,6 @@ def compare(
         column, row, peak_correlation[k] = locate(templates[k], around)
         moved[k] = column - reach, row - reach
     return Comparison(moved if near is None else moved + near, peak_correlation)
-
-
-def most_alike(found: Sequence[Comparison | None]) -> Comparison | None:
-    """Of several comparisons of the same patches that of the highest correlation, patch by patch."""
-    some = [one for one in found if one is not None]
-    if len(some) < 2:
-        return some[0] if some else None
-    moved, peaks = (np.stack([getattr(one, name) for one in some]) for name in ("moved", "peak_correlation"))
-    best, each = peaks.argmax(axis=0), np.arange(peaks.shape[1])
-    return Comparison(moved[best, each], peaks[best, each])
 
 
 @dataclass(frozen=True)
@@ -278,11 +244,6 @@ def grounds(patch_matcher: PatchMatcher, frame: int, names: Sequence[str]) -> Ma
 
 MAX_SCATTER = 0.4  # px of eps_y: more is not the same water
 MIN_PATCHES = 6  # with fewer no camera is judged
-# Planes on which patches of cameras that disagree are laid in turn: heights over the reach of the search in
-# the widest pair, and slopes along either axis
-LEVELS = 0.0, -1.5, 1.5, -3.0, 3.0
-TILT = 0.15
-MOST_TILTED = 30  # patches
 
 
 class ConsistencyTable:
@@ -308,15 +269,12 @@ class ConsistencyTable:
         Those of the second may be changed, or of another moment.
         """
         patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
-        found = []
-        for plane in patch_matcher.planes:
-            laid = partial(patch_matcher.sampled, plane=plane) if plane != STILL else patch_matcher.patches
-            one, other = laid(first, frame, "", a), laid(second, frame + later, change, b)
-            found.append(patch_matcher.on_still_water(compare(one, other), pair, plane))
+        one = patch_matcher.patches(first, frame, "", a)
+        found = compare(one, patch_matcher.patches(second, frame + later, change, b))
         ground = self.grounds[frame][first] if first == a else None
         if not change and second == b and ground is not None:
             ground = ground & self.grounds[frame][second]
-        return agreement(patch_matcher, pair, most_alike(found), ground)
+        return agreement(patch_matcher, pair, found, ground)
 
     def level(self) -> float:
         """Fraction of patches from which on two cameras agree."""
@@ -330,17 +288,6 @@ class ConsistencyTable:
         limit = self.level()
         return [pair for pair, found in self.found.items() if score(found) >= limit]
 
-    def camera_numbers(self) -> dict[str, dict[str, list[float]]]:
-        """Of every camera, over time."""
-        return {
-            name: {
-                "blur": [round(value, 3) for value in self.blur[name]],
-                "brightness": [round(self._brightness(name, k), 2) for k in self.frames],
-                "coverage": [round(1 - value, 3) for value in covered(self, name)],
-            }
-            for name in self.names
-        }
-
     def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
         """Of every pair, over time."""
         return {
@@ -350,9 +297,6 @@ class ConsistencyTable:
             }
             for pair, found in self.found.items()
         }
-
-    def _brightness(self, name: str, frame: int) -> float:
-        return float(np.asarray(self.patch_matcher.read(name, frame)).mean())
 
 
 def score(found: Sequence[PairConsistency]) -> float:
@@ -396,8 +340,6 @@ class CameraFaults:
     """What was found."""
 
     remarks: tuple[Remark, ...]  # What is wrong
-    # Per camera: ``blur`` (px), ``brightness`` (grey levels), ``coverage`` (fraction); a value per instant
-    cameras: Mapping[str, Mapping[str, list[float]]]
     # Per pair: ``agreement`` (fraction of patches), ``eps_y`` (px, smooth part), one value per instant
     pairs: Mapping[str, Mapping[str, list[float]]]
     frames: tuple[int, ...]  # The instants
@@ -410,11 +352,9 @@ def find_camera_faults(
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
-        return CameraFaults((), {}, {}, complete)
+        return CameraFaults((), {}, complete)
     table = ConsistencyTable(patch_matcher, names, complete, threads)
     remarks = [*_covered(table), *_blurred(table)]
-    if not set(names) <= {name for pair in table.good() for name in pair}:
-        table = _on_other_planes(table, threads)
     inconsistent, explained = _inconsistent(table, count)
     own = {remark.subject: remark for remark in remarks}
     explained = [  # cameras that are too blurred or covered to match are not inconsistent
@@ -423,20 +363,7 @@ def find_camera_faults(
     ]
     remarks = [remark for remark in remarks if remark.subject not in inconsistent] + explained
     remarks += _knocked(table, inconsistent) or _uneven(table, inconsistent)
-    return CameraFaults(tuple(remarks), table.camera_numbers(), table.pair_numbers(), complete)
-
-
-def _on_other_planes(table: ConsistencyTable, threads: int) -> ConsistencyTable:
-    """The comparison with each patch on the plane where it is most alike, if more cameras agree then.
-    Long waves higher than the search reaches take a small field up and down as a whole, and tilt it.
-    """
-    matcher = table.patch_matcher
-    reach = REACH * matcher.pixel / max(float(np.median(matcher.parallax(pair))) for pair in table.pairs)
-    tilts = (0.0, 0.0), *product((-TILT, TILT), repeat=2)
-    planes = [(level * reach, x, y) for level in LEVELS for x, y in tilts]
-    other = replace(matcher, planes=planes, most=MOST_TILTED)
-    found = ConsistencyTable(other, table.names, table.frames, threads)
-    return found if len(found.good()) > len(table.good()) else table
+    return CameraFaults(tuple(remarks), table.pair_numbers(), complete)
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:

@@ -274,6 +274,7 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
         f"z = 0 is the target's plane{uncertain}; visible beads are above the water, which lowers u and v of "
         "12 cm waves by about 2 %",
         "Record some twenty frames of still, seeded water and name them with the key `rest`",
+        "note",
         **({"level_std_m": level_std} if level_std > 0 else {}),
     )
 

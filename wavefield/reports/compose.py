@@ -10,9 +10,9 @@ from wavefield.errors import StoreError
 from wavefield.pipeline import Run, open_run
 from wavefield.reports.accuracy import accuracy
 from wavefield.reports.calibration import calibration_section
-from wavefield.reports.fields import cameras_over_time, coverage, distributions, elevation, setup
+from wavefield.reports.fields import coverage, distributions, elevation, setup
 from wavefield.reports.html import Head, ReportSection, render
-from wavefield.reports.numbers import RunNumbers, dates_of, in_light_sheet
+from wavefield.reports.numbers import RunNumbers, in_light_sheet
 from wavefield.reports.result import attention, recipe, result, run_summary
 from wavefield.reports.waves import nonlinearity, spectra
 from wavefield.store.read import find_store
@@ -115,8 +115,7 @@ def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSe
     builders += [partial(elevation, run)] if of_surface else []
     builders += [partial(run_summary, numbers)]
     builders += [partial(build, run) for build in (*of_surface, accuracy, coverage)]
-    builders += [partial(cameras_over_time, run, verdict or Verdict()), partial(setup, run)]
-    return [*builders, partial(calibration_section, run), partial(recipe, run)]
+    return [*builders, partial(setup, run), partial(calibration_section, run), partial(recipe, run)]
 
 
 def build_all(
@@ -134,12 +133,11 @@ def build_all(
 
 
 def head_of(run: Run, verdict: Verdict | None) -> Head:
-    """The top of the report: verdict, description, dates."""
-    made = f"this page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
-    dates = "; ".join([*dates_of(run), made])
+    """The top of the report: verdict, description, date."""
+    made = f"This page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
     return Head(
         f"{experiment_name(run)}: {'velocity' if in_light_sheet(run) else 'water surface and velocity'}",
-        (run.experiment.description if run.experiment else "", f"{dates[0].upper()}{dates[1:]}."),
+        (run.experiment.description if run.experiment else "", f"{made}."),
         verdict.line if verdict else "",
         verdict.weight if verdict else "note",
     )

@@ -1,42 +1,25 @@
-"""Sections on the set-up, the elevation and its probes, distributions, coverage, and cameras over time."""
+"""Sections on the set-up, the elevation and its probes, distributions and coverage."""
 
 import base64
 import json
 import zlib
-from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from wavefield import figures
 from wavefield.errors import WavefieldError
 from wavefield.figures.display import SIGNED, limit
-from wavefield.figures.style import LINES, RIGHT, panels
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Listing, Picture, Player, ReportSection, Table
-from wavefield.reports.numbers import extremes_of, median_of, number, thinned
-from wavefield.rig.rig import pairs_of
+from wavefield.reports.numbers import extremes_of, number, thinned
 from wavefield.store.ledger import status
-from wavefield.store.verdict import Numbers, Verdict
 from wavefield.variables import FrameStatus
 
 MAX_STEPS = 1500  # compared with probes, in the middle of the record
 MAX_PROBES = 3  # drawn
 _MAX_FAULTS = 500  # faulty steps that are listed
-_MARKERS = "os^Dv*"
-# numbers of cameras and of pairs that are drawn over time: name, factor, label
-_HISTORIES = (
-    (
-        ("blur", 1, "width of the finest\ndetails (px)"),
-        ("brightness", 1, "mean brightness\n(grey levels)"),
-        ("coverage", 100, "free view (%)"),
-    ),
-    (("agreement", 100, "patches matched (%)"), ("eps_y", 1, "sight lines miss\nby (px)")),
-)
 
 
 def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
@@ -122,83 +105,18 @@ def coverage(run: Run) -> ReportSection:
     return section
 
 
-def cameras_over_time(run: Run, verdict: Verdict) -> ReportSection:
-    """Every camera and pair at some instants of the record, as the run checked them."""
-    section = ReportSection("Cameras over time", folded=True)
-    if not verdict.cameras or not verdict.frames:
-        return section
-    section.gist = f"sharpness, brightness, free view and consistency at {len(verdict.frames)} instants"
-    rate = float(run.cube.attrs["frame_rate"])
-    time = float(run.cube.time[0]) + (np.array(verdict.frames) - 0.5) / rate
-    each = "; ".join(
-        f"{name}: details of {number(median_of(c['blur']), 'px', 2)}, brightness "
-        f"{number(median_of(c['brightness']))}, at least {100 * np.nanmin(c['coverage']):.0f} % in view"
-        for name, c in verdict.cameras.items()
-    )
-    section.items.append(
-        Picture(
-            _camera_history(time, verdict.cameras, verdict.pairs),
-            f"Every camera at {len(time)} instants of the record: details that become wider show a loss of "
-            "focus, decreasing brightness a loss of light; what is missing from 100 % of the view is "
-            "covered. Below, each pair of cameras alone, before anything is rejected: sight lines that miss "
-            "each other more and more show that a camera has been moved.",
-            f"Curves. {each}.",
-        )
-    )
-    return section
-
-
-def _camera_history(time: np.ndarray, cameras: Numbers, pairs: Numbers) -> Figure:
-    """Sharpness, brightness and free view of every camera, consistency of every pair, over the record."""
-    figure, axes = panels(3, 2 if pairs else 1, width=3.8, height=2.9)
-    for row, numbers, histories in zip(axes, (cameras, pairs), _HISTORIES):
-        for ax, (key, factor, label) in zip(row, histories):
-            curves = {name: [factor * v for v in series[key]] for name, series in numbers.items()}
-            _draw_history(ax, time, curves, label)
-    style: dict[str, Any] = {"frameon": False, "fontsize": 9, "alignment": "left"}
-    if not pairs:
-        axes[0, 2].legend(**style, **RIGHT)
-        return figure
-    free = axes[1, 2]
-    free.set_axis_off()
-    above, below = (ax.get_legend_handles_labels() for ax in axes[:, 0])
-    free.add_artist(free.legend(*above, loc="upper left", title="above", **style))
-    free.legend(*below, loc="upper right", title="below", **style)
-    return figure
-
-
-def _draw_history(axes: Axes, time: np.ndarray, curves: Mapping[str, Sequence[float]], label: str) -> None:
-    for k, (name, values) in enumerate(curves.items()):
-        style = LINES[1 + k % (len(LINES) - 1)]
-        axes.plot(time, values, marker=_MARKERS[k % len(_MARKERS)], markersize=4, label=name, **style)
-    most = max((float(np.nanmax(v)) for v in curves.values() if np.isfinite(v).any()), default=1.0)
-    axes.set(xlabel="time (s)", ylabel=label, ylim=(0.0, 1.12 * most or 1.0))
-    axes.grid(True, color="0.88", linewidth=0.7)
-
-
 def setup(run: Run) -> ReportSection:
     """Cameras and frames."""
     section = ReportSection("Set-up", folded=True)
     if run.rig is None:
         return section
     section.gist = f"{len(run.rig)} cameras: {', '.join(run.rig)}"
-    rig, grid, settings = run.rig, run.grid, run.recipe.get("settings", {})
-    pairs = [(str(a), str(b)) for a, b in settings.get("pairs", ())] or list(pairs_of(rig, list(rig)))
-    velocity = list(settings.get("velocity_cameras", ())) or list(rig)
-    stereo = ", ".join(f"{a} with {b}" for a, b in pairs)
+    rig, grid = run.rig, run.grid
     positions = ", ".join(
         f"{name} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
         for name, (x, y, z) in ((name, camera.centre) for name, camera in rig.cameras.items())
     )
     section.items += [
-        Picture(
-            figures.method_diagram(pairs, velocity),
-            "How a step is measured: parallax between cameras gives the surface at each frame time; the "
-            "displacement from one frame to the next in each camera, evaluated on the surface at mid-time, "
-            "gives the velocity.",
-            f"Diagram. Frames of {', '.join(velocity)} at t and t + dt. Stereo pairs {stereo} give the "
-            "surface; displacements in time give u, v, w on it.",
-        ),
         Picture(
             figures.rig_views(rig, grid),
             "The rig from the side and from above, and a point 5 cm above the still water with its apparent "

@@ -1,8 +1,7 @@
 """Numbers and words that the sections of a report share: a run's numbers, and how they are written."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -126,26 +125,6 @@ def in_folder(run: Run, words: str) -> str:
 def in_light_sheet(run: Run) -> bool:
     """Whether velocities in a light sheet were measured: there are no surface and no waves then."""
     return run.recipe.get("settings", {}).get("sheet_thickness") is not None
-
-
-def dates_of(run: Run) -> list[str]:
-    """When the images were written and the steps measured, as far as the files' dates show."""
-    ends = (entry for one in run.frames.values() for entry in (one.entries[0], one.entries[-1]) if entry)
-    images = [Path(entry.path) for entry in ends]
-    spans = {"images written": images, "measured": run.store.glob("frame_status/c/*")}
-    return [f"{what} {dates}" for what, files in spans.items() if (dates := _span(files))]
-
-
-def _span(files: Iterable[Path]) -> str:
-    """First and last modification time of files, to the minute; empty without files."""
-    times = sorted(file.stat().st_mtime for file in files if file.exists())
-    if not times:
-        return ""
-    first, last = (datetime.fromtimestamp(t).astimezone() for t in (times[0], times[-1]))
-    words = f"{first:%Y-%m-%d %H:%M}"
-    if f"{last:%Y-%m-%d %H:%M}" != words:
-        words += f" to {last:%H:%M}" if last.date() == first.date() else f" to {last:%Y-%m-%d %H:%M}"
-    return f"{words} {last:%Z}".strip()
 
 
 @dataclass(frozen=True, eq=False)

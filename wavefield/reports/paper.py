@@ -27,7 +27,6 @@ from wavefield.store.read import find_store, open_cube
 from wavefield.store.recipe import source_of
 from wavefield.store.store_paths import beside
 from wavefield.waves import plane_coherence
-from wavefield.waves.motion import kinematic_fields
 
 _METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
 
@@ -140,22 +139,12 @@ def _spectrum(run: Run) -> ReportSection:
 
 def _nonlinear(run: Run) -> ReportSection:
     snap, cube = snapshot(run.cube), run.cube
-    at = int(np.argmin(np.abs(cube.time.values - float(snap.time))))
-    first = min(max(at - 1, 0), max(cube.sizes["time"] - 3, 0))
-    around = cube[["z", "z_t", "u", "v", "w"]].isel(time=slice(first, first + 3)).load()
-    terms = kinematic_fields(around.assign_attrs(cube.attrs)).isel(time=at - first)
     plane = plane_coherence(cube)
     low_k = float(plane.mean_C_tot[: plane.sizes["k"] // 4].mean())
     return ReportSection(
         "Nonlinear term",
         [
             kinematics_picture(snap, cube),
-            Picture(
-                figures.vorticity_map(terms),
-                "Vertical vorticity and divergence of the surface water at the same moment.",
-                f"Two maps. Rms of the vorticity {rms_of(terms.vorticity):.3g} 1/s, of the divergence "
-                f"{rms_of(terms.divergence):.3g} 1/s.",
-            ),
             Picture(
                 figures.plane_coherence_maps(plane),
                 "Coherence at each wave vector, averaged over time; and the three curves averaged over angle "

@@ -92,19 +92,13 @@ def spectra(run: Run) -> ReportSection:
 
 def kinematics_picture(snap: xr.Dataset, cube: xr.Dataset) -> Picture:
     """The terms of the kinematic condition at one step (y, x) of a cube, beside z and w."""
+    terms = kinematics_at(snap, cube)
     return Picture(
         figures.kinematics_maps(snap, cube),
         "Elevation, vertical velocity, the nonlinear term u·∇z, and the residual z_t − w + u·∇z, at one "
         "moment; the last two share one colour scale.",
-        f"Four maps. {_sizes_of_terms(snap, cube)}",
-    )
-
-
-def _sizes_of_terms(snap: xr.Dataset, cube: xr.Dataset) -> str:
-    terms = kinematics_at(snap, cube)
-    return (
-        f"Rms of w {100 * rms_of(snap.w):.3g} cm/s, of the nonlinear term "
-        f"{100 * rms_of(terms.nonlinear):.3g} cm/s, of the residual {100 * rms_of(terms.residual):.3g} cm/s."
+        f"Four maps. Rms of w {100 * rms_of(snap.w):.3g} cm/s, of the nonlinear term "
+        f"{100 * rms_of(terms.nonlinear):.3g} cm/s, of the residual {100 * rms_of(terms.residual):.3g} cm/s.",
     )
 
 
@@ -135,12 +129,7 @@ def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
 
 def nonlinearity(run: Run) -> ReportSection:
     """The kinematic condition."""
-    snap = snapshot(run.cube)
-    maps = Picture(
-        figures.nonlinear_maps(snap, run.cube),
-        "The nonlinear term u·∇z and the residual z_t − w + u·∇z at one moment, on one colour scale.",
-        f"Two maps. {_sizes_of_terms(snap, run.cube)}",
-    )
+    maps = kinematics_picture(snapshot(run.cube), run.cube)
     section = ReportSection("Nonlinear term and coherence", [maps], folded=True)
     coherence, kinematics = run.wave_group("coherence"), run.wave_group("kinematics")
     if coherence is not None:

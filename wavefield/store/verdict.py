@@ -47,21 +47,19 @@ class Verdict:
     """All remarks on a measurement; ``line`` sums them up, as in: sound with remarks: cam1 focus."""
 
     remarks: tuple[Remark, ...] = ()  # The gravest first
-    cameras: Numbers = field(default_factory=dict)  # Numbers of every camera and pair over time
-    pairs: Numbers = field(default_factory=dict)
+    pairs: Numbers = field(default_factory=dict)  # Agreement and eps_y of every pair of cameras over time
     frames: tuple[int, ...] = ()  # The instants of these numbers: frames of the record, from 0
 
     @classmethod
     def of(
         cls,
         remarks: Iterable[Remark],
-        cameras: Numbers | None = None,
         pairs: Numbers | None = None,
         frames: Iterable[int] = (),
     ) -> "Verdict":
         """Put remarks in order."""
         ordered = tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight]))
-        return cls(ordered, dict(cameras or {}), dict(pairs or {}), tuple(int(k) for k in frames))
+        return cls(ordered, dict(pairs or {}), tuple(int(k) for k in frames))
 
     @property
     def weight(self) -> Weight:
@@ -90,7 +88,6 @@ class Verdict:
             "verdict": WORDS[self.weight],
             "line": self.line,
             "remarks": [asdict(remark) for remark in self.remarks],
-            "cameras": self.cameras,
             "pairs": self.pairs,
             "frames": list(self.frames),
         }
@@ -112,7 +109,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
         if data.pop("checksum") != _checksum(data):
             raise ValueError("its checksum is another")
         remarks = [Remark(**remark) for remark in data["remarks"]]
-        return Verdict.of(remarks, data["cameras"], data["pairs"], data.get("frames", ()))
+        return Verdict.of(remarks, data["pairs"], data.get("frames", ()))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except Exception as error:  # whatever damaged bytes hold
