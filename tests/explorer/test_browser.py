@@ -27,13 +27,6 @@ def usual(page):
     page.wait(f"{shown('w')} && {at_step(STEP)}")
 
 
-def project(x, y, height, turn, tilt):
-    """Parallel projection of points onto the screen, as the page's script does it."""
-    across = np.cos(turn) * x - np.sin(turn) * y
-    away = np.sin(turn) * x + np.cos(turn) * y
-    return across, away * np.sin(tilt) + height * np.cos(tilt)
-
-
 def model(name):
     return f"Bokeh.documents[0].get_model_by_name('{name}')"
 
@@ -157,47 +150,10 @@ def test_a_click_shows_everything_at_the_node(page, fields):
     page.wait(f"Math.abs({model('node_spectrum')}.data.e[3] / {expected.density[3]} - 1) < 0.1")
 
 
-def test_the_surface_is_projected_and_turned(page, fields):
-    page.page.keyboard.press("2")
-    page.wait(f"{model('surface_quads')}.data.xs.length > 100")
-    z, x, y = fields["z"][STEP], X, Y
-    lift = (
-        page.page.evaluate(
-            f"(() => {{ const h = {model('surface_field')}.data.height[0]; return h[5 * 20 + 7] }})()"
-        )
-        / z[5, 7]
-    )
-
-    def drawn():  # in one call: nothing can come between the corners and the view they are drawn for
-        corners, view = page.page.evaluate(
-            f"[['xs', 'ys'].map((n) => {model('surface_quads')}.data[n].map((a) => a[0])), "
-            f"{model('surface_view')}.data]"
-        )
-        return np.array(corners), (view["turn"][0], view["tilt"][0])
-
-    def expected(turn, tilt):
-        gx, gy = np.meshgrid(x - x.mean(), y - y.mean())
-        across, up = project(gx, gy, z * lift, turn, tilt)
-        whole = np.isfinite(up)
-        there = whole[:-1, :-1] & whole[1:, :-1] & whole[:-1, 1:] & whole[1:, 1:]
-        return np.array([across[:-1, :-1][there], up[:-1, :-1][there]])
-
-    def same(a, b):
-        order_a, order_b = np.lexsort(np.round(a, 5)), np.lexsort(np.round(b, 5))
-        np.testing.assert_allclose(a[:, order_a], b[:, order_b], atol=2e-5)
-
-    corners, view = drawn()
-    same(corners, expected(*view))
-    page.drag("surface", (0.0, 0.0), (0.2, 0.1))
-    page.wait(f"{model('surface_view')}.data.turn[0] > {view[0]} + 0.1")
-    corners, turned = drawn()
-    same(corners, expected(*turned))
-
-
 def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_rig, whole):
     from wavefield.images import read_image
 
-    page.page.keyboard.press("3")
+    page.page.keyboard.press("2")
     page.wait(f"{model('camera_image')}.data.image.length == 1 && {model('camera_nodes')}.data.X.length > 0")
     name = page.get("camera", "value")
     image = read_image(whole[0].parent / name / f"img_{STEP:05d}.tif").astype(float)
@@ -243,7 +199,7 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
     from wavefield.explorer.waves import log_density
 
     waves = xr.open_datatree(whole[0].parent / "waves.zarr", engine="zarr", chunks={})
-    page.page.keyboard.press("4")
+    page.page.keyboard.press("3")
     page.wait(f"{model('wave_image')}.data.image.length == 1 && {model('wave_ruler')}.data.k.length > 0")
     name = page.get("wave_variable", "value")
     energy = waves["spectra"][f"E_komega_{name}"].transpose("omega", "k").values
@@ -303,7 +259,7 @@ def test_it_fits_a_phone(chrome, served):
     assert phone.outside == []
 
 
-@pytest.mark.parametrize("query", ["", "?tab=waves", "?tab=cameras", "?tab=surface"])
+@pytest.mark.parametrize("query", ["", "?tab=waves", "?tab=cameras"])
 def test_screen_readers_and_weak_eyes_can_use_it(chrome, served, query):
     from browser import Browser
 
@@ -358,9 +314,9 @@ def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
     window = Browser(chrome.new_page())
     window.page.add_init_script("window.hits = 0; window.hit = () => { window.hits += 1 }")
     window.open(served.url)
-    window.page.keyboard.press("4")
-    window.wait(f"{model('wave_words')}.text.includes('onerror=hit()')")
     window.page.keyboard.press("3")
+    window.wait(f"{model('wave_words')}.text.includes('onerror=hit()')")
+    window.page.keyboard.press("2")
     window.wait(f"{model('camera_words')}.text.includes('onerror=hit()')")
     window.page.get_by_text("no images").wait_for()
     assert window.page.evaluate("window.hits") == 0
@@ -404,9 +360,9 @@ def test_a_cube_that_is_being_written_is_followed(chrome, tmp_path):
         f"{model('map_image')}.data.image[0][100] != null && !isNaN({model('map_image')}.data.image[0][100])"
     )
     np.testing.assert_allclose(window.image("map_image"), 100 * written["w"][10], rtol=1e-6)
-    window.page.keyboard.press("4")
-    window.wait(f"{model('wave_words')}.text.includes('no waves yet')")
     window.page.keyboard.press("3")
+    window.wait(f"{model('wave_words')}.text.includes('no waves yet')")
+    window.page.keyboard.press("2")
     window.wait(f"{model('camera_words')}.text.includes('no images')")
     window.page.close()
     served.stop()
@@ -426,7 +382,7 @@ def test_masks_are_drawn_with_the_mouse_and_saved_as_polygons(page, whole):
         page.wait(f"{model('map_mask')}.data.x.length == {number + 1}")
     page.page.get_by_role("button", name="Remove the last corner").click()
     page.wait(f"{model('map_mask')}.data.x.length == 4")
-    page.page.keyboard.press("3")
+    page.page.keyboard.press("2")
     page.wait(f"{model('views')}.active == 2 && {model('camera_image')}.data.image.length == 1")
     for number, pixel in enumerate(((20, 20), (80, 25), (50, 70)), 1):
         page.click("camera_view", *pixel)

@@ -44,9 +44,8 @@ def test_every_variable_and_view_can_be_shown_and_models_have_different_names(cu
     found = check_integrity(list(document.models))  # what Bokeh would print in the terminal
     assert (found.error, found.warning) == ([], [])
     for k, name in enumerate(page.session.record.names):
-        for tab in ("surface", TABS[k % len(TABS)]):  # what the others show is the same for every variable
-            page.change(show=name, tab=tab)
-            page.redraw()
+        page.change(show=name, tab=TABS[k % len(TABS)])
+        page.redraw()
         assert page.map.layout.title.text.startswith(f"{name}: ")
     document.to_json()
     names = Counter(model.name for model in document.models if model.name)
@@ -119,7 +118,7 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(tmp_path):
 def test_an_empty_cube_is_shown_as_such(tmp_path):
     path = tmp_path / "cube.zarr"
     create_cube(path)
-    page, _ = build(path, Place(node=(0.0, 0.0), tab="surface"))
+    page, _ = build(path, Place(node=(0.0, 0.0)))
     page._show_picked()
     assert "not measured yet" in page.map.layout.title.text
     assert "measured so far: 0 (0 %)" in page.state.text

@@ -81,9 +81,9 @@ Examples:
 def look(source: Path, run: str | None, waves: Path | None, port: int | None, open_page: bool) -> None:
     """Open an interactive page of a cube.
 
-    It shows maps, the surface, series, spectra, camera images and waves. The page can be opened from this
-    machine only. While the cube is being written, the page shows new steps as they come. For a catalog name
-    the RUN, unless only one of its runs has a cube.
+    It shows maps, series, spectra, camera images and waves. The page can be opened from this machine only.
+    While the cube is being written, the page shows new steps as they come. For a catalog name the RUN, unless
+    only one of its runs has a cube.
     """
     from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import session_server

@@ -1,6 +1,5 @@
 """The page of `wavefield follow`: map, cameras and lights while the cameras write."""
 
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from wavefield.errors import WavefieldError
 from wavefield.explorer import parts
 from wavefield.explorer.cameras import keep_pixels_square, show_frame
-from wavefield.explorer.lights import State, StatusLight, red_lights, state_runs
+from wavefield.explorer.lights import StatusLight, red_lights
 from wavefield.explorer.live import FollowedSet, Follower
 from wavefield.explorer.map import arrows, top_speed
 from wavefield.explorer.parts import plain
@@ -29,24 +28,15 @@ _MAX_CAMERA_PX = 800  # three images next to each other, in detail
 _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
-History = Sequence[Mapping[tuple[str, str], State]]  # states of lights by name and camera, the newest last
-
-
-def lights_table(lights: tuple[StatusLight, ...], history: History = ()) -> str:
+def lights_table(lights: tuple[StatusLight, ...]) -> str:
     """Lights as an HTML table: a row per quantity, a column per camera; pairs and rig below."""
-    past = {
-        (light.name, light.camera): state_runs(
-            [states.get((light.name, light.camera), "unknown") for states in history]
-        )
-        for light in lights
-    }
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}
     names = list(dict.fromkeys(light.name for light in of_cameras))
     others = [light for light in lights if light not in of_cameras]
     template = Environment(autoescape=True).from_string(parts.asset("lights.html"))
-    return template.render(cameras=cameras, names=names, cells=cells, others=others, past=past)
+    return template.render(cameras=cameras, names=names, cells=cells, others=others)
 
 
 class CameraView:
@@ -140,18 +130,17 @@ class FollowPage:
             trouble = "<br>".join(map(plain, self._follower.watch.trouble.values()))
             self.words["verdict"].text = _large("Waiting for frames", "#57606a", trouble)
             return
-        history = list(self._follower.history.entries)
-        shown = latest.lights, bool(latest.fields), latest.trouble, len(history)
+        shown = latest.lights, bool(latest.fields), latest.trouble
         if self._shown != shown:
             self._shown = shown
-            self._show_lights(latest, history)
+            self._show_lights(latest)
         if self._follower.count != self._count:
             self._count = self._follower.count
             self._show_set(latest)
 
-    def _show_lights(self, latest: FollowedSet, history: History) -> None:
+    def _show_lights(self, latest: FollowedSet) -> None:
         lights = latest.lights
-        self.words["lights"].text = lights_table(lights, history)
+        self.words["lights"].text = lights_table(lights)
         doubtful = [f"{light.name} {light.camera}".strip() for light in lights if light.state == "doubtful"]
         red = red_lights(lights)
         if red:

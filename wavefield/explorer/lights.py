@@ -1,7 +1,5 @@
 """Status lights of lamps, lenses, beads, cameras and rig: numbers of the arriving frames in, words out."""
 
-import time
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from typing import Any, Literal, TypeVar
@@ -68,7 +66,6 @@ ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames,
 LIMITS, RELATIVE = LightLimits(), RelativeLimits()
 INTERVALS = 5  # frame intervals without a new frame that are still normal
 MIN_STEPS_FOR_TILT = 20
-HISTORY_S = 300  # length of the history, s
 MIN_EPS_Y_PX = 0.15  # smallest reference for the mismatch, px
 
 
@@ -289,34 +286,6 @@ def tilt_light(steps: Sequence[StepSummary]) -> StatusLight:
     state = _state(tilt - 2 * float(np.hypot(std[0], std[1])), LIMITS.tilt)
     words = f"{1e3 * tilt:.1f} mrad, mean z {1e3 * mean[2]:+.1f} mm, {len(planes)} steps"
     return StatusLight("tilt", "", state, words)
-
-
-class LightHistory:
-    """States of the lights over the last minutes, one entry per second."""
-
-    def __init__(self) -> None:
-        self.entries: deque[dict[tuple[str, str], State]] = deque(maxlen=HISTORY_S)  # by name and camera
-        self._added = -np.inf  # when the last was, s
-
-    def add(self, lights: Sequence[StatusLight]) -> None:
-        """Add the present states, at most once a second."""
-        now = time.monotonic()
-        if now - self._added >= 1.0:
-            self._added = now
-            self.entries.append({(one.name, one.camera): one.state for one in lights})
-
-
-def state_runs(states: Sequence[State]) -> list[tuple[State, float, float]]:
-    """Runs of equal states as fractions of the whole: state, start, end.
-
-    Examples
-    --------
-    >>> state_runs(["good", "good", "bad", "good"])
-    [('good', 0.0, 0.5), ('bad', 0.5, 0.75), ('good', 0.75, 1.0)]
-    """
-    starts = [k for k, state in enumerate(states) if k == 0 or state != states[k - 1]]
-    ends = [*starts[1:], len(states)]
-    return [(states[a], a / len(states), b / len(states)) for a, b in zip(starts, ends)]
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:

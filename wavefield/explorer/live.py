@@ -311,7 +311,6 @@ class Follower:
         self.experiment = experiment
         self.latest: FollowedSet | None = None
         self.count = 0  # number of sets published
-        self.history = lights.LightHistory()
         self.watch = FolderWatch(experiment)
         self._measurer = LiveMeasurement(experiment, rig)
         self._baseline = lights.Baseline()
@@ -364,8 +363,6 @@ class Follower:
         elif self.latest is not None:  # a camera that has stopped shows without a new set
             others = (light for light in self.latest.lights if light.name not in lights.ARRIVALS)
             self.latest = replace(self.latest, lights=(*self._arrivals(), *others))
-        if self.latest is not None:
-            self.history.add(self.latest.lights)
         return frames is not None
 
     def _arrivals(self) -> list[StatusLight]:

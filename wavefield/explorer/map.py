@@ -1,11 +1,10 @@
-"""The map of a variable with arrows of the velocity, and the surface in three dimensions."""
+"""The map of a variable with arrows of the velocity."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from bokeh.models import (
     BoxZoomTool,
-    CustomJS,
     CustomJSHover,
     FixedTicker,
     HoverTool,
@@ -22,7 +21,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from wavefield.explorer import parts
-from wavefield.explorer.parts import Place, asset, number
+from wavefield.explorer.parts import Place, number
 from wavefield.explorer.record import CubeRecord
 from wavefield.figures.display import KINDS, display, drawn_kind, limit
 
@@ -30,10 +29,6 @@ Field = NDArray[np.floating]
 _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
 _ARROWS = 24  # along the longer side of the grid
 _HEAD = 0.32  # length of an arrow's head over that of the arrow
-_RELIEF = 80  # nodes of the surface along the longer side
-INITIAL_VIEW = {"turn": [-0.7], "tilt": [0.62]}  # radians
-_LIFT = 0.1  # height of the highest water, in diagonals of the grid
-_MOST_LIFT = 1e4  # beyond, the water is flat
 
 
 def map_aspect(ratio: float) -> float:
@@ -187,66 +182,3 @@ class MapPanel:
     def mark_probes(self, names: Sequence[str], x: Field, y: Field) -> None:
         """Draw the positions of probes, metres."""
         self.sources["probes"].data = parts.probe_columns(names, x, y, float(np.mean(self._record.x)))
-
-
-class SurfacePanel:
-    """The relief of z, coloured by the displayed variable; the browser projects and turns it."""
-
-    def __init__(self, record: CubeRecord, limits: Callable[[Place], tuple[float, float]]) -> None:
-        self._record, self._limits = record, limits
-        self._highest = 0.0  # of z at the first step that is shown, m
-        self._diagonal = float(np.hypot(np.ptp(record.x), np.ptp(record.y)))
-        self.sources = parts.make_sources(
-            "surface", field="x y height value", quads="xs ys value", frame="x y", words="x y text",
-            view="turn tilt",
-        )  # fmt: skip
-        self.sources["view"].data = INITIAL_VIEW
-        self.mapper = LinearColorMapper(palette=parts.palette("RdBu_r"), low=-1, high=1, nan_color=parts.GREY)
-        size = 0.56 * self._diagonal
-        made = parts.make_figure(
-            "surface", tools="wheel_zoom,reset,save", toolbar_location="above", aspect_ratio=1.4,
-            sizing_mode="scale_width",
-            x_range=(-size, size), y_range=(-0.72 * size, 0.72 * size),
-            x_axis_type=None, y_axis_type=None, min_border_left=4,
-        )  # fmt: skip
-        made.grid.grid_line_color = None
-        made.line("x", "y", source=self.sources["frame"], color="#8b949e", line_dash=[5, 4], line_width=1.3)
-        colour = {"field": "value", "transform": self.mapper}
-        made.patches(
-            "xs", "ys", source=self.sources["quads"], fill_color=colour, line_color=colour, line_width=0.6
-        )
-        made.text(
-            "x", "y", "text", source=self.sources["words"], text_align="center", text_baseline="middle",
-            text_color=parts.INK,
-        )  # fmt: skip
-        made.add_layout(parts.colour_bar(self.mapper), "right")
-        self.note = Label(x=8, y=8, x_units="screen", y_units="screen", text="", text_font_size="12px")
-        made.add_layout(self.note)
-        project = CustomJS(args=self.sources, code=asset("relief.js"))
-        for changed in (self.sources["field"], self.sources["view"]):
-            changed.js_on_change("data", project)
-        for event in ("panstart", "pan"):
-            made.js_on_event(event, project)
-        self.layout = made
-
-    def show(self, place: Place) -> None:
-        """Draw a step."""
-        record, shown = self._record, display(place.coloured)
-        thin = slice(None, None, max(1, -(-max(record.x.size, record.y.size) // _RELIEF)))
-        z, values = (record.field(name, place.step)[thin, thin] for name in ("z", shown.name))
-        if not self._highest and np.isfinite(z).any():
-            self._highest = limit(z)
-        lift = _LIFT * self._diagonal / self._highest if self._highest else 0.0
-        low, high = self._limits(place)
-        self.mapper.update(palette=parts.palette(place.colour_map), low=low, high=high)
-        moment = f"t = {record.time[place.step]:.3f} s"
-        self.layout.title.text = f"elevation z, coloured by {shown.label}, {moment}"
-        raised = f"height × {number(lift, 2)}; " if lift < _MOST_LIFT else ""
-        self.note.text = f"{raised}drag to turn" if lift else "nothing measured here"
-        x, y = record.x[thin], record.y[thin]
-        self.sources["field"].data = {
-            "x": [np.asarray(x - x.mean(), np.float32)],
-            "y": [np.asarray(y - y.mean(), np.float32)],
-            "height": [np.ascontiguousarray(z * np.float32(lift))],
-            "value": [np.ascontiguousarray(values * np.float32(shown.factor), np.float32)],
-        }

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from wavefield.errors import WavefieldError
 from wavefield.explorer import parts
-from wavefield.explorer.map import MapPanel, SurfacePanel
+from wavefield.explorer.map import MapPanel
 from wavefield.explorer.node import NodePanel
 from wavefield.explorer.parts import COLOUR_MAPS, OVERLAYS, TABS, LazyPanel, Panel, PanelEvents, Place, number
 from wavefield.explorer.record import LookSession
@@ -73,13 +73,10 @@ class LookPage:
             self.pick, self._take_corner, self._masks_changed, lambda: self._soon(self._show_view)
         )
         self.map, self.node = MapPanel(record, self._clicked), NodePanel(record)
-        self.surface = LazyPanel(lambda: SurfacePanel(record, self.map.limits))
         self.cameras = LazyPanel(lambda: _cameras(session, events))
         self.waves = LazyPanel(lambda: _waves(session))
         self.masks = LazyPanel(lambda: _masks(session, events))
-        views: dict[str, LazyPanel[Any]] = {
-            "surface": self.surface, "cameras": self.cameras, "waves": self.waves,
-        }  # fmt: skip
+        views: dict[str, LazyPanel[Any]] = {"cameras": self.cameras, "waves": self.waves}
         self._views = views
         bodies = [self.map.layout, *(panel.body for panel in views.values())]
         titles = [tab.capitalize() for tab in TABS]
@@ -173,8 +170,6 @@ class LookPage:
     def _ready(self) -> None:
         """Show the picked node, then what belongs to the cube: that takes a second to import."""
         self._soon(self._show_picked)
-        if self.place.tab == "surface":  # which the browser projects when it changes
-            self._soon(self._show_view)
 
         def read() -> None:
             with suppress(WavefieldError):  # shown by `_show_context`

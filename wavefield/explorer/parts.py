@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from wavefield.figures.display import KINDS, display
 from wavefield.variables import TABLE
 
-TABS = ("map", "surface", "cameras", "waves")
+TABS = ("map", "cameras", "waves")
 COLOUR_MAPS = ("", "RdBu_r", "cividis", "viridis", "inferno", "turbo", "gray")  # "": that of the variable
 OVERLAYS = ("arrows", "nothing")  # drawn on the map
 _CHOICES = {"tab": TABS, "colours": COLOUR_MAPS, "overlay": OVERLAYS}
@@ -113,7 +113,7 @@ _PALETTES = {
     "inferno": palettes.Inferno256, "turbo": palettes.Turbo256, "gray": palettes.Greys256,
 }  # fmt: skip
 _KEYS = (
-    ("← →", "step"), ("space", "play"), ("1–4", "views"), ("M", "mask"), ("P", "pick"), ("A", "arrows"),
+    ("← →", "step"), ("space", "play"), ("1–3", "views"), ("M", "mask"), ("P", "pick"), ("A", "arrows"),
     ("Home End", "first, last step"),
 )  # fmt: skip
 _LOADING = '<span class="loading" role="status">Loading …</span>'

@@ -197,7 +197,7 @@ class ServedPage:
 
 
 def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None = 0) -> ServedPage:
-    """Look at a cube in a notebook: maps, the surface, series, spectra, camera images, waves.
+    """Look at a cube in a notebook: maps, series, spectra, camera images, waves.
 
     Parameters
     ----------

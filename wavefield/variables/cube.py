@@ -96,8 +96,8 @@ register(
         "1",
         "frames that velocity and rate of rise come from",
         dtype="uint8",
-        meaning="6: six frames, least noise; 7: six frames, exact to the fifth degree in time; 4: four frames;"
-        " 2: one step; 1: instantaneous velocities. Fewer are used beside lost frames and at the ends",
+        meaning="6: six frames, least noise; 7: six frames, exact to the fifth degree in time; 4: four "
+        "frames; 2: one step; 1: instantaneous velocities. Fewer are used beside lost frames and at the ends",
         extra={
             "flag_values": [1, 2, 4, 6, EXACT_SIX],
             "flag_meanings": "instantaneous one_step four_frames six_frames_smooth six_frames_exact",

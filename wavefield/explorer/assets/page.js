@@ -20,7 +20,7 @@ const keys = {
   p: () => { find("drag").value = "move" }, m: () => { find("drag").value = "mask" },
   a: () => { find("overlay").value = find("overlay").value == "nothing" ? "arrows" : "nothing" },
   1: () => { find("views").active = 0 }, 2: () => { find("views").active = 1 },
-  3: () => { find("views").active = 2 }, 4: () => { find("views").active = 3 },
+  3: () => { find("views").active = 2 },
 }
 document.addEventListener("keydown", (event) => {
   const target = event.composedPath()[0]
