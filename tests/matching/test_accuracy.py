@@ -89,33 +89,6 @@ def test_large_parallax_of_either_sign_under_different_lighting(sign):
     assert worst(d, move, inside) < 0.05
 
 
-@pytest.mark.parametrize("initial", ["field", "constant", "displacement"])
-def test_initial_displacement_replaces_the_search(initial):
-    move = uniform(30.3, 14.6)
-    a, b = particle_pair(move)
-    settings = MatchSettings.piv(search_x=None, search_y=None)
-    lost = match(a, b, settings)
-    start = {
-        "constant": (30.0, 15.0),
-        "field": (np.full(lost.u.shape, 30.0), np.full(lost.u.shape, 15.0)),
-        "displacement": match(a, b, MatchSettings.piv(search_x=(0, 40), search_y=(0, 20))),
-    }[initial]
-    d = match(a, b, settings, initial=start)
-    inside = interior(d, a.shape, 60)
-    assert rms(d, move, inside) < 0.01
-    assert rms(lost, move, inside) > 1
-
-
-def test_unknown_parts_of_an_initial_field_do_no_harm():
-    move = uniform(6.2, -3.4)
-    a, b = particle_pair(move)
-    u = np.full((a.shape[0] // 5, a.shape[1] // 5), 6.0, np.float32)
-    u[10:30, 10:30] = np.nan
-    d = match(a, b, initial=(u, np.full(u.shape, -3.0)))
-    assert np.isfinite(d.u).all()
-    assert rms(d, move, interior(d, a.shape)) < 0.01
-
-
 @pytest.mark.parametrize("sigma", [0.35, 0.675])
 def test_no_peak_locking(sigma):
     bias = []

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from wavefield.matching import Modes, PosteriorVariance, refined_prior
+from wavefield.matching.learned_spectrum import refined_prior
+from wavefield.matching.map_field import Modes
+from wavefield.matching.map_variance import PosteriorVariance
 from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, SHORTEST_WAVENUMBER, Prior, footprint
 
 SHAPE = (60, 66)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth
 
-from wavefield.matching import MatchSettings, displacement_area, match, prepare, reevaluate
-from wavefield.matching.spectrum import RESTORED_VARIANCE
+from wavefield.matching import MatchSettings, match, prepare
+from wavefield.matching.pyramid import reevaluate
+from wavefield.matching.spectrum import RESTORED_VARIANCE, displacement_area
 from wavefield.measurement.images import bead_width
 
 PIV = MatchSettings.piv()

@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from wavefield.matching import (
-    Modes,
-    PosteriorVariance,
-    Prior,
-    noise_factor_near_holes,
-    noise_of_scores,
-    refined_prior,
-    shrinkage,
-)
-from wavefield.matching.map_field import cosines
-from wavefield.matching.map_variance import hole_variance
+from wavefield.matching import Prior
+from wavefield.matching.learned_spectrum import refined_prior, shrinkage
+from wavefield.matching.map_field import Modes, cosines
+from wavefield.matching.map_variance import PosteriorVariance, hole_variance
+from wavefield.matching.noise import noise_factor_near_holes, noise_of_scores
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 

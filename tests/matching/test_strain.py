@@ -9,14 +9,8 @@ import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth
 
-from wavefield.matching import (
-    MatchSettings,
-    blocks,
-    kernels,
-    match,
-    prepare,
-    reevaluate,
-)
+from wavefield.matching import MatchSettings, blocks, kernels, match, prepare
+from wavefield.matching.pyramid import reevaluate
 
 F = np.float32
 SHAPE = (300, 340)

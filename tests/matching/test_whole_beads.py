@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 from matching_cases import interior, particle_pair, truth, uniform
 
-from wavefield.matching import MatchSettings, match, prepare, reevaluate, scores_at
+from wavefield.matching import MatchSettings, match, prepare
 from wavefield.matching.kernels import BLOCK, PAD, bead_blocks
+from wavefield.matching.pyramid import reevaluate, scores_at
 
 SETTINGS = MatchSettings.stereo(search_x=(-6.0, 6.0), search_y=(-6.0, 6.0))
 MOVE = uniform(1.3, -0.4)

@@ -4,8 +4,8 @@ import numpy as np
 from measurement_cases import around
 
 from wavefield.grid import Grid
-from wavefield.matching import displacement_area
 from wavefield.matching.kernels import BLOCK
+from wavefield.matching.spectrum import displacement_area
 from wavefield.measurement import GridGeometry, Model, learn, measure
 from wavefield.tank import Scene, Tank
 

@@ -1,39 +1,14 @@
-"""Displacement of image A to image B on a lattice of blocks, from arrays alone."""
+"""Displacement of image A to image B on a lattice of blocks, from arrays alone.
 
-from wavefield.matching.learned_spectrum import first_prior, refined_prior, shrinkage
-from wavefield.matching.map_field import Modes, edge_field
-from wavefield.matching.map_variance import PosteriorVariance
-from wavefield.matching.noise import (
-    noise_factor_near_holes,
-    noise_of_scores,
-    trust_in_scores,
-)
+`prepare` an image, `match` two of them. The measurement goes on from there: it evaluates blocks again at a
+displacement (pyramid.py), weighs them against a learned spectrum (spectrum.py, learned_spectrum.py,
+map_field.py) and takes the variance of the result (noise.py, map_variance.py). Loops over pixels are in
+kernels.py, loops over blocks in blocks.py.
+"""
+
 from wavefield.matching.prepared import PreparedImage, prepare
-from wavefield.matching.pyramid import match, reevaluate, scores_at
-from wavefield.matching.settings import Displacement, Evaluation, MatchSettings, Reason
-from wavefield.matching.spectrum import Prior, displacement_area, footprint, transfer_function
+from wavefield.matching.pyramid import match
+from wavefield.matching.settings import Displacement, MatchSettings, Reason
+from wavefield.matching.spectrum import Prior
 
-__all__ = [
-    "Displacement",
-    "Evaluation",
-    "MatchSettings",
-    "Modes",
-    "PosteriorVariance",
-    "PreparedImage",
-    "Prior",
-    "Reason",
-    "displacement_area",
-    "edge_field",
-    "first_prior",
-    "footprint",
-    "match",
-    "noise_factor_near_holes",
-    "noise_of_scores",
-    "prepare",
-    "reevaluate",
-    "refined_prior",
-    "scores_at",
-    "shrinkage",
-    "transfer_function",
-    "trust_in_scores",
-]
+__all__ = ["Displacement", "MatchSettings", "PreparedImage", "Prior", "Reason", "match", "prepare"]

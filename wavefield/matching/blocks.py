@@ -234,16 +234,6 @@ def to_finer(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=BORDER) * F(2)
 
 
-def to_coarser(field: np.ndarray, levels: int, shape: tuple[int, int]) -> np.ndarray:
-    """A displacement field of the finest level on the lattice and in px of the level `levels` above."""
-    if levels == 0:
-        return np.ascontiguousarray(field, np.float32)
-    q = 2**levels
-    padding = [(0, max(n * q - m, 0)) for n, m in zip(shape, field.shape)]
-    field = np.pad(np.asarray(field, np.float32), padding, mode="edge")[: shape[0] * q, : shape[1] * q]
-    return cv2.resize(field, shape[::-1], interpolation=cv2.INTER_AREA) / F(q)
-
-
 @njit
 def block_weights(
     mask_a: np.ndarray,

@@ -43,27 +43,11 @@ SLOPE_RINGS = 6  # from which the slope is fitted
 def first_prior(
     fields: Sequence[Float], window: Float, information: float, area: float = FOOTPRINT_VARIANCE
 ) -> Prior:
-    """Prior from windowed fields.
+    """Prior from windowed fields (c, ny, nx) of sample frames, without holes and less their edge slopes.
 
-    Parameters
-    ----------
-    fields : sequence of ndarray, (c, ny, nx)
-        Windowed fields of sample frames, without holes and less their edge slopes.
-    window : ndarray, (ny, nx)
-        Gain of the windows for every cosine mode.
-    information : float
-        Typical information of a block.
-    area : float
-        Variance of the area that a block's value represents, px^2.
-
-    Returns
-    -------
-    Prior
-
-    Notes
-    -----
-    The spectrum over the windows' gain, less the plateau of noise; a power law where it is less than three
-    times the plateau.
+    The spectrum over the gain of the windows for every cosine mode (ny, nx), less the plateau of noise; a
+    power law where it is less than three times the plateau. The information is that of a block, the area that
+    which a block's value represents, px^2.
     """
     kx, ky = wavenumbers(window.shape)
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
@@ -86,34 +70,17 @@ def refined_prior(
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
 ) -> Prior:
-    """Prior from the MAP fields that another prior gave.
+    """Prior from the coefficients (c, my, mx) of the MAP fields that another prior gave of sample frames.
 
-    Parameters
-    ----------
-    prior : Prior
-        The one used.
-    modes : Modes
-        Cosines of these fields.
-    waves : sequence of ndarray, (c, my, mx)
-        Cosine coefficients of the MAP fields of sample frames, less those of their prior mean.
-    information : float
-        Mean information of a block in them.
-    noise_alone : sequence of (ndarray, float), optional
-        Coefficients of fields that the same prior gave of noise alone, and their information: they measure
-        how noise changes from ring to ring. Its level is the least of the power over what is expected of it.
-
-    Returns
-    -------
-    Prior
-
-    Notes
-    -----
     Of a mode with spectrum S and noise N = 1 / (F^2 A), the MAP field keeps G = S / (S + N), and so
     G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring, and over those of
     every sector of it. A spectrum may have gaps and several peaks: a ring counts where S is significant
     against N. In gaps S is the upper limit of what could be there undetected. Beyond the last ring that
     counts it is a power law, no higher than that limit, with constant sectors. Directions are averaged over
     neighbouring rings, and sectors of few modes shrink to their ring.
+
+    Fields of noise alone that the same prior gave, with their information, measure how noise changes from
+    ring to ring. Its level is the least of the power over what is expected of it.
     """
     if not information > MIN_INFORMATION_SHARE * prior.information:  # nothing was visible
         return prior
@@ -217,25 +184,11 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:
-    """Fraction of a spectrum that is waves, from the variance of fields.
+    """Fraction of a spectrum that is waves, from the variance of fields and its parts by noise and by waves.
 
-    Parameters
-    ----------
-    variance : float
-        Of a field.
-    noise : float
-        The part of it that noise gives.
-    waves : float
-        The part of it that the spectrum would give.
+    It is 1 where the variance is half of what the spectrum would give, or four times that of the noise; less
+    in proportion.
 
-    Returns
-    -------
-    float
-        1 where the variance is half of what the spectrum would give, or four times that of the noise; less in
-        proportion.
-
-    Examples
-    --------
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.0)
     """

@@ -48,23 +48,9 @@ in_order = compiled(error_model="numpy")
 class Modes:
     """The cosine modes of a MAP field: those with more than a fiftieth of signal over noise.
 
-    Parameters
-    ----------
-    prior : Prior
-        Spectrum and typical information.
-    shape : tuple of int
-        Lattice (ny, nx).
-    requested : ndarray of bool, (ny, nx), optional
-        Blocks whose field is requested; all if left out.
-
-    Attributes
-    ----------
-    kx, ky : ndarray, (mx,) and (my, 1)
-        Wavenumbers along columns and rows, rad per block.
-    foot : ndarray, (my, mx)
-        Footprint of every mode.
-    inverse : ndarray, (1 or c, my, mx)
-        Inverse spectrum of every mode, of all components alike or of each.
+    The lattice is (ny, nx); where `requested` is false the field does not matter. Wavenumbers kx (mx,) and
+    ky (my, 1) are in rad per block; foot (my, mx) and inverse (1 or c, my, mx) are the footprint and the
+    inverse spectrum of the modes.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
@@ -118,50 +104,19 @@ class Modes:
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
-        """Split a field without holes into a smooth one with its edge slopes and cosines of the rest.
-
-        Parameters
-        ----------
-        field : ndarray, (c, ny, nx)
-            First estimate of the field.
-
-        Returns
-        -------
-        edges : ndarray of float32, (c, ny, nx)
-            The smooth field. Of slopes that noise exceeds only the fraction of waves is kept.
-        waves : ndarray of float32, (c, my, mx)
-            Coefficients of the rest.
+        """Split a field (c, ny, nx) without holes into a smooth one with its edge slopes and cosines of the
+        rest, (c, my, mx). Of slopes that noise exceeds the smooth field has only the fraction of waves.
         """
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
-        """Preconditioner for some information.
-
-        Parameters
-        ----------
-        information : ndarray of float32, (ny, nx)
-            A, or the mean of its two diagonal parts.
-
-        Returns
-        -------
-        tuple
-            For `solve`.
-        """
+        """Preconditioner for `solve` for an information (ny, nx), that of both components."""
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """Tolerances of the first and the second evaluation.
-
-        Parameters
-        ----------
-        information : ndarray of float32, (ny, nx)
-            A, or the mean of its two diagonal parts.
-
-        Returns
-        -------
-        float, float
-            For `solve`: closer where there are holes, in which the field converges last.
+        """Tolerances for `solve` in the first and the second evaluation for an information (ny, nx): closer
+        where there are holes, in which the field converges last.
         """
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
@@ -175,27 +130,12 @@ class Modes:
         factor: Factor,
         seen: Float | None = None,
     ) -> Float:
-        """Solve (F A F + 1/S) f = F b by preconditioned conjugate gradients.
+        """Solve (F A F + 1/S) f = F b by preconditioned conjugate gradients; return f, (c, my, mx).
 
-        Parameters
-        ----------
-        information : ndarray of float32, (1 or 3, ny, nx)
-            A of one field, or A_xx, A_xy, A_yy of two.
-        right : ndarray of float32, (c, ny, nx)
-            b = A u + s / nu, with c = 1 or 2 fields, u less its smooth part of `split`.
-        start : ndarray of float32, (c, my, mx)
-            First guess.
-        tolerance : float
-            Of the residual in its own uncertainty, rms over the modes.
-        factor : tuple
-            As given by `factor`.
-        seen : ndarray of float32, (c, ny, nx), optional
-            `seen` of the first guess, where it is at hand.
-
-        Returns
-        -------
-        ndarray of float32, (c, my, mx)
-            Coefficients of f.
+        information (1 or 3, ny, nx) is A of one field, or A_xx, A_xy, A_yy of two; right (c, ny, nx) is b =
+        A u + s / nu, u less its smooth part of `split`; start (c, my, mx) the first guess and seen its
+        `seen`, where it is at hand. The tolerance is that of the residual in its own uncertainty, rms over
+        the modes.
         """
         a, c = information, len(right)
         seen = self.seen(start) if seen is None else seen

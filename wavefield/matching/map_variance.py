@@ -31,17 +31,8 @@ MEASURED_RIM_WIDTH = 10  # blocks around a hole that are taken as measured: fart
 
 
 class PosteriorVariance:
-    """Variance of the MAP field, split into noise and the waves that the prior suppresses.
+    """Variance of the MAP field on a lattice (ny, nx): noise, and the waves that the prior suppresses.
 
-    Parameters
-    ----------
-    prior : Prior
-        Spectrum and typical information.
-    shape : tuple of int
-        Lattice (ny, nx).
-
-    Notes
-    -----
     For a uniform information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
     and 1/S / (F^2 A + 1/S)^2 the missing part of the waves. Where information differs from place to place the
     level of A is taken that equals the information around, weighted by the squared impulse response of its

@@ -24,31 +24,13 @@ RIM_WIDTH, RIM_SIGMA = 6, 2.0  # blocks: reach of the surroundings of a hole, an
 def noise_of_scores(
     score: Float, trace: Float, counts: Float, freedom: float, with_mismatches: bool = False
 ) -> Float:
-    """Noise nu of the scores, from the variance of clusters of scores.
+    """Variance nu of the scores (c, ny, nx) over their Hessian, (ny, nx), from that of clusters of blocks.
 
-    Parameters
-    ----------
-    score : ndarray of float32, (c, ny, nx)
-        Scores of the blocks.
-    trace : ndarray of float32, (ny, nx)
-        Sum of the Hessian's diagonal.
-    counts : ndarray of float32, (ny, nx)
-        1 for usable blocks, else 0.
-    freedom : float
-        Fraction of the scores' variance that remains after the fit (`Modes.freedom`).
-    with_mismatches : bool, default False
-        Whether parts of the images may not match at all, as where beads leave the image between two frames.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx)
-        Variance of a score over its Hessian.
-
-    Notes
-    -----
-    Clusters are of 5 x 5 usable blocks; their squares and Hessians are smoothed over 6 blocks. A fifth of the
-    mean information, with the typical noise, is added everywhere to regularize the ratio. The typical noise
-    is the mean, or the median where parts of the images may not match.
+    Clusters are of 5 x 5 usable blocks; their squares and Hessians are smoothed over 6 blocks. `trace` is the
+    sum of the Hessian's diagonal, `counts` 1 for usable blocks, else 0, `freedom` the fraction of the scores'
+    variance that remains after the fit (`Modes.freedom`). A fifth of the mean information, with the typical
+    noise, is added everywhere to regularize the ratio. The typical noise is the mean, or the median where
+    parts of the images may not match at all, as where beads leave the image between two frames.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -70,17 +52,8 @@ def noise_of_scores(
 
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
-    """Weight of blocks: below 1 in clusters whose scores are far larger than those around.
-
-    Parameters
-    ----------
-    score, trace, counts : ndarray of float32
-        As for `noise_of_scores`.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx)
-        Above 0, at most 1. It is small at the edges of objects and where beads enter or leave the image.
+    """Weight of blocks, (ny, nx), above 0: below 1 in clusters whose scores are far larger than those around,
+    as at the edges of objects and where beads enter or leave the image. Arguments as for `noise_of_scores`.
     """
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
@@ -105,24 +78,11 @@ def hole_mask(information: Float, typical_information: float) -> Mask:
 
 
 def noise_factor_near_holes(information: Float, factor: float) -> Float:
-    """Factor on the noise of the scores that is larger around holes.
+    """Factor on the noise of the scores around holes of the information, (ny, nx); 1 far from them.
 
-    Parameters
-    ----------
-    information : ndarray of float32, (ny, nx)
-        A of the blocks.
-    factor : float
-        At the rim of a hole; it falls to 1 within some eight blocks.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx)
-        1 far from holes; the lattice's edge is not a hole.
-
-    Notes
-    -----
     Errors of blocks that contain the same beads are correlated, but A is diagonal. That matters at holes,
-    where the field is extrapolated from the blocks at the rim, and errors grow with the distance.
+    where the field is extrapolated from the blocks at the rim, and errors grow with the distance. `factor` is
+    that at the rim; it falls to 1 within some eight blocks. The lattice's edge is not a hole.
     """
     hole = hole_mask(information, float(information.mean())).view(np.uint8)
     hole[:RIM_WIDTH] = hole[-RIM_WIDTH:] = 0

@@ -23,7 +23,6 @@ from wavefield.matching.settings import MatchSettings
 
 F = np.float32
 
-FILL_SIGMA = 16.0  # px: width of the surroundings whose mean fills masked pixels
 SATURATED_SIDE = 5  # px: of the smallest saturated patch
 MIN_LEVEL_SIDE = 8 * BLOCK  # px: pyramid levels with a smaller side are left out
 MAX_CELL_SIDE = 8  # px: side of the cells
@@ -125,7 +124,7 @@ class Mask:
             part = cv2.resize(usable[: 2 * h, : 2 * w] * np.uint8(255), (w, h), interpolation=cv2.INTER_AREA)
             usable = (part > 250).astype(np.uint8)
             levels.append(_usable_blocks(usable, number))
-        return Mask(good, tuple(levels), usable_share(good, settings.normalization or FILL_SIGMA))
+        return Mask(good, tuple(levels), usable_share(good, settings.normalization))
 
 
 def prepare(
@@ -202,7 +201,7 @@ def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
     """Write the normalised image inside its border; return the mask less its invalid and saturated pixels."""
-    width = settings.normalization or FILL_SIGMA
+    width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
         mask = _excluding(~finite, mask, settings)
@@ -210,12 +209,7 @@ def _normalize(
     if (saturated := _saturated(image, cells.largest, cells.brightest)) is not None:
         mask = _excluding(saturated, mask, settings)
         cells = NormalizationCells(image, width, mask.good)
-    if settings.normalization > 0:
-        cells.normalized(None if mask is None else mask.share, padded)
-    elif mask is not None:
-        cells.filled(mask.share, padded[PAD:-PAD, PAD:-PAD])
-    else:
-        np.copyto(padded[PAD:-PAD, PAD:-PAD], image, casting="unsafe")
+    cells.normalized(None if mask is None else mask.share, padded)
     return mask
 
 
@@ -388,13 +382,6 @@ class NormalizationCells:
         typical = F(np.median(every_second)) if every_second.size else F(0)
         scale = F(1) / np.maximum(std, max(MIN_RELATIVE_CONTRAST * typical, F(1e-6)))
         _normalize_image(self.image, self.usable, self._spread(mean), self._spread(scale), self.side, out)
-
-    def filled(self, share: np.ndarray, out: np.ndarray) -> None:
-        """Write the image, its pixels that are not usable replaced by the mean of their surroundings."""
-        h, w = out.shape
-        np.copyto(out, self.image, casting="unsafe")
-        mean = cv2.resize(self.local(0) / share, (w, h), interpolation=cv2.INTER_LINEAR)
-        np.copyto(out, mean, where=self.usable == 0)
 
     def _spread(self, field: np.ndarray) -> np.ndarray:
         """(ny, w) float32: a field of cells interpolated along its rows."""

@@ -19,7 +19,6 @@ from wavefield.matching.blocks import (
     step,
     subtract_slopes,
     subtract_strain,
-    to_coarser,
     to_finer,
     window_weights,
 )
@@ -36,7 +35,7 @@ from wavefield.matching.kernels import (
     work_space,
 )
 from wavefield.matching.prepared import NO_MASK, Level, PreparedImage, level_count, prepare
-from wavefield.matching.settings import Displacement, Evaluation, MatchSettings, Reason
+from wavefield.matching.settings import Displacement, MatchSettings, Reason
 from wavefield.matching.spectrum import RESTORED_VARIANCE, displacement_area
 from wavefield.parabola import parabola_vertex
 
@@ -44,9 +43,7 @@ from wavefield.parabola import parabola_vertex
 RIDGE_FRACTION = 0.01
 MAX_STEP = 1.5  # px
 _TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE  # px^2: slopes within blocks depend little on it
-Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
 MIN_CORRELATION = 0.3  # of windows: below, a block has no score and no Hessian
-NORMALIZATION_SIDE = 41  # px of the level: side of the box of its local normalisation
 
 njit = compiled(error_model="numpy")
 
@@ -55,22 +52,16 @@ def match(
     a: np.ndarray | PreparedImage,
     b: np.ndarray | PreparedImage,
     settings: MatchSettings | None = None,
-    mask: np.ndarray | None = None,
-    initial: Initial = None,
 ) -> Displacement:
     """Find the displacement of each block of image a to image b.
 
     Parameters
     ----------
     a, b : (h, w) array, or PreparedImage
-        The two images; prepare an image that is used in several matches once.
+        The two images; prepare an image that is masked, or used in several matches.
     settings : MatchSettings, optional
         Default `MatchSettings.piv()`, which searches 16 px in each direction. For larger displacements give
         `search_x` and `search_y`; for few or weak particles a larger `window` and a lower `min_correlation`.
-    mask : (h, w) bool, optional
-        True where pixels of both images may be used; for images that are not prepared.
-    initial : Displacement, or (u, v), optional
-        First estimate, px: fields on the same lattice or two numbers. It replaces the search.
 
     Returns
     -------
@@ -82,7 +73,7 @@ def match(
     FrameError
         If the images differ in size or cannot be matched.
     ValueError
-        If a prepared image does not suit the settings, or `initial` does not suit the lattice.
+        If a prepared image does not suit the settings.
 
     Notes
     -----
@@ -101,18 +92,16 @@ def match(
     (3.0, 2.0)
     """
     settings = MatchSettings.piv() if settings is None else settings
-    a, b = prepared_pair(a, b, settings, mask)
-    u, v = _coarse(a, b, settings, initial)
+    a, b = _prepared_pair(a, b, settings)
+    u, v = _coarse(a, b, settings)
     finest = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     return _finest(finest, u, v, settings.iterations[-1])
 
 
-def _coarse(
-    a: PreparedImage, b: PreparedImage, settings: MatchSettings, initial: Initial
-) -> tuple[np.ndarray, np.ndarray]:
+def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
     """Displacement by the coarse levels alone, u and v (ny, nx) on the finest lattice, px."""
     top = min(len(a.levels), settings.levels) - 1
-    u, v = _start(a.levels[top], b.levels[top], top, a.levels[0].blocks, settings, initial)
+    u, v = _start(a.levels[top], b.levels[top], top, settings)
     for number in range(top, 0, -1):
         pair = _LevelPair(a.levels[number], b.levels[number], settings.coarse_smoother_sigma, settings)
         u, v = _plain_steps(pair, u, v, settings.iterations[settings.levels - 1 - number])
@@ -120,27 +109,20 @@ def _coarse(
     return u, v
 
 
-def prepared_pair(
-    a: np.ndarray | PreparedImage,
-    b: np.ndarray | PreparedImage,
-    settings: MatchSettings,
-    mask: np.ndarray | None,
+def _prepared_pair(
+    a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, settings: MatchSettings
 ) -> tuple[PreparedImage, PreparedImage]:
     """Two images prepared for these settings, if they are not yet, and of one size."""
-    a, b = _prepared(a, settings, mask), _prepared(b, settings, mask)
+    a, b = _prepared(a, settings), _prepared(b, settings)
     if a.shape != b.shape:
         raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
     return a, b
 
 
-def _prepared(
-    image: np.ndarray | PreparedImage, settings: MatchSettings, mask: np.ndarray | None
-) -> PreparedImage:
+def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> PreparedImage:
     """The image prepared for these settings, if it is not yet."""
     if not isinstance(image, PreparedImage):
-        return prepare(image, settings, mask)
-    if mask is not None:
-        raise ValueError("give the mask when preparing the image")
+        return prepare(image, settings)
     if image.normalization != settings.normalization:
         raise ValueError(
             f"the image was prepared with normalization {image.normalization} px but the settings need "
@@ -154,40 +136,16 @@ def _prepared(
     return image
 
 
-def _start(
-    a: Level, b: Level, levels: int, finest: tuple[int, int], settings: MatchSettings, initial: Initial
-) -> tuple[np.ndarray, np.ndarray]:
+def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
     """Displacement at the coarsest level to begin with, px of that level."""
-    if initial is not None:
-        u, v = (to_coarser(field, levels, a.blocks) for field in initial_fields(initial, finest))
-        return u, v
-    if settings.search_x is not None and settings.search_y is not None:
-        factor = 2**levels
-        x_range, y_range = (
-            (int(np.floor(lo / factor)), int(np.ceil(hi / factor)))
-            for lo, hi in (settings.search_x, settings.search_y)
-        )
-        return search(a, b, x_range, y_range, settings)
-    return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
-
-
-def initial_fields(
-    initial: Displacement | tuple[np.ndarray | float, np.ndarray | float], shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The first estimate as two fields on the lattice, unknown parts filled with the median."""
-    if isinstance(initial, Displacement):
-        initial = initial.u, initial.v
-    fields = []
-    for value in initial:
-        field = np.asarray(value, np.float32)
-        if field.ndim and field.shape != shape:
-            raise ValueError(f"initial is on a lattice of {field.shape} blocks but the image has {shape}")
-        field = np.array(np.broadcast_to(field, shape))
-        known = np.isfinite(field)
-        if not known.all():
-            field[~known] = np.median(field[known]) if known.any() else 0
-        fields.append(field)
-    return fields[0], fields[1]
+    if settings.search_x is None or settings.search_y is None:
+        return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
+    factor = 2**levels
+    x_range, y_range = (
+        (int(np.floor(lo / factor)), int(np.ceil(hi / factor)))
+        for lo, hi in (settings.search_x, settings.search_y)
+    )
+    return _search(a, b, x_range, y_range, settings)
 
 
 class _LevelPair:
@@ -247,7 +205,7 @@ def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return slopes(u, v, _TYPICAL_AREA)
 
 
-def last_sums(
+def _last_sums(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
 ) -> np.ndarray:
     """(12, ny, nx): the sums of `final_sums` without weights."""
@@ -289,7 +247,7 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
             sums = np.empty((fields, *u.shape), np.float32)
             kernel(a.padded, b.padded, u, v, _slopes(u, v), c2, c2b2, pair.work, sums)
         else:
-            sums = last_sums(a, b, u, v, _slopes(u, v), pair.work)
+            sums = _last_sums(a, b, u, v, _slopes(u, v), pair.work)
         sums *= pair.count
         windowed = np.empty_like(sums)
         if settings.robust:
@@ -302,8 +260,8 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
         u, v, outlier = pair.advance(u, v, windowed[2:5], windowed[:2], number)
         if settings.robust:
             c2 = _robust_scale(windowed[5], pair.coverage, settings)
-    last = LastStep(sums, windowed, pair.coverage, u - before[0], v - before[1], outlier)
-    return assess(a, b, u, v, last, settings)
+    last = _LastStep(sums, windowed, pair.coverage, u - before[0], v - before[1], outlier)
+    return _assess(a, b, u, v, last, settings)
 
 
 def _robust_scale(rr: np.ndarray, coverage: np.ndarray, settings: MatchSettings) -> np.ndarray:
@@ -316,104 +274,37 @@ def _robust_scale(rr: np.ndarray, coverage: np.ndarray, settings: MatchSettings)
 
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
-) -> Evaluation:
-    """Evaluate the blocks of two images at a given displacement, without a step.
+) -> Displacement:
+    """Evaluate the blocks of two images at a displacement u, v (ny, nx), float32, px, without a step.
 
-    Parameters
-    ----------
-    a, b : PreparedImage
-        The two images.
-    u, v : (ny, nx) array
-        Displacement of every block, px.
-    settings : MatchSettings
-        Those of the match that gave the displacement.
-
-    Returns
-    -------
-    Evaluation
-        The blocks' scores, Hessians, correlation and reasons there.
-
-    Raises
-    ------
-    FrameError, ValueError
-        As for `match`.
-
-    Notes
-    -----
     b sampled at a displacement with slopes e_jk = dd_j/dx_k is strained. The images of beads only move and
     are not strained: the residual contains e_jk (delta_jk a + s^2 a_jk), with s^2 the variance of a bead's
     image; of a blurred texture s^2 e_jk a_jk alone. That is even around every bead, so that a complete bead
     contributes no score; beads cut by a block's edge do. So c e_jj a + s^2 e_jk a_jk is subtracted from the
     scores, with c from 0 to 1 and s^2 by least squares.
-
-    Examples
-    --------
-    >>> import numpy as np, cv2
-    >>> noise = np.random.default_rng(1).normal(128, 40, (200, 240)).astype(np.float32)
-    >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
-    >>> a, b = (prepare(f, MatchSettings.piv()) for f in (image, np.roll(image, 3, 1)))
-    >>> offset = np.full(a.levels[0].blocks, 2.9)
-    >>> evaluated = reevaluate(a, b, offset, 0 * offset, MatchSettings.piv())
-    >>> round(float((evaluated.score[0] / evaluated.hessian[0].clip(1e-9))[evaluated.valid].mean()), 1)
-    0.1
     """
-    a, b = prepared_pair(a, b, settings, None)
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
-    u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
     slope = _slopes(u, v)
-    sums = last_sums(pair.a, pair.b, u, v, slope, pair.work)
+    sums = _last_sums(pair.a, pair.b, u, v, slope, pair.work)
     sums *= pair.count
     subtract_strain(sums[:2], pair.a.strain, slope, pair.count)
     none, windowed = np.zeros(u.shape, np.float32), np.empty_like(sums)
     pair.windows(sums[5:], windowed[5:])  # no step is taken
-    last = LastStep(sums, windowed, pair.coverage, none, none, none > 0)
-    return evaluation(pair.a, pair.b, u, v, last, settings)
+    last = _LastStep(sums, windowed, pair.coverage, none, none, none > 0)
+    return _assess(pair.a, pair.b, u, v, last, settings)
 
 
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """Scores of the usable blocks at a displacement near the one that was found, for images of two cameras.
+    """The match of two cameras' images with the blocks' scores and Hessians at u, v (ny, nx), float32, px.
 
     Every pixel counts in the block in which the top of its bead lies: cameras see beads unequally bright, and
     a block that contains a part of one would seem to move. Blocks are not assessed again as by `reevaluate`:
-    those that the match rejected stay rejected.
-
-    Parameters
-    ----------
-    found : Displacement
-        The match: the share of its Hessians that both images have in common is used again.
-    a, b : PreparedImage
-        Its two images.
-    u, v : (ny, nx) array
-        Displacement of every block, px.
-
-    Returns
-    -------
-    Displacement
-        The match at the given displacement, with the blocks' scores there and their Hessians, 0 where a block
-        is not usable; the rest is unchanged.
-
-    Raises
-    ------
-    FrameError, ValueError
-        As for `match`.
-
-    Examples
-    --------
-    >>> import numpy as np, cv2
-    >>> noise = np.random.default_rng(1).normal(128, 40, (200, 240)).astype(np.float32)
-    >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
-    >>> a, b = (prepare(f, MatchSettings.piv()) for f in (image, np.roll(image, 3, 1)))
-    >>> found = match(a, b)
-    >>> evaluated = scores_at(found, a, b, found.u - 0.1, found.v)
-    >>> round(float((evaluated.score[0] / evaluated.hessian[0].clip(1e-9))[evaluated.valid].mean()), 1)
-    0.1
+    those that the match rejected stay rejected. Scores are 0 where a block is not usable.
     """
-    a, b = prepared_pair(a, b, found.settings, None)
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
-    u, v = initial_fields((u, v), pair.a.blocks)
     pair.update_weights(u, v)
     block, hessian = pair.a.beads
     sums = np.empty((u.size, 2), np.float32)
@@ -426,7 +317,7 @@ def scores_at(
     return replace(found, u=u, v=v, score=score, hessian=hessian * (shared * usable))
 
 
-def search(
+def _search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of every block to the best of all whole-pixel shifts, refined by parabolas.
@@ -435,11 +326,8 @@ def search(
     ny, nx = a.blocks
     w = nx * BLOCK
     margin = max(abs(n) for n in (*x_range, *y_range)) + 1
-    first, second = (
-        level.image if settings.normalization > 0 else _locally_normalized(level.image) for level in (a, b)
-    )
-    first = np.ascontiguousarray(first)
-    second = cv2.copyMakeBorder(second, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
+    first = np.ascontiguousarray(a.image)
+    second = cv2.copyMakeBorder(b.image, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
     weights = window_weights(settings.search_window)
     border = len(weights) // 2
     n = x_range[1] - x_range[0] + 1
@@ -453,16 +341,6 @@ def search(
     for _ in range(2):
         replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
-
-
-def _locally_normalized(image: np.ndarray) -> np.ndarray:
-    def mean(f: np.ndarray) -> np.ndarray:
-        return cv2.blur(f, (NORMALIZATION_SIDE, NORMALIZATION_SIDE), borderType=cv2.BORDER_REPLICATE)
-
-    image = image - mean(image)
-    variance = mean(image * image)
-    out: np.ndarray = image / np.sqrt(variance + F(0.01) * F(variance.mean()) + F(1e-12))
-    return out
 
 
 @njit
@@ -505,47 +383,28 @@ def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[
 
 
 @dataclass(frozen=True)
-class LastStep:
+class _LastStep:
     """The last step of a match, and the sums it was made of."""
 
     sums: np.ndarray  # (12, ny, nx): those of `final_sums`, per block
-    windowed: np.ndarray  # (12, ny, nx): over windows
+    windowed: np.ndarray  # (12, ny, nx): over windows; read from the sixth on
     coverage: np.ndarray  # (ny, nx): usable fraction of each window
     du: np.ndarray  # (ny, nx): the step, px
     dv: np.ndarray
     outlier: np.ndarray  # (ny, nx) bool: where the step was replaced by that of the neighbours
 
 
-def assess(
-    a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: LastStep, settings: MatchSettings
+def _assess(
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: _LastStep, settings: MatchSettings
 ) -> Displacement:
-    """The result of a match at its last displacement u, v (ny, nx), px."""
-    found = evaluation(a, b, u, v, last, settings)
-    ny, nx = u.shape
-    return Displacement(
-        x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
-        y=np.arange(ny) * float(BLOCK) + (BLOCK - 1) / 2,
-        u=u,
-        v=v,
-        correlation=found.correlation,
-        reason=found.reason,
-        settings=settings,
-        score=found.score,
-        hessian=found.hessian,
-    )
-
-
-def evaluation(
-    a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: LastStep, settings: MatchSettings
-) -> Evaluation:
-    """Scores and validity of the blocks at a displacement; reads the windowed sums from the sixth on."""
+    """Scores and validity of the blocks at a displacement u, v (ny, nx), px."""
     correlation, energy = _correlation(last)
     score, hessian = _own_scores(last, correlation)
     reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
-    return Evaluation(score, hessian, correlation, reason)
+    return Displacement(u, v, correlation, reason, settings, score, hessian)
 
 
-def _correlation(last: LastStep) -> tuple[np.ndarray, np.ndarray]:
+def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
     """Normalised correlation and matched gradient energy of the windows, (ny, nx)."""
     rr, sa, aa, sr, ar, ab = last.windowed[5:11]
     power = float(aa.mean() / F(BLOCK * BLOCK))
@@ -559,7 +418,7 @@ def _correlation(last: LastStep) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(correlation, F(-1), F(1)), ab * n
 
 
-def _own_scores(last: LastStep, correlation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _own_scores(last: _LastStep, correlation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Score (2, ny, nx) and Hessian (3, ny, nx) of every block after the step."""
     # the Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
     # the gradients is ratio / (2 - ratio), and 0 where their correlation is too low

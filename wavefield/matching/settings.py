@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.config_files import CHECKED
+from wavefield.matching.kernels import BLOCK
 
 Range = tuple[float, float]
 
@@ -37,7 +38,7 @@ class MatchSettings:
     relaxation : float
         Factor on every step; noise makes steps too short.
     normalization : float
-        Standard deviation of the window that normalises brightness, px; 0: none.
+        Standard deviation of the window that normalises brightness, px.
     search_x, search_y : (float, float) or None
         Smallest and largest displacement to search, px of the coarsest level; None: no search.
     search_window : float
@@ -73,17 +74,17 @@ class MatchSettings:
         object.__setattr__(self, "iterations", tuple(int(n) for n in self.iterations))
         if not self.iterations or min(self.iterations) < 0 or self.iterations[-1] < 1:
             raise ValueError("iterations: give one count per level, coarsest first, the last at least 1")
-        for name in ("window", "search_window", "relaxation", "max_deviation"):
+        for name in ("window", "search_window", "relaxation", "max_deviation", "normalization"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, not {getattr(self, name)}")
-        for name in (
+        not_negative = (
             "smoother_sigma",
             "coarse_smoother_sigma",
             "robust",
             "robust_beta",
-            "normalization",
             "min_gradient_energy",
-        ):
+        )
+        for name in not_negative:
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, not {getattr(self, name)}")
         if self.smoother_order < 1:
@@ -140,39 +141,11 @@ class Reason(IntFlag):
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """The blocks of two images at a given displacement.
-
-    Parameters
-    ----------
-    score, hessian : (2, ny, nx) and (3, ny, nx) float32
-        As of a `Displacement`.
-    correlation : (ny, nx) float32
-        Normalised correlation of the block's window, -1 to 1.
-    reason : (ny, nx) uint8
-        Bits of `Reason`; 0 where valid.
-    """
-
-    score: np.ndarray
-    hessian: np.ndarray
-    correlation: np.ndarray
-    reason: np.ndarray
-
-    @property
-    def valid(self) -> np.ndarray:
-        """(ny, nx) bool: blocks that match."""
-        out: np.ndarray = self.reason == 0
-        return out
-
-
-@dataclass(frozen=True)
 class Displacement:
     """Displacement on a lattice of blocks: b(x + u, y + v) matches a(x, y).
 
     Parameters
     ----------
-    x, y : (nx,), (ny,) float64
-        Block centres in pixels of a: 0-based, pixel centres at integers.
     u, v : (ny, nx) float32
         Displacement along columns and along rows (down), px.
     correlation : (ny, nx) float32
@@ -189,8 +162,6 @@ class Displacement:
         score is the block's own correction of the displacement.
     """
 
-    x: np.ndarray
-    y: np.ndarray
     u: np.ndarray
     v: np.ndarray
     correlation: np.ndarray
@@ -198,6 +169,16 @@ class Displacement:
     settings: MatchSettings
     score: np.ndarray
     hessian: np.ndarray
+
+    @property
+    def x(self) -> np.ndarray:
+        """(nx,) float64: block centres in pixels of a, 0-based, pixel centres at integers."""
+        return np.arange(self.u.shape[1]) * float(BLOCK) + (BLOCK - 1) / 2
+
+    @property
+    def y(self) -> np.ndarray:
+        """(ny,) float64: the same along rows."""
+        return np.arange(self.u.shape[0]) * float(BLOCK) + (BLOCK - 1) / 2
 
     @property
     def valid(self) -> np.ndarray:

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield import matching
-from wavefield.matching import Modes
 from wavefield.matching.blocks import slopes as slopes_of
+from wavefield.matching.map_field import Modes
+from wavefield.matching.noise import noise_of_scores, trust_in_scores
+from wavefield.matching.pyramid import reevaluate
 from wavefield.matching.spectrum import averaged
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel, Model
 from wavefield.measurement.pair import why_rejected
@@ -56,7 +58,7 @@ class FlowEstimate:
     harmonics: Float = field(repr=False)  # (2, ny, nx): second harmonics, px (`harmonics`)
     each: Float = field(repr=False)  # (2, ny, nx): diagonal of every block's A, px^-2
     # Scores and reasons to reject blocks at the last evaluation
-    found: matching.Displacement | matching.Evaluation = field(repr=False)
+    found: matching.Displacement = field(repr=False)
 
     @property
     def information(self) -> Float:
@@ -91,7 +93,7 @@ def map_displacement(
     The prior limits the displacement without harmonics. While spectra and noise are learned these count as
     waves: fields are open to noise then, whose harmonics would be learned.
     """
-    found: matching.Displacement | matching.Evaluation = match
+    found = match
     u = filled(match)
     edges, waves = modes.split(u)
     seen, a, beyond, beside = None, u, edges, np.zeros_like(u)
@@ -103,14 +105,14 @@ def map_displacement(
                 waves = waves - modes.waves(beside - before)
                 seen, beyond = modes.seen(waves), edges + averaged(beside, modes.prior.area)
             u = seen + beyond
-            found = matching.reevaluate(one, other, u[0], u[1], match.settings)
+            found = reevaluate(one, other, u[0], u[1], match.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
         if number:
-            trust = matching.trust_in_scores(found.score, trace, counts)
+            trust = trust_in_scores(found.score, trace, counts)
             outlier = (trust < MIN_TRUST) * np.uint8(matching.Reason.NEIGHBOURS)
             found, counts = replace(found, reason=found.reason | outlier), counts * trust
-        nu = matching.noise_of_scores(found.score, trace, counts, modes.freedom, with_mismatches=True)
+        nu = noise_of_scores(found.score, trace, counts, modes.freedom, with_mismatches=True)
         counts /= nu * np.float32(modes.prior.noise)
         a = found.hessian * counts
         right = found.score * counts

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield import matching
-from wavefield.matching import Modes
+from wavefield.matching.map_field import Modes
+from wavefield.matching.noise import noise_factor_near_holes, noise_of_scores
+from wavefield.matching.pyramid import scores_at
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel
 from wavefield.measurement.outliers import inconsistent_pairs, inconsistent_scores
@@ -134,7 +136,7 @@ def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
-    return matching.noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
+    return noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
@@ -143,7 +145,7 @@ def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     out = np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
     information = np.sum([one.hessian for one in pairs], axis=0) / out
-    return np.asarray(out * matching.noise_factor_near_holes(information, _NOISE_AT_HOLES))
+    return np.asarray(out * noise_factor_near_holes(information, _NOISE_AT_HOLES))
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
@@ -182,7 +184,7 @@ class _PairScores:
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
-        self.here, self.found = z, matching.scores_at(self.match.found, a, b, u, v)
+        self.here, self.found = z, scores_at(self.match.found, a, b, u, v)
         self._weigh()
 
     def score(self, z: Float) -> Float:

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
-from wavefield.matching import Modes, PosteriorVariance, Prior
+from wavefield.matching import Prior
+from wavefield.matching.map_field import Modes
+from wavefield.matching.map_variance import PosteriorVariance
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.regrid import local_coefficients, thin_plate
 from wavefield.one_thread import one_thread

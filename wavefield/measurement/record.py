@@ -18,8 +18,17 @@ from scipy.special import gammaincinv
 
 from wavefield import matching
 from wavefield.images import made_even
-from wavefield.matching import Modes, Prior
-from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, FOOTPRINT_VARIANCE, OPEN_SIGNAL_TO_NOISE
+from wavefield.matching import Prior
+from wavefield.matching.learned_spectrum import first_prior, refined_prior, shrinkage
+from wavefield.matching.map_field import Modes, edge_field
+from wavefield.matching.noise import noise_of_scores
+from wavefield.matching.spectrum import (
+    FIRST_SIGNAL_TO_NOISE,
+    FOOTPRINT_VARIANCE,
+    OPEN_SIGNAL_TO_NOISE,
+    displacement_area,
+    transfer_function,
+)
 from wavefield.measurement import elevation
 from wavefield.measurement.displacement import camera_flow, filled, map_displacement, motion_variance
 from wavefield.measurement.elevation import combine, first_information, map_elevation
@@ -284,7 +293,7 @@ def _displacement_samples(
     pool: ThreadPoolExecutor,
 ) -> list[_FieldSample]:
     """The displacement of one camera in the sample steps, where they show one."""
-    area = matching.displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
+    area = displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
 
     def sample_of(step: _SampleStep) -> _FieldSample:
         match, images = step.displacements[name], (step.first.raw[name], step.second.raw[name])
@@ -296,7 +305,7 @@ def _displacement_samples(
 
         counts = match.valid.astype(np.float32)
         trace = match.hessian[0] + match.hessian[2]
-        nu = matching.noise_of_scores(match.score, trace, counts, _FREEDOM, with_mismatches=True)
+        nu = noise_of_scores(match.score, trace, counts, _FREEDOM, with_mismatches=True)
         information = 0.5 * float((trace * counts / nu).mean()) / bare
         return _FieldSample(filled(match), information, area, bare, estimate)
 
@@ -309,10 +318,10 @@ def _first_spectrum(
 ) -> Prior:
     """Prior of fields of one kind: from windowed fields over the windows' gain, then refined twice."""
     kx, ky = (np.pi * np.arange(n) / n for n in samples[0].field.shape[:-3:-1])
-    window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
-    fields = [one.field - matching.edge_field(one.field) for one in samples]
+    window = transfer_function(settings, kx, ky[:, None]).clip(0, 1)
+    fields = [one.field - edge_field(one.field) for one in samples]
     typical = float(np.mean([one.information for one in samples]))
-    prior = matching.first_prior(fields, window, typical, samples[0].area)
+    prior = first_prior(fields, window, typical, samples[0].area)
     for ratio in (FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE):
         prior = _refined(samples, prior, ratio, pool)
     return prior
@@ -325,7 +334,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
     noise = pool.map(lambda one: one.noise(modes), [one for one in samples if one.noise])
     alone = [(field, own) for field, own in noise if own > 0]
-    return matching.refined_prior(prior, modes, waves, float(np.mean(information)), alone)
+    return refined_prior(prior, modes, waves, float(np.mean(information)), alone)
 
 
 def _elevation_prior(
@@ -338,7 +347,7 @@ def _elevation_prior(
     information, variance, epipolar = np.mean(each, axis=0)
     prior = replace(prior, information=float(information))
     waves, noise = (float(part[0]) for part in prior.variances(modes.lattice))
-    return replace(prior, wave_fraction=matching.shrinkage(variance, noise + epipolar, waves))
+    return replace(prior, wave_fraction=shrinkage(variance, noise + epipolar, waves))
 
 
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
@@ -411,7 +420,7 @@ def _differences(
         for name, one in zip(names, each, strict=True)
     ]
     variance = float(np.var(solved.d[:, good], axis=1, dtype=np.float64).sum())
-    fraction = matching.shrinkage(variance, noise_variance, float(np.mean(waves) * parts.sum()))
+    fraction = shrinkage(variance, noise_variance, float(np.mean(waves) * parts.sum()))
     shared: tuple[SharedMotion, ...] = ()
     if geometry.settings.sheet_thickness is None:
         missing = {name: one.missing for name, one in flows.items()}

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Displacement, Evaluation
+from wavefield.matching import Displacement
 from wavefield.matching.kernels import BLOCK
 from wavefield.measurement.displacement import FlowEstimate
 from wavefield.measurement.error_budget import RIPPLE_BLOCKS
@@ -112,7 +112,7 @@ def covariance(J: Float, K: Float) -> Float:
     return np.asarray(np.einsum("ikn,k,jkn->ijn", J, WAVE_VARIANCES, K))
 
 
-def block_residuals(found: Displacement | Evaluation) -> Float:
+def block_residuals(found: Displacement) -> Float:
     """Displacement of every block relative to the field at which it was evaluated, (2, ny, nx), px.
     NaN where a block has little texture in either direction.
     """
