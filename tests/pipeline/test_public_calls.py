@@ -97,8 +97,6 @@ def test_check_counts_frames_as_run_does_and_names_their_files(own_tank):
     assert str(found.cameras[0]).endswith("; not used: 3 after the record")
     assert found.steps == 13
     assert found.cameras[1].missing == ()  # no gaps are invented at the ends
-    remarks = [(r.subject, r.kind) for r in found.verdict.remarks if r.weight != "note"]
-    assert remarks == [("cam1", "missing frames"), ("cam3", "missing frames")]
     state = run(own_tank, workflow=HERE)
     assert [str(bad) for bad in state.bad_frames] == ["cam1: missing: frame 103"]
     assert state.steps == 13
