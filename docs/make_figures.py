@@ -304,9 +304,29 @@ def surface_statistics() -> Figure:
     return figure
 
 
+def uncertainty() -> Figure:
+    """Variance per decade of wavenumber that noise, prior and frames leave in the error of z."""
+    figure = Figure(figsize=(5.2, 2.6), layout="constrained")
+    axes = figure.subplots()
+    k = np.geomspace(4, 400, 300)
+    spectrum = k**-3.5 * np.exp(-((9 / k) ** 4)) * 9**3.5
+    noise = 2e-4 / np.exp(-2 * k**2 * 0.005**2)
+    gain = spectrum / (spectrum + noise)
+    phase = free_frequency(k) / 20.0
+    frames = (150 * np.cos(phase / 2) - 25 * np.cos(1.5 * phase) + 3 * np.cos(2.5 * phase)) / 128
+    axes.loglog(k, k**2 * spectrum, color=BLUE, label="waves, $S$")
+    axes.loglog(k, k**2 * gain**2 * noise, color=ORANGE, label="noise, $G^2 N$")
+    axes.loglog(k, k**2 * (1 - gain) ** 2 * spectrum, color=GREEN, label="prior, $(1 - G)^2 S$")
+    axes.loglog(k, k**2 * spectrum * (1 - frames) ** 2, color=GREY, label="frames, $S\\,|1 - K|^2$")
+    axes.set(xlabel="wavenumber k (rad/m)", ylabel="variance per decade (arbitrary)")
+    axes.set(xlim=(7, 400), ylim=(1e-4, 3e3))
+    axes.legend(fontsize=8, loc="upper right")
+    return figure
+
+
 FIGURES: tuple[Callable[[], Figure], ...] = (
     cameras, matching, map_estimate, surface, velocity, spectra, kinematics, fused_elevation, dispersion,
-    nonlinear_waves, surface_statistics,
+    nonlinear_waves, surface_statistics, uncertainty,
 )  # fmt: skip
 
 
