@@ -316,3 +316,17 @@ def test_names_that_look_like_the_placeholders_of_other_programs_are_read(tmp_pa
         (tmp_path / "run#1 at 50%d" / name).touch()
     assert list(number_frames("run#1 at 50%d/img_{frame}.tif", tmp_path, "cam1")) == [1, 2]
     assert list(number_frames("run#1 at 50%d/*.tif", tmp_path, "cam1")) == [1, 2]
+
+
+def test_folders_with_brackets_and_names_with_a_time_and_a_number_are_read(tmp_path):
+    """As FLIR, pco and Basler name them: `run-DATE TIME-NUMBER`; the time varies too."""
+    folder = tmp_path / "camera 1 [top]"
+    write_frames(folder, range(4))
+    series = open_frames(tmp_path, 'cam1: "camera 1 [top]/img_{frame:05d}.tif"')["cam1"]
+    assert numbers_read(series) == {n: n for n in range(4)}
+    for n in range(4):
+        (folder / f"img_{n:05d}.tif").rename(folder / f"run-05032024{101138 + n // 2}-{n}.tif")
+    with pytest.raises(ExperimentError, match=r"more than one number varies.*as in run-\*-\{frame\}\.tif"):
+        open_frames(tmp_path, 'cam1: "camera 1 [top]/run-*.tif"')
+    series = open_frames(tmp_path, 'cam1: "camera 1 [top]/run-*-{frame}.tif"')["cam1"]
+    assert numbers_read(series) == {n: n for n in range(4)}

@@ -68,6 +68,15 @@ def test_numbers_that_outgrow_their_zeros_stay_one_record(tmp_path):
     assert "4 images, 8 to 11" in propose(tmp_path)
 
 
+def test_names_with_a_time_and_a_number_are_proposed_as_one_camera_each(tmp_path):
+    for camera in ("flir1", "flir2"):
+        (tmp_path / camera).mkdir()
+        for k in range(12):
+            (tmp_path / camera / f"run-05032024{101138 + k // 4}-{k}.tif").touch()
+    cameras = yaml.safe_load(propose(tmp_path))["cameras"]
+    assert [one["images"] for one in cameras.values()] == [f"flir{k}/run-*-{{frame}}.tif" for k in (1, 2)]
+
+
 def test_a_folder_without_two_cameras_is_refused_with_its_content(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ExperimentError, match="there are no numbered images"):
