@@ -14,7 +14,7 @@ from series_cases import number_image, write_experiment, write_frames
 from wavefield.errors import ExperimentError
 from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
-from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern, newest_frames, number_frames
+from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern, number_frames
 from wavefield.series.readers import close_files
 from wavefield.variables import FrameFault
 
@@ -59,16 +59,6 @@ def test_numbers_are_those_in_the_names(numbers, pattern):
         zip(numbers, names)
     )
     assert _numbers_by_glob(names, "*", "cam1") == dict(zip(numbers, names))
-
-
-@pytest.mark.parametrize("images", ["img_{frame}.tif", "img_*.tif", "all.tif"])
-def test_the_newest_frames_are_those_of_the_whole_listing(tmp_path, images):
-    write_frames(tmp_path, [8, 9, 11, 101])
-    tifffile.imwrite(tmp_path / "all.tif", np.zeros((6, 9, 9), np.uint8), photometric="minisblack")
-    whole = number_frames(images, tmp_path, "cam1")
-    newest = newest_frames(images, tmp_path, "cam1", 3)
-    assert list(newest) == sorted(whole)[:-4:-1]
-    assert newest == {number: whole[number] for number in newest}
 
 
 def test_cameras_share_one_range_of_frames(tmp_path):

@@ -168,15 +168,6 @@ def test_a_polygon_of_many_corners_is_refused_at_once(tmp_path):
         Experiment.load(path)
 
 
-def test_passwords_in_addresses_of_images_stay_out_of_messages(tmp_path):
-    address = "memory://user:secret@host/cam1/img_{frame:03d}.tif?token=hidden"
-    experiment = Experiment.load(note(tmp_path, f"a: '{address}'", "frame_rate: 20\n"))
-    with pytest.raises(ExperimentError) as error:
-        experiment.open_frames()
-    assert "secret" not in str(error.value)
-    assert "hidden" not in str(error.value)
-
-
 def test_passwords_in_addresses_of_images_stay_out_of_attributes(tmp_path):
     from wavefield.pipeline.opened_run import image_names
 

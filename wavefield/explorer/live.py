@@ -22,7 +22,7 @@ from wavefield.measurement.pair import match_pair
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.frames import CameraMask, subtracted
-from wavefield.series.listing import newest_frames, number_frames
+from wavefield.series.listing import number_frames
 from wavefield.series.masks import covered_series, footprints
 from wavefield.series.mean_images import read_backgrounds, refuse_other_images
 from wavefield.series.readers import FrameEntry, read_entry
@@ -30,7 +30,6 @@ from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
 _STEPS_BACK = 3  # older steps tried if the newest frames cannot be read yet
-_LISTED_FRAMES = 1000  # newest frames; a running camera is never so far behind the others
 _MAX_DELAY_S = 1.0  # a camera further behind the others counts as stopped
 _STEPS = 2  # the newest steps, from which the record is learned
 _MIN_PAUSE_S = 5.0  # between two learnings
@@ -68,7 +67,7 @@ class FolderWatch:
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
-                listed = newest_frames(section.images, self.experiment.image_folder, name, _LISTED_FRAMES)
+                listed = number_frames(section.images, self.experiment.image_folder, name)
             except WavefieldError as error:
                 self.trouble[name] = str(error)
                 continue

@@ -24,9 +24,9 @@ from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
 from wavefield.sampling import from_first_to_last
 from wavefield.series import Experiment, FrameSeries
+from wavefield.series.formats.arrays import without_password
 from wavefield.series.frames import CameraMask
 from wavefield.series.masks import covered_series
-from wavefield.series.readers import without_password
 from wavefield.store.read import find_store, open_cube
 from wavefield.store.recipe import recipe_of, source_of, state_of
 from wavefield.store.store_paths import beside

@@ -8,7 +8,6 @@ import fnmatch
 import os
 import re
 from collections.abc import Mapping, Sequence
-from heapq import nlargest
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +15,9 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
+from wavefield.series.formats.arrays import is_remote, without_password
 from wavefield.series.frames import FrameSeries
-from wavefield.series.readers import (
-    FrameEntry,
-    Kind,
-    count_images,
-    is_remote,
-    list_remote,
-    read_entry,
-    without_password,
-)
+from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
 
 Numbered = dict[int, FrameEntry]
 Images = str | Sequence[str | None]  # as in the experiment file
@@ -49,15 +41,20 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
     _refuse_other_placeholders(name, folder, camera)
-    if is_remote(name):
-        return _from_store(name, camera)
     path = folder / name
-    if has_pattern(path.name) or _FRAME.search(name):
+    if is_remote(name):
+        if has_pattern(without_password(name)):
+            raise ExperimentError(
+                f"images of {camera}: {without_password(name)}: image files are read from disks; mount the "
+                "store, copy them, or put them into one Zarr array"
+            )
+    elif has_pattern(path.name) or _FRAME.search(name):
         prefix = str(path.parent) + os.sep
         names = _names(path, camera)
         return {number: FrameEntry("file", prefix + name) for number, name in sorted(names.items())}
-    kind, count = _count_images(path, camera)
-    return {i: FrameEntry(kind, str(path), i) for i in range(count)}
+    source = name if is_remote(name) else str(path)  # a path would lose one slash of an address
+    kind, count = _count_images(source, camera)
+    return {i: FrameEntry(kind, source, i) for i in range(count)}
 
 
 def _refuse_other_placeholders(name: str, folder: Path, camera: str) -> None:
@@ -75,31 +72,7 @@ def _refuse_other_placeholders(name: str, folder: Path, camera: str) -> None:
     )
 
 
-def newest_frames(images: Images, folder: Path, camera: str, count: int) -> Numbered:
-    """Give the newest images of a camera their frame numbers, however many there are."""
-    if isinstance(images, str) and not is_remote(images):
-        path = folder / images.replace("{camera}", camera)
-        if has_pattern(path.name) or _FRAME.search(images):
-            names = _names(path, camera)
-            newest = nlargest(count, names)
-            return {number: FrameEntry("file", str(path.parent / names[number])) for number in newest}
-    numbered = number_frames(images, folder, camera)
-    return {number: numbered[number] for number in nlargest(count, numbered)}
-
-
-def _from_store(address: str, camera: str) -> Numbered:
-    folder, _, pattern = address.rpartition("/")
-    if not has_pattern(pattern):
-        kind, count = _count_images(address, camera)
-        return {i: FrameEntry(kind, address, i) for i in range(count)}
-    try:
-        numbered = _numbered(list_remote(folder), pattern, folder, camera)
-    except FrameError as error:
-        raise ExperimentError(f"images of {camera}: {error}") from None
-    return {number: FrameEntry("remote", f"{folder}/{name}") for number, name in sorted(numbered.items())}
-
-
-def _count_images(path: Path | str, camera: str) -> tuple[Kind, int]:
+def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
     try:
         kind, count = count_images(path)
     except FrameError as error:
@@ -154,7 +127,7 @@ def _names(path: Path, camera: str) -> dict[int, str]:
     return _numbered(list_folder(path.parent, camera), path.name, path.parent, camera)
 
 
-def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: str) -> dict[int, str]:
+def _numbered(names: Sequence[str], pattern: str, folder: Path, camera: str) -> dict[int, str]:
     if len(_FRAME.findall(pattern)) > 1:
         raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
     if not _FRAME.search(pattern):
@@ -166,9 +139,8 @@ def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: st
         numbered = _numbers_by_pattern(names, before, after, camera)
     if not numbered:
         alike = sorted(name for name in names if name.endswith(Path(pattern).suffix)) or sorted(names)
-        shown = without_password(str(folder))
-        hint = f"the folder holds {alike[0]!r} and others" if alike else f"{shown} is empty"
-        raise ExperimentError(f"images of {camera}: no file in {shown} fits {pattern!r}; {hint}")
+        hint = f"the folder holds {alike[0]!r} and others" if alike else f"{folder} is empty"
+        raise ExperimentError(f"images of {camera}: no file in {folder} fits {pattern!r}; {hint}")
     return numbered
 
 

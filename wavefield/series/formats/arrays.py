@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +11,14 @@ import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_index, usual_interval
+from wavefield.text import one_line
 
 if TYPE_CHECKING:
     import h5py  # 12 MB in every worker, for the few who have such images
 
 _METADATA = ("zarr.json", ".zarray", ".zgroup", ".zmetadata")  # of a Zarr array or group
 _ENDINGS = (".h5", ".hdf5", ".nc")
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
 _SECONDS = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
@@ -142,7 +145,7 @@ class ZarrImages:
         try:
             return np.asarray(self._array[index])
         except Exception as error:
-            raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
+            raise FrameError(_without_secrets(f"{self.path}, image {index}: {error}", self.path)) from None
 
     def close(self) -> None:
         """Nothing stays open."""
@@ -157,7 +160,7 @@ def _open_zarr(path: str) -> Any:
     try:
         opened = zarr.open(path, mode="r")
     except Exception as error:
-        raise FrameError(f"{path} is not a Zarr array: {error}") from None
+        raise FrameError(_without_secrets(f"{path} is not a Zarr array: {one_line(error)}", path)) from None
     if isinstance(opened, zarr.Group):  # as xarray writes it
         if "image" not in opened:
             raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
@@ -167,3 +170,35 @@ def _open_zarr(path: str) -> Any:
     if len(opened.shape) != 3:
         raise FrameError(f"{path} has {len(opened.shape)} dimensions, images need three: time, row, column")
     return opened
+
+
+def is_remote(name: str) -> bool:
+    """Whether a name is an address rather than a path.
+
+    Examples
+    --------
+    >>> is_remote("s3://bucket/cam1.zarr"), is_remote("C://images/cam1"), is_remote("cam1/img_0.tif")
+    (True, False, False)
+    """
+    return bool(_ADDRESS.match(name))
+
+
+def without_password(address: str) -> str:
+    """An address without what gives access to it: user and password before the host, the query after it.
+
+    Examples
+    --------
+    >>> without_password("https://me:secret@host/cam1/{frame}.tif?token=abc")
+    'https://host/cam1/{frame}.tif'
+    """
+    if not is_remote(address):
+        return address
+    return re.sub(r"(://)[^/@]*@", r"\1", re.sub(r"\?[^/]*=.*$", "", address))
+
+
+def _without_secrets(message: str, address: str) -> str:
+    """A message about an address without what gives access to it."""
+    if is_remote(address):
+        for secret in re.findall(r"://([^/@]*)@", address) + re.findall(r"\?([^/]*=.*)$", address):
+            message = message.replace(secret, "...")
+    return message
