@@ -80,6 +80,7 @@ class Sight:
             return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
 
 
+_MIN_NODES = 3  # along each side of the grid
 _MIN_BLOCKS = 8  # along each side of the common view
 _MARGIN_BLOCKS = 4  # around the nodes: the windows of the outermost blocks need their surroundings
 _LENS_BLUR_PX = 0.6  # of a usual lens
@@ -127,6 +128,11 @@ def fit_plane(
     """The part of the plane where nodes x, y (ny, nx) appear at any height to the reference and a partner.
     The reference comes first. One partner is enough: a node moves to opposite sides in opposite cameras.
     """
+    if min(x.shape) < _MIN_NODES:
+        raise RigError(
+            f"the grid has {x.shape[1]} x {x.shape[0]} nodes, and slopes need {_MIN_NODES} along each side: "
+            "enlarge `grid`, or lower its step"
+        )
     lo, hi = np.full(2, np.inf), np.full(2, -np.inf)
     edge_x = np.concatenate([x[0], x[-1], x[:, 0], x[:, -1]])
     edge_y = np.concatenate([y[0], y[-1], y[:, 0], y[:, -1]])
@@ -140,10 +146,16 @@ def fit_plane(
     # beyond what the second widest of the views reaches, no two cameras see anything
     lo = np.maximum(lo, np.sort([view.min(axis=0) for view in views], axis=0)[1])
     hi = np.minimum(hi, np.sort([view.max(axis=0) for view in views], axis=0)[-2])
-    blocks = np.ceil((hi - lo) / (BLOCK * pixel)) + 2 * _MARGIN_BLOCKS
-    if not (blocks >= _MIN_BLOCKS + 2 * _MARGIN_BLOCKS).all():
+    if not (hi > lo).all():
         raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
-    nx, ny = (int(scipy.fft.next_fast_len(int(n))) for n in blocks)
+    blocks = np.ceil((hi - lo) / (BLOCK * pixel))
+    if blocks.min() < _MIN_BLOCKS:
+        width, height = 1e3 * (hi - lo)
+        raise RigError(
+            f"the grid is too small: two cameras see {width:.3g} mm by {height:.3g} mm of it, and matching "
+            f"needs {1e3 * _MIN_BLOCKS * BLOCK * pixel:.3g} mm along each side; enlarge `grid`, or leave it out"
+        )
+    nx, ny = (int(scipy.fft.next_fast_len(int(n) + 2 * _MARGIN_BLOCKS)) for n in blocks)
     x0, y0 = 0.5 * (lo + hi) - 0.5 * pixel * (np.array([nx, ny]) * BLOCK - 1)
     return RectifiedPlane((float(x0), float(y0)), pixel, (ny, nx))
 

@@ -64,6 +64,9 @@ def steps_with_waves(
     places = sorted({*usual, *evenly_spaced(steps, _SEARCHED_STEPS)})
     layout = PatchMatcher(lambda name, k: sources[name].read(k).image, geometry.rig, geometry.grid)
 
+    if not len(layout.x):  # the grid is narrower than a patch
+        return usual
+
     def moved(k: int) -> np.ndarray:
         first, second = (layout.sampled(name, frame) for frame in (k, k + 1))
         if first is None or second is None:
