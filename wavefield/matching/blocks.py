@@ -47,8 +47,8 @@ def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = No
 def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """A field (ny, nx) after the flat smoother 1 - (1 - G)^order, G a Gaussian of `sigma` blocks.
-    `weighting`, as given by `smoother_weights`, replaces G f by G(w f) / G(w).
+    """A field (ny, nx) after the flat smoother 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks.
+    With a `weighting` from `smoother_weights`, G f becomes the weighted mean G(w f) / G(w).
     """
     if sigma == 0:
         return field
@@ -69,14 +69,15 @@ def smoothed(
 
 
 def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of the blocks (ny, nx) and their norm, for `smoothed`: G becomes G(weight f) / G(weight)."""
+    """Weighting for `smoothed`: the weights (ny, nx) of the blocks, and G of them as the norm."""
     return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
 
 
 def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.ndarray:
-    """(4, ny, nx) float32: du/dx, du/dy, dv/dx, dv/dy per px, where u and v are averages over areas of a
-    variance, px^2, of the displacement before this average. Differences are of sixth order: those of
-    neighbours alone are a quarter too small for waves of five blocks.
+    """Displacement gradients du/dx, du/dy, dv/dx, dv/dy per px, (4, ny, nx) float32.
+    u and v are averages over areas of a `variance`, px^2; the gradients are those before averaging. Sixth
+    order,
+    because two-point differences are a quarter too small for waves of five blocks.
     """
     side = 0.5 * averaged_variance / BLOCK**2
     sharpened = np.array([-side, 1.0 + 2.0 * side, -side])
@@ -94,7 +95,7 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
 
 @njit
 def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
-    """Write a field with a margin that continues its slopes: reflected about the value at the edge."""
+    """Write a field with a margin that continues its slope: reflected about the value at the edge."""
     ny, nx = field.shape
     for j in range(ny):
         row, to = field[j], out[margin + j]
@@ -114,8 +115,8 @@ def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
 
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
-    """Turn sums (2, ny, nx) made with a displacement constant per block into those of one linear inside it.
-    In place; moments (9, ny, nx) are those of `gradient_moments`.
+    """Change sums (2, ny, nx) of a displacement constant in each block to those of a linear one, in place.
+    The moments (9, ny, nx) come from `gradient_moments`.
     """
     _, ny, nx = sums.shape
     for j in range(ny):
@@ -131,8 +132,9 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Remove from the scores (2, ny, nx), in place, the contribution of strain that the images do not have.
-    Moments (8, ny, nx) of `strain_moments`; returns c and s^2 of `reevaluate`, by least squares of the sums.
+    """Subtract from the scores (2, ny, nx), in place, what strained beads would contribute (see
+    `reevaluate`).
+    The moments (8, ny, nx) come from `strain_moments`. Returns the fitted c and s^2.
     """
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
@@ -159,7 +161,7 @@ def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
 def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
-    """Inner products of both with themselves, each other and the sums, in double precision, in order."""
+    """Inner products of the two strain scores with each other and with the scores, in a fixed order."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
@@ -211,8 +213,9 @@ def step(
 
 
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
-    """Replace vectors further than `limit` px from the median of their 5 x 5 neighbours by it, in place.
-    Returns a mask (ny, nx), True where vectors were replaced.
+    """Replace vectors more than `limit` px from the median of their 5 x 5 neighbours by that median, in
+    place.
+    Returns a mask (ny, nx) of the replaced vectors.
     """
     median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
     outlier: np.ndarray = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
@@ -229,7 +232,7 @@ def _doubling_maps(coarse: tuple[int, int], fine: tuple[int, int]) -> tuple[np.n
 
 
 def to_finer(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """A displacement field in px of one level, on the lattice and in px of the next finer level."""
+    """A displacement field on the lattice and in the pixels of the next finer level."""
     x, y = _doubling_maps(field.shape, shape)
     return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=BORDER) * F(2)
 
@@ -245,8 +248,8 @@ def block_weights(
     out: np.ndarray,
     block: int = BLOCK,
 ) -> None:
-    """Write weight 1 for blocks inside b without masked pixels, 0 for the others, into `out`.
-    Masks (h, w) uint8: 1 where all of the block around the pixel is usable; of size 0 if nothing is masked.
+    """Write 1 for blocks that lie inside image b and hold no masked pixel, else 0, into `out`.
+    Masks (h, w) uint8 are 1 where the whole block around a pixel is usable; empty if nothing is masked.
     """
     ny, nx = u.shape
     for j in range(ny):

@@ -37,7 +37,7 @@ inlined = compiled(fastmath=True, error_model="numpy", forceinline=True)
 
 
 class WorkSpace(NamedTuple):
-    """Arrays that the kernels write before they read them; one for each thread."""
+    """Scratch arrays of the kernels, one set per thread."""
 
     position: Array  # (2, nx) float32: column and row of b at which a block begins
     whole: Array  # (2, nx) int32: their whole part
@@ -66,8 +66,9 @@ def work_space(nx: int) -> WorkSpace:
 
 @njit
 def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
-    """Row y of an image smoothed with the quintic B-spline along y, and its exact derivative along y.
-    image (h + 2 PAD, w + 2 PAD) has its border; s and d (w + 4) begin two pixels before the image.
+    """Row y of an image smoothed by the quintic B-spline along y, and its derivative along y.
+    image (h + 2 PAD, w + 2 PAD) includes its border; the outputs s, d (w + 4) start two pixels left of the
+    image.
     """
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
@@ -80,7 +81,7 @@ def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
 
 @njit
 def _value(s: Array, x: int) -> np.float32:
-    """The spline along the row at pixel x, s beginning two pixels before it."""
+    """Smooth along the row: the spline at pixel x of s, which starts two pixels left of the image."""
     out: np.float32 = (
         F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
     )
@@ -89,7 +90,7 @@ def _value(s: Array, x: int) -> np.float32:
 
 @njit
 def _slope(s: Array, x: int) -> np.float32:
-    """Its derivative there."""
+    """Derivative along the row of the spline at pixel x."""
     out: np.float32 = F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
     return out
 
@@ -118,7 +119,7 @@ def _fold(row: Array, out: Array) -> None:
 
 @njit
 def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Sums per block of products of a's gradients: alone, times x and times y in the block, (9, ny, nx)."""
+    """Sums per block of the products of a's gradients, times 1, x and y in the block: (9, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -151,7 +152,7 @@ def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
 
 @inlined
 def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
-    """As `_spline_columns`, and the second derivative along y into e (w + 4)."""
+    """As `_spline_columns`, with the second derivative along y in e (w + 4)."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -165,7 +166,7 @@ def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
 
 @inlined
 def _bend(s: Array, x: int) -> np.float32:
-    """The second derivative of the spline along the row."""
+    """Second derivative along the row of the spline at pixel x."""
     out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
     return out
 
@@ -188,7 +189,7 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Sums per block of products of a's gradients with a and with its second derivatives: (8, ny, nx)."""
+    """Sums per block of a's gradients times a and times its second derivatives: (8, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -214,8 +215,10 @@ def _block_reader(
     along_x: types.Type,
     along_y: types.Type,
 ) -> tuple[Signature, Callable[..., ir.Value]]:
-    """Sample BLOCK rows of LANES pixels of `image` between its pixels: TAPS taps along x, then TAPS along y.
-    It reads from the element `start` on, rows `stride` apart, and writes from `to` on, rows `width` apart.
+    """Make a function that samples BLOCK rows of LANES pixels of `image` at a fractional position.
+    It uses TAPS weights along x, then along y; reads from element `start` with row length `stride`, and
+    writes
+    from element `to` with row length `width`.
     """
 
     def build(
@@ -284,13 +287,13 @@ def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
 
 @njit
 def _get(taps: Array, b: int) -> tuple[np.float32, ...]:
-    """The taps of one block as a tuple: they stay in registers."""
+    """The taps of one block as a tuple, which stays in registers."""
     return taps[0, b], taps[1, b], taps[2, b], taps[3, b], taps[4, b], taps[5, b]
 
 
 @njit
 def _spread(values: Array, out: Array) -> None:
-    """Spread values per block over the pixels of the blocks."""
+    """Copy a value per block to all pixels of a row of the block."""
     for b in range(len(values)):
         for k in range(BLOCK):
             out[b * BLOCK + k] = values[b]
@@ -298,7 +301,7 @@ def _spread(values: Array, out: Array) -> None:
 
 @njit
 def _spread_ramps(slopes: Array, out: Array) -> None:
-    """In each block the line of this slope through zero at the block's middle."""
+    """In each block a line of the given slope that is 0 at the block's middle."""
     for b in range(len(slopes)):
         for k in range(BLOCK):
             out[b * BLOCK + k] = slopes[b] * (F(k) - MID)
@@ -306,7 +309,7 @@ def _spread_ramps(slopes: Array, out: Array) -> None:
 
 @njit
 def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> None:
-    """Sample b under one row of blocks, each at its own displacement, into `strip`."""
+    """Sample image b below one row of blocks, each shifted by its own displacement, into `strip`."""
     position, whole, taps, strip = work.position, work.whole, work.taps, work.strip
     nx = len(u)
     h, w = image.shape
@@ -335,8 +338,8 @@ def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
 
 @njit
 def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
-    """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block: (2, ny, nx).
-    first, second (h + 2 PAD, w + 2 PAD) have their border; u, v (ny, nx) are the displacement, px.
+    """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant in the block: (2, ny, nx).
+    The images first, second (h + 2 PAD, w + 2 PAD) include their border; u, v (ny, nx) are d, px.
     """
     n = u.shape[1] * BLOCK
     s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
@@ -357,7 +360,7 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
 
 @njit
 def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
-    """Slopes of the displacement (4, ny, nx) of one row of blocks, spread over its pixels."""
+    """Copy the displacement gradients (4, ny, nx) of one row of blocks to its pixels."""
     _spread_ramps(slopes[0, by], rows[5])
     _spread(slopes[1, by], rows[6])
     _spread_ramps(slopes[2, by], rows[7])
@@ -505,8 +508,8 @@ def _unweighted_row(
 
 @njit
 def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
-    """Sums of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip.
-    a, r (BLOCK, n + 4) begin one pixel before the sums (n).
+    """Sums of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip, for n pixels.
+    a and r (BLOCK, n + 4) start one pixel left of the first sum.
     """
     s5, s6, s7, s8, s9, s10, s11 = totals
     for x in range(len(s5)):
@@ -535,7 +538,7 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def unweighted_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """The sums of `final_sums` with every weight 1, but those of a's gradients: 9 of (12, ny, nx)."""
+    """The sums of `final_sums` with all weights 1, without those of a's gradients: 9 of the 12 planes."""
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -562,8 +565,8 @@ def unweighted_sums(
 
 @njit
 def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.int32, out: Array) -> None:
-    """Number in the image of the largest of every pixel and its eight neighbours, for a row of pixels.
-    The rows of the image begin one pixel earlier; `first` is the number of the first pixel.
+    """For a row of pixels: number of the brightest pixel among each pixel and its eight neighbours.
+    The input rows start one pixel to the left; `first` is the number of the first pixel in the image.
     """
     for x in range(len(out)):
         at = np.int32(first + x)
@@ -582,7 +585,10 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
-    """Number of the block that holds the top of each pixel's bead, (h, w); nothing beside out is higher."""
+    """Number of the block that holds the top of each pixel's bead, (h, w).
+    From each pixel the steepest ascent leads to the top. The border of the image must be lower than its
+    inside.
+    """
     h, w = out.shape
     for y in range(h):
         r = y + PAD
@@ -603,7 +609,9 @@ def bead_blocks(image: Array, out: Array) -> None:
 
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
-    """Sums of gx gx, gx gy, gy gy over the beads of blocks, (ny nx, 3); block (h, w) is a pixel's."""
+    """Sums of gx gx, gx gy, gy gy over the pixels assigned to each block, (ny nx, 3).
+    block (h, w) is the assignment from `bead_blocks`.
+    """
     h, n = block.shape
     out[:] = F(0)
     gx, gy = work.rows[3], work.rows[4]
@@ -641,7 +649,7 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Sums of gx r and gy r over the beads of every block, (ny nx, 2); as in `unweighted_sums`."""
+    """Sums of gx r and gy r over the pixels assigned to each block, (ny nx, 2); r as in `unweighted_sums`."""
     n = u.shape[1] * BLOCK
     rows = work.rows
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -662,8 +670,9 @@ def bead_scores(
 
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
-    """Sums per block of a b for b shifted by dy rows and by `first`, `first` + 1, ... columns.
-    b (h + 2 margin, w + 2 margin); row (nx BLOCK,); out (ny, shifts, nx + 2 border), its border replicated.
+    """Sums per block of a b, with b shifted by dy rows and by `first`, `first` + 1, ... columns.
+    b (h + 2 margin, w + 2 margin); row (nx BLOCK,) is scratch; out (ny, shifts, nx + 2 border) has its edge
+    repeated in the border.
     """
     ny, n, width = out.shape
     nx = len(row) // BLOCK

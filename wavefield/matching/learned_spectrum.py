@@ -43,11 +43,11 @@ SLOPE_RINGS = 6  # from which the slope is fitted
 def first_prior(
     fields: Sequence[Float], window: Float, information: float, area: float = FOOTPRINT_VARIANCE
 ) -> Prior:
-    """Prior from windowed fields (c, ny, nx) of sample frames, without holes and less their edge slopes.
+    """Prior from windowed fields (c, ny, nx) of sample frames without holes, their edge slopes subtracted.
 
-    The spectrum over the gain of the windows for every cosine mode (ny, nx), less the plateau of noise; a
-    power law where it is less than three times the plateau. The information is that of a block, the area that
-    which a block's value represents, px^2.
+    For every cosine mode (ny, nx): its power less the noise plateau, divided by the gain of the windows; a
+    power law where that is below three times the plateau. `information` is that of a block; `area` is what
+    the value of a block averages over, px^2.
     """
     kx, ky = wavenumbers(window.shape)
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
@@ -117,8 +117,8 @@ def _signals_and_noise(
     binning: WavenumberRings,
     noise_alone: Sequence[tuple[Float, float]],
 ) -> tuple[Float, Float, Float]:
-    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings, over gains.
-    Fields of noise alone show how it changes from ring to ring; its level is that of rings without waves.
+    """Power of waves in rings (c, rings) and sectors (c, sectors, rings) and of noise in rings, gains undone.
+    Fields of pure noise give its shape over the rings; rings without waves give its level.
     """
 
     def block_noise(of: float) -> Float:
@@ -142,7 +142,7 @@ def _signals_and_noise(
 def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
-    """Mean power of MAP fields of a spectrum, and of their noise, over the squared gain."""
+    """Mean power of MAP fields of a spectrum, and of their noise, divided by the squared gain."""
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
     squared_gain = np.square(spectrum / (spectrum + noise))
@@ -153,8 +153,8 @@ def _over_gain(
 def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
-    """Fraction of the limits of rings without significant waves that their fields contain.
-    By least squares of the power over noise, of which the level is uncertain: a + b (limit over noise).
+    """Fraction of the upper limits that rings without significant waves really contain.
+    From a straight-line fit of power over noise against limit over noise.
     """
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
@@ -166,8 +166,9 @@ def _undetected_fraction(
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
-    """Sectors over their rings, (c, sectors, rings), averaged over neighbouring rings and shrunk to 1.
-    Constant beyond the last significant ring of each component.
+    """Power of the sectors relative to their ring, (c, sectors, rings).
+    Averaged over neighbouring rings, shrunk towards 1 where modes are few, and constant beyond the last
+    significant ring of each component.
     """
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
@@ -198,7 +199,7 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """Power over noise of rings without waves: the least mean over neighbouring rings."""
+    """Power over noise of rings without waves: the smallest mean over neighbouring rings."""
     if ratio.size < NOISE_RINGS:
         return 1.0
     box = np.ones(NOISE_RINGS)
@@ -213,7 +214,7 @@ def _extrapolated(
     noise: float,
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
-    """The spectrum with a power law, no higher than the upper limit, beyond its first `last` rings."""
+    """The spectrum continued beyond its first `last` rings by a power law, at most the upper limit."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]

@@ -100,23 +100,23 @@ class Modes:
         return self._cosines.field(waves)
 
     def seen(self, waves: Float) -> Float:
-        """Field averaged over the footprint of the blocks, (c, ny, nx)."""
+        """The field as blocks see it, averaged over their footprint, (c, ny, nx)."""
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
-        """Split a field (c, ny, nx) without holes into a smooth one with its edge slopes and cosines of the
-        rest, (c, my, mx). Of slopes that noise exceeds the smooth field has only the fraction of waves.
+        """Split a field (c, ny, nx) without holes into a smooth part and cosine coefficients (c, my, mx).
+        The smooth part has the slopes at the edges, which cosines cannot have; noisy slopes are reduced.
         """
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
-        """Preconditioner for `solve` for an information (ny, nx), that of both components."""
+        """Preconditioner for `solve` with the information (ny, nx), the same for both components."""
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """Tolerances for `solve` in the first and the second evaluation for an information (ny, nx): closer
-        where there are holes, in which the field converges last.
+        """Tolerances of `solve` for the first and the second evaluation with the information (ny, nx).
+        They are smaller if there are holes, where the field converges last.
         """
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
@@ -164,7 +164,7 @@ class Modes:
 
 
 def _apply_information(a: Float, field: Float) -> Float:
-    """A times a field, (c, ny, nx)."""
+    """Multiply a field (c, ny, nx) by the information A."""
     if len(field) == 1:
         return a * field
     u, v = field
@@ -196,7 +196,7 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
 
 
 def _freedom(gain: Float) -> float:
-    """Fraction of the variance of clusters of scores that remains after a fit with this gain."""
+    """Fraction of the variance of clustered scores that remains after a fit with this gain."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
@@ -261,25 +261,25 @@ class Cosines:
         return out
 
     def split_parities(self, waves: Float) -> Float:
-        """Coefficients (c, my, mx) by parity."""
+        """Sort coefficients (c, my, mx) into even and odd modes along both axes."""
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
 
     def merge_parities(self, by_parity: Float) -> Float:
-        """Coefficients (c, my, mx) from those by parity."""
+        """Inverse of `split_parities`: coefficients (c, my, mx)."""
         c = by_parity.shape[3]
         return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
 
     def quarters(self, field: Float) -> Float:
-        """Quarters of a field (c, ny, nx): its even and odd parts."""
+        """Even and odd parts of a field (c, ny, nx) along both axes, each on a quarter of the lattice."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """A field (c, ny, nx) at the four mirrored positions, (2, 2, c, hy, hx)."""
+        """A field (c, ny, nx) as its values at the four mirror-image positions, (2, 2, c, hy, hx)."""
         (ny, nx), (hy, hx) = self.lattice, self._half
         # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -290,7 +290,7 @@ class Cosines:
         return out
 
     def quarters_of(self, by_parity: Float) -> Float:
-        """Quarters from coefficients by parity."""
+        """Inverse of `coefficients_of`: quarters of a field from coefficients sorted by parity."""
         _, my, _, c, mx = by_parity.shape
         hy, hx = self._half
         # rows in the middle: modes along y are the smaller part of their cosines
@@ -303,7 +303,7 @@ class Cosines:
         return out.reshape(2, hy, 2, c, hx)
 
     def coefficients_of(self, quarters: Float) -> Float:
-        """Coefficients by parity from quarters."""
+        """Cosine coefficients, sorted by parity, of a field given as quarters."""
         _, hy, _, c, hx = quarters.shape
         my, mx = self.shape[0] // 2, self.shape[1] // 2
         part = np.matmul(self._rows, quarters.reshape(2, hy, 2 * c * hx)).reshape(2 * my, 2, c, hx)
@@ -367,7 +367,7 @@ def multiply(a: Float, quarters: Float) -> None:
 
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """Values at the four mirrored positions from the four parities, and back but for a factor."""
+    """From the four parities of a value to its four mirror images, or back (without the factor 1/4)."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 
@@ -437,7 +437,7 @@ def edge_field(field: Float) -> Float:
 
 
 def _with_slopes_along_x(field: Float) -> Float:
-    """The field with the slopes at the first and the last column, smoothed along these."""
+    """A field with the slopes of the first and last column, smoothed along the columns."""
     fit, profile, smoother = _tables(*field.shape[1:])
     first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
     return np.asarray(last[..., None] * profile - first[..., None] * profile[::-1])
@@ -445,7 +445,7 @@ def _with_slopes_along_x(field: Float) -> Float:
 
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
-    """Weights of a line's slope, profile (nx,) of slope 1 at the last column, smoother (ny, ny) along it."""
+    """For `edge_field`: weights of a slope, a profile (nx,) with slope 1 at the end, a smoother (ny, ny)."""
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
@@ -457,7 +457,7 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
 
 
 class Preconditioner:
-    """Tables of the exact block, the same for all components of a field on a lattice (ny, nx).
+    """Preconditioner of `Modes.solve`: diagonal, and an exact block of the strongest modes.
     ratio, inverse and foot (my, mx): signal over noise, inverse spectrum and footprint of the modes.
     """
 
@@ -481,7 +481,7 @@ class Preconditioner:
         self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def factor(self, information: Float) -> Factor:
-        """Cholesky factor of the exact block and its scale for an information (ny, nx)."""
+        """Cholesky factor of the exact block and its scaling, for an information (ny, nx)."""
         table = self._sum_rows @ information @ self._sum_columns
         scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._norm.size
@@ -493,7 +493,7 @@ class Preconditioner:
         return lower, scale.astype(np.float32)
 
     def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
-        """Write the next step; return its product with the residual."""
+        """Write the preconditioned residual for the next step; return its product with the residual."""
         lower, scale = factor
         positions = self._positions[residual.shape[3]]
         gathered = np.empty(positions.shape, F)
@@ -515,7 +515,7 @@ def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None
 def _preconditioned(
     diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
 ) -> F:
-    """Write the preconditioned residual, diagonal and exact part; return its product with the residual."""
+    """Apply the diagonal and the exact block to the residual; return the product with the residual."""
     for i in range(len(out)):
         out[i] = diagonal[i] * residual[i]
     for n in range(len(positions)):
@@ -529,7 +529,7 @@ def _preconditioned(
 
 @in_order
 def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
-    """Lower triangle of F A F + 1/S among some modes, scaled: products of cosines are sums of cosines."""
+    """Lower triangle of F A F + 1/S for some modes, scaled. Products of cosines are sums of cosines."""
     for p in range(iy.size):
         for q in range(p + 1):
             y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]

@@ -31,12 +31,12 @@ MEASURED_RIM_WIDTH = 10  # blocks around a hole that are taken as measured: fart
 
 
 class PosteriorVariance:
-    """Variance of the MAP field on a lattice (ny, nx): noise, and the waves that the prior suppresses.
+    """Variance of the MAP field on a lattice (ny, nx), as noise and as waves that the prior suppresses.
 
-    For a uniform information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
-    and 1/S / (F^2 A + 1/S)^2 the missing part of the waves. Where information differs from place to place the
-    level of A is taken that equals the information around, weighted by the squared impulse response of its
-    own level. The additional variance inside holes is tabulated for round ones by radius and depth.
+    For uniform information A a mode has the variance 1 / (F^2 A + 1/S): the part F^2 A / (F^2 A + 1/S)^2 is
+    noise, the part 1/S / (F^2 A + 1/S)^2 missing waves. Where information varies, a block gets the value for
+    the mean information around it, weighted by the squared impulse response of the estimate. The additional
+    variance in holes is tabulated for round holes by radius and depth.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -71,7 +71,7 @@ class PosteriorVariance:
         return [hole_variance(variance, 1.0 / self.typical_information) for variance in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
-        """Variance by noise and by missing waves, each (1 or c, ny, nx), for the information (ny, nx)."""
+        """Variances of noise and of missing waves, each (1 or c, ny, nx), for the information (ny, nx)."""
         waves = self._forward[0] @ (information @ self._forward[1])
         x = self._inverse[0] @ ((self._kernels * waves) @ self._inverse[1])
         log_variances = np.empty((len(self._variance), *x.shape[1:]), np.float32)
@@ -91,7 +91,7 @@ class PosteriorVariance:
         return noise, missing
 
     def _to_full_lattice(self, some: Float) -> Float:
-        """From every fourth block to all."""
+        """Interpolate from every fourth block to all blocks."""
         ny, nx = self.shape
         scale = np.array([[EVERY, 0.0, 0], [0, EVERY, 0.0]])
         return cv2.warpAffine(some, scale, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -99,8 +99,8 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Variances at the level whose information equals that of the surroundings, x per level.
-    log (levels,) and variance (n, levels) are logarithms, the richest level first.
+    """Variances for the level of information that equals the surrounding mean; x per level.
+    log (levels,) and variance (n, levels) are logarithms, highest information first.
     """
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
@@ -117,15 +117,15 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
 
 
 def _impulse(gain: Float) -> Float:
-    """Response to a single block, (ny + 1, nx + 1), from a filter's response to cosines (ny, nx).
-    One quarter of it, even along both axes; the response to the wave of two blocks is taken for zero.
+    """Response to a single block, (ny + 1, nx + 1), of a filter with the given cosine gains (ny, nx).
+    Only one quarter, as it is even along both axes; the gain of the two-block wave is taken as zero.
     """
     out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
     return out
 
 
 def _squared_response(gain: Float) -> Float:
-    """Response of the squared impulse response of a filter, normalised to the sum 1."""
+    """Gain of the squared impulse response of a filter, normalised to the sum 1."""
     out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
     return out
@@ -133,8 +133,9 @@ def _squared_response(gain: Float) -> Float:
 
 @cache
 def _around_hole(radius: float) -> tuple[Float, Float, Float, Float]:
-    """Blocks in and around a round hole, thinned to one of two or four away from the rim.
-    Their squared distances from each other, distances from the hole's depths, shares, and which are outside.
+    """Sample of blocks in and around a round hole: one of two or four away from the rim.
+    Returns squared distances between them, distances from the points of each depth, weights, and which lie
+    outside.
     """
     reach = radius + MEASURED_RIM_WIDTH
     g = np.arange(-np.ceil(reach), np.ceil(reach) + 1)
@@ -151,8 +152,8 @@ def _around_hole(radius: float) -> tuple[Float, Float, Float, Float]:
 
 
 def hole_variance(spectrum: Float, noise: float) -> Float:
-    """Additional variance inside round holes with measured rims, for a field with a spectrum (ny, nx).
-    (radii, depths): the variance less that where the inside is measured as well.
+    """Additional variance in round holes, (radii, depths), for a field with a spectrum (ny, nx).
+    It is the variance in the hole minus that if the hole were measured.
     """
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)
@@ -176,7 +177,7 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
 
 
 def _in_holes(measured: Float, tables: Sequence[Float]) -> Float:
-    """Variance inside holes from their width and the distance to the rim, (tables, ny, nx)."""
+    """Additional variance in holes, by their width and the distance to the rim, (tables, ny, nx)."""
     depth = cv2.distanceTransform((~measured).astype(np.uint8), cv2.DIST_L2, 5)
     out = np.zeros((len(tables), *measured.shape), np.float32)
     inside = depth > 0

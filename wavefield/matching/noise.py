@@ -24,13 +24,13 @@ RIM_WIDTH, RIM_SIGMA = 6, 2.0  # blocks: reach of the surroundings of a hole, an
 def noise_of_scores(
     score: Float, trace: Float, counts: Float, freedom: float, with_mismatches: bool = False
 ) -> Float:
-    """Variance nu of the scores (c, ny, nx) over their Hessian, (ny, nx), from that of clusters of blocks.
+    """Variance nu of the scores (c, ny, nx) per unit of their Hessian, (ny, nx), from clusters of blocks.
 
-    Clusters are of 5 x 5 usable blocks; their squares and Hessians are smoothed over 6 blocks. `trace` is the
-    sum of the Hessian's diagonal, `counts` 1 for usable blocks, else 0, `freedom` the fraction of the scores'
-    variance that remains after the fit (`Modes.freedom`). A fifth of the mean information, with the typical
-    noise, is added everywhere to regularize the ratio. The typical noise is the mean, or the median where
-    parts of the images may not match at all, as where beads leave the image between two frames.
+    The squared scores and the Hessians of clusters of 5 x 5 usable blocks are smoothed over 6 blocks and
+    divided. `trace` is the sum of the Hessian's diagonal, `counts` is 1 for usable blocks and 0 for others,
+    `freedom` is the fraction of the variance that remains after the fit (`Modes.freedom`). A fifth of the
+    mean information, with the typical noise, is added to regularize the ratio. The typical noise is the mean,
+    or the median where parts of the images may not match, as where beads leave the image between two frames.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -52,8 +52,8 @@ def noise_of_scores(
 
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
-    """Weight of blocks, (ny, nx), above 0: below 1 in clusters whose scores are far larger than those around,
-    as at the edges of objects and where beads enter or leave the image. Arguments as for `noise_of_scores`.
+    """Weight of each block, (ny, nx), at most 1: lower in clusters whose scores far exceed those around.
+    That happens at edges of objects and where beads enter or leave. Arguments as for `noise_of_scores`.
     """
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
@@ -78,11 +78,11 @@ def hole_mask(information: Float, typical_information: float) -> Mask:
 
 
 def noise_factor_near_holes(information: Float, factor: float) -> Float:
-    """Factor on the noise of the scores around holes of the information, (ny, nx); 1 far from them.
+    """Factor, (ny, nx), on the noise of scores near holes of the information; 1 far from holes.
 
-    Errors of blocks that contain the same beads are correlated, but A is diagonal. That matters at holes,
-    where the field is extrapolated from the blocks at the rim, and errors grow with the distance. `factor` is
-    that at the rim; it falls to 1 within some eight blocks. The lattice's edge is not a hole.
+    Blocks that share beads have correlated errors, which the diagonal A ignores. It matters at holes, where
+    the field is extrapolated from the rim. The factor is `factor` at the rim and 1 beyond some eight blocks.
+    The edge of the lattice is not a hole.
     """
     hole = hole_mask(information, float(information.mean())).view(np.uint8)
     hole[:RIM_WIDTH] = hole[-RIM_WIDTH:] = 0

@@ -28,8 +28,9 @@ def widened(ends: tuple[float, float]) -> tuple[float, float]:
 def shifts(
     a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
-    """Whole-pixel displacement of patches of one image to the next, by normalised correlation in the reach.
-    (n, 5) of patches with contrast: displacement x, y, px (NaN where not found), correlation, middle x, y.
+    """Displacements of large patches between two images, the best whole-pixel shifts within the reach.
+    Returns (n, 5) for patches with contrast: displacement x, y, px (NaN if not found), correlation, middle x,
+    y.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape
@@ -66,7 +67,7 @@ def _half(image: Float) -> Float:
 def _refined(
     a: Float, b: Float, at: tuple[int, int], size: int, found: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """The same patch in the images of full size, near where it was found in those of half the size."""
+    """Repeat the search at full size near the result found at half size."""
     if not np.isfinite(found[0]):
         return found
     dx, dy = (int(2 * d) for d in found[:2])
@@ -95,7 +96,7 @@ def _found(
     reach: tuple[int, int],
     min_correlation: float = MIN_CORRELATION,
 ) -> tuple[float, float, float]:
-    """Displacement of one patch and its correlation; NaN where it is not found or ambiguous."""
+    """Displacement and correlation of one patch; NaN if not found or ambiguous."""
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
     score = _scores(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
@@ -121,7 +122,7 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Displacements (n, 2), px, that another patch of the same images nearly shares, (m, 2)."""
+    """Displacements (m, 2), of (n, 2), px, that another patch nearly shares."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

@@ -60,7 +60,7 @@ class Level:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """(9, ny, nx) float32: the sums of `gradient_moments`, kept: an image may be matched to several."""
+        """Sums of `gradient_moments`, (9, ny, nx) float32; kept, as an image may be matched several times."""
         out = np.empty((9, *self.blocks), np.float32)
         gradient_moments(self.padded, work_space(self.blocks[1]), out)
         return out
@@ -74,7 +74,7 @@ class Level:
 
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Block of each pixel's bead, (h, w), and Hessians over the beads of blocks, (3, ny, nx)."""
+        """Assignment of pixels to blocks by whole beads, (h, w), and the blocks' Hessians, (3, ny, nx)."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
@@ -200,7 +200,7 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
-    """Write the normalised image inside its border; return the mask less its invalid and saturated pixels."""
+    """Write the normalised image inside its border; return the mask without invalid and saturated pixels."""
     width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -218,7 +218,7 @@ def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> M
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """(h, w) bool, True in patches at the largest value, which is in these columns; None without any."""
+    """Patches that reach the largest value of these columns, (h, w) bool; None without any."""
     # every patch holds one pixel of a grid as wide as the patch
     columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
     if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
@@ -234,7 +234,7 @@ def _padded(h: int, w: int) -> np.ndarray:
 
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
-    """1 where the block around a pixel, and at the finest level the reach of its spline, is good."""
+    """1 where the block around a pixel is usable, on the finest level with the reach of the spline."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
 
@@ -252,7 +252,9 @@ def _replicate_border(padded: np.ndarray) -> None:
 
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
-    """Sum `side` neighbours of the first `count` elements of `row`; the rest is added to the last."""
+    """Sum groups of `side` neighbours among the first `count` elements of `row`; the last group takes the
+    rest.
+    """
     n = len(out)
     if side == 8:  # the usual one: a loop that becomes vector code
         for i in range(n):
@@ -345,7 +347,7 @@ def _normalize_image(
 
 
 class NormalizationCells:
-    """Sums over the cells of one image (h, w) for surroundings of a width, px."""
+    """Sums over square cells of an image (h, w), for means over surroundings of a given width, px."""
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
@@ -396,13 +398,13 @@ class NormalizationCells:
 
 
 def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
-    """(ny, nx) float32: share of usable pixels around each cell, never quite 0."""
+    """Fraction of usable pixels around each cell, (ny, nx) float32, never exactly 0."""
     out: np.ndarray = np.maximum(NormalizationCells(usable, width).local(0), MIN_USABLE_SHARE)
     return out
 
 
 def _side(h: int, w: int, width: float) -> int:
-    """Side of the cells: small against the width and the image."""
+    """Side of the cells, px: small compared with the width and the image."""
     side = MAX_CELL_SIDE
     while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2

@@ -137,7 +137,7 @@ def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> Pre
 
 
 def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement at the coarsest level to begin with, px of that level."""
+    """Initial displacement on the coarsest level, px of that level."""
     if settings.search_x is None or settings.search_y is None:
         return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
     factor = 2**levels
@@ -149,7 +149,7 @@ def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np
 
 
 class _LevelPair:
-    """One pyramid level of two images: weights of the blocks, their windows, and steps with them."""
+    """Two images on one pyramid level: weights of the blocks and the steps of the match."""
 
     def __init__(self, a: Level, b: Level, sigma: float, settings: MatchSettings) -> None:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
@@ -162,7 +162,7 @@ class _LevelPair:
         self._hessian: np.ndarray | None = None
 
     def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update `count` (1 for usable blocks, else 0), `coverage` (usable part of windows) and weights."""
+        """Update `count` (1 for usable blocks), `coverage` (usable part of each window) and the weights."""
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
@@ -174,13 +174,13 @@ class _LevelPair:
 
     @property
     def hessian(self) -> np.ndarray:
-        """(3, ny, nx): the Hessian of a alone, over windows."""
+        """The Hessian of image a over windows, (3, ny, nx)."""
         if self._hessian is None:
             self._hessian = self.windows(self.a.moments[:3] * self.count)
         return self._hessian
 
     def windows(self, fields: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Fields filtered with the window."""
+        """Sum fields over the windows."""
         out = np.empty_like(fields) if out is None else out
         for field, to in zip(fields, out):
             filtered(field, self.weights, to)
@@ -189,7 +189,7 @@ class _LevelPair:
     def advance(
         self, u: np.ndarray, v: np.ndarray, hessian: np.ndarray, score: np.ndarray, number: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """One step, outliers replaced, smoothed; returns new u, v and where outliers were."""
+        """Do one step, replace outliers, smooth; returns the new u, v and a mask of the outliers."""
         settings = self.settings
         u, v = u.copy(), v.copy()
         ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
@@ -201,14 +201,14 @@ class _LevelPair:
 
 
 def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Slopes within blocks of a displacement whose values represent the blocks' areas."""
+    """Displacement gradients inside blocks, from block averages."""
     return slopes(u, v, _TYPICAL_AREA)
 
 
 def _last_sums(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
 ) -> np.ndarray:
-    """(12, ny, nx): the sums of `final_sums` without weights."""
+    """The sums of `final_sums` with all weights 1, (12, ny, nx)."""
     sums = np.empty((12, *u.shape), np.float32)
     unweighted_sums(a.padded, b.padded, u, v, slope, work, sums)
     sums[2:5] = a.moments[:3]
@@ -216,7 +216,7 @@ def _last_sums(
 
 
 def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Steps without weights per pixel: the Hessian is that of a alone."""
+    """Steps without weights per pixel, using the Hessian of image a."""
     for number in range(count):
         pair.update_weights(u, v)
         score = pair.windows(_plain_scores(pair, u, v, _slopes(u, v)))
@@ -234,7 +234,7 @@ def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndar
 
 
 def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
-    """Steps of the finest level; the last one also measures correlation and uncertainty."""
+    """Steps on the finest level; the last one also measures correlation and noise."""
     a, b, settings = pair.a, pair.b, pair.settings
     unweighted = 0 if settings.robust else count - 1
     u, v = _plain_steps(pair, u, v, unweighted)
@@ -275,13 +275,13 @@ def _robust_scale(rr: np.ndarray, coverage: np.ndarray, settings: MatchSettings)
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
 ) -> Displacement:
-    """Evaluate the blocks of two images at a displacement u, v (ny, nx), float32, px, without a step.
+    """Scores and Hessians of two images at a displacement u, v (ny, nx), float32, px, without a step.
 
-    b sampled at a displacement with slopes e_jk = dd_j/dx_k is strained. The images of beads only move and
-    are not strained: the residual contains e_jk (delta_jk a + s^2 a_jk), with s^2 the variance of a bead's
-    image; of a blurred texture s^2 e_jk a_jk alone. That is even around every bead, so that a complete bead
-    contributes no score; beads cut by a block's edge do. So c e_jj a + s^2 e_jk a_jk is subtracted from the
-    scores, with c from 0 to 1 and s^2 by least squares.
+    Reading b at a displacement with gradients e_jk = dd_j/dx_k strains its pattern, while real beads only
+    move. So the residual contains e_jk (delta_jk a + s^2 a_jk), with s^2 the variance of the image of a bead;
+    for a blurred texture only e_jk s^2 a_jk. A complete bead contributes no score, because this is even about
+    its middle, but a bead cut by the edge of a block does. Therefore c e_jj a + s^2 e_jk a_jk is subtracted,
+    with c from 0 to 1 and s^2 found by least squares.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     pair.update_weights(u, v)
@@ -320,7 +320,7 @@ def scores_at(
 def _search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement of every block to the best of all whole-pixel shifts, refined by parabolas.
+    """Displacement of every block: the best whole-pixel shift, refined by a parabola.
     Returns u, v (ny, nx), px of this level.
     """
     ny, nx = a.blocks
@@ -345,7 +345,9 @@ def _search(
 
 @njit
 def _largest(score: np.ndarray, border: int, best: np.ndarray) -> None:
-    """Number of the shift with the largest score of each block, the first of equals, into best (ny, nx)."""
+    """Write the number of the shift with the largest score of each block, the first if equal, to best (ny,
+    nx).
+    """
     rows, ny, n, width = score.shape
     nx = width - 2 * border
     top = np.empty(nx, np.float32)
@@ -384,7 +386,7 @@ def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[
 
 @dataclass(frozen=True)
 class _LastStep:
-    """The last step of a match, and the sums it was made of."""
+    """Result of the last step of a match, with the sums it came from."""
 
     sums: np.ndarray  # (12, ny, nx): those of `final_sums`, per block
     windowed: np.ndarray  # (12, ny, nx): over windows; read from the sixth on
@@ -397,7 +399,7 @@ class _LastStep:
 def _assess(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: _LastStep, settings: MatchSettings
 ) -> Displacement:
-    """Scores and validity of the blocks at a displacement u, v (ny, nx), px."""
+    """Find scores and validity of the blocks at a displacement u, v (ny, nx), px."""
     correlation, energy = _correlation(last)
     score, hessian = _own_scores(last, correlation)
     reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
@@ -419,7 +421,7 @@ def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _own_scores(last: _LastStep, correlation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Score (2, ny, nx) and Hessian (3, ny, nx) of every block after the step."""
+    """Score (2, ny, nx) and Hessian (3, ny, nx) of each single block after the step."""
     # the Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
     # the gradients is ratio / (2 - ratio), and 0 where their correlation is too low
     shared, of_mean = last.windowed[10:12]
@@ -469,6 +471,6 @@ def _reasons(
 
 
 def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
-    """Median of a field over usable blocks, of every third block each way: windows overlap that much."""
+    """Median over usable blocks, of every third along both axes, because windows overlap."""
     every_third = field[::3, ::3][usable[::3, ::3]]
     return float(np.median(every_third)) if every_third.size else 0.0

@@ -101,10 +101,10 @@ class Prior:
         return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
-        """The prior with at least this signal over noise in every resolved mode.
+        """The prior, raised so that each resolved mode has at least this signal-to-noise ratio.
 
-        A prior that is small where a field has waves suppresses them, and what is learned from such a field
-        is small there again. Spectra are therefore learned from fields that an open prior gave.
+        A prior that is too small suppresses waves, and a spectrum learned from such fields is too small
+        again. Spectra are therefore learned with a raised prior.
         """
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
@@ -130,7 +130,7 @@ class Prior:
         return np.asarray(np.exp(out))
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Fraction of `spectrum` that is expected to be waves, (1 or c,) + S."""
+        """Fraction of `spectrum` that is waves rather than an upper limit, (1 or c,) + S."""
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
@@ -147,7 +147,7 @@ class Prior:
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Variance of the MAP field by waves, G^2 S, and by noise, G^2 / (F^2 A), each (1 or c,).
 
-        Where all blocks have the typical information; the mean over the field is not counted.
+        For blocks with the typical information; without the mean over the field.
         """
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
@@ -211,7 +211,7 @@ class WavenumberRings:
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
-        """Rings (rings,) with a significant signal over noise; beyond a gap it has to be larger."""
+        """Whether each ring (rings,) has significant power; beyond a gap more is required."""
         contiguous = np.arange(RINGS) < self.count_until_false(
             (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
         )
@@ -224,9 +224,7 @@ class WavenumberRings:
         return np.asarray(contiguous | beyond_gap)
 
     def exceeds(self, ratio: Float, least: float, samples: int = 1) -> NDArray[np.bool_]:
-        """Rings (rings,) whose signal over noise is more than the least and more than chance, with both
-        neighbours.
-        """
+        """Whether the mean ratio of each ring and its neighbours exceeds `least` and chance, (rings,)."""
         count = self.count * samples
         of_three = np.maximum(np.convolve(count, np.ones(3), mode="same"), 1)
         chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / of_three)
@@ -234,7 +232,7 @@ class WavenumberRings:
         return np.asarray(mean > np.maximum(chance, least))
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Level of noise (rings,) from single rings, without long waves, which are errors of calibration."""
+        """Level of noise, (rings,), from single rings, without long waves (calibration errors)."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -245,7 +243,7 @@ class WavenumberRings:
 
     @staticmethod
     def count_until_false(flags: NDArray[np.bool_]) -> int:
-        """Number of flags before the first that is false, at least three."""
+        """Number of flags before the first False, at least three."""
         return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
 
 
@@ -287,12 +285,9 @@ def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
 
 
 def displacement_area(bead_width: float) -> float:
-    """Variance, px^2, of the area that a block's displacement represents, for beads of this width, px.
+    """Variance, px^2, of the area that the displacement of a block averages over, for a bead width in px.
 
-    That of the block, 25/12, and of the beads' images: width^2 / 3 by matching drawn images of beads of 1.5
-    to 4.2 px. And 1.2 more, which restores part of the short waves that priors suppress.
-
-    >>> [round(displacement_area(width), 2) for width in (1.5, 3.0)]
-    [4.03, 6.28]
+    The block contributes 25/12 and the images of beads width^2 / 3 (found by matching drawn beads of 1.5 to
+    4.2 px). The remaining 1.2 restores part of the short waves that the prior suppresses.
     """
     return BLOCK**2 / 12.0 + bead_width**2 / 3.0 + RESTORED_VARIANCE
