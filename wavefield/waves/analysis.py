@@ -58,7 +58,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Sums:
-    """What one pass over a cube gives."""
+    """Sums over all segments of a cube, from one pass."""
 
     scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
     ring_sums: dict[str, Array]  # as `cross.add_segment` gives it, over all segments
@@ -69,7 +69,7 @@ class Sums:
 
 @dataclass
 class _Partial:
-    """Sums of one chain, or of several."""
+    """Sums over one chain of segments, or over several."""
 
     ring_sums: dict[str, Array] = field(default_factory=dict)
     survey_sums: dict[str, Array] = field(default_factory=dict)
@@ -87,7 +87,7 @@ class _Partial:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Sums over the half segments of a chain, one after the other."""
+    """Accumulates sums over the half segments of a chain, in order."""
 
     read: Reader
     welch: Welch
@@ -133,7 +133,7 @@ class _Chain:
 
 
 class _Counter:
-    """Reports how many parts are done; parts end in any thread."""
+    """Reports how many parts are done; called from any thread."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self._progress, self._total, self._done, self._lock = progress, total, 0, threading.Lock()
@@ -188,7 +188,7 @@ MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 
 
 class AnalysisOptions(TypedDict, total=False):
-    """What of an analysis can be chosen; all of it is optional."""
+    """Options of an analysis; all have defaults."""
 
     probes: xr.Dataset | None
     segment: int | None
@@ -332,7 +332,7 @@ FEW_SEGMENTS = 7  # with fewer, single cells of a spectrum are uncertain
 
 
 def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
-    """Notes on what of a cube was used, and how much it can show."""
+    """Notes on which part of the cube was used and what its length and field allow."""
     record, count, sizes = welch.record, welch.count, cube.sizes
     used = record.steps_in_runs(welch.segment)
     out = []
@@ -363,7 +363,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 
 
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
-    """How many nodes were filled, how well, and what that adds to the spectrum of the elevation."""
+    """A note on the filled nodes: how many, their error, and what that adds to the elevation spectrum."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     error = filled_error(record, z)

@@ -23,8 +23,8 @@ STEPS_AT_A_TIME = 512
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Waves of a series (time,) from zero up-crossings: step before each, crest and trough, each (waves,).
-    The trough is positive downwards; both are by a parabola through three steps.
+    """Crests and troughs of a series (time,) between zero up-crossings: step before each, crest, trough.
+    Each (waves,); troughs are positive downwards. A parabola through three steps refines both.
     """
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
@@ -42,7 +42,7 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    """Elevations (time, points) of each run at points far apart."""
+    """Elevations (time, points) of each run, at points so far apart that they are nearly independent."""
     read = Reader([field], record)
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     runs = []
@@ -56,7 +56,9 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Sums of powers 0 to 4, (blocks, 5); crests and troughs above each level, (blocks, levels)."""
+    """Sums of the powers 0 to 4 in blocks of time, (blocks, 5), and counts of higher crests and troughs.
+    The counts are (blocks, levels).
+    """
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
@@ -75,7 +77,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Hs, skewness, excess kurtosis, (..., 3), from sums of powers (..., 5)."""
+    """Significant height, skewness and excess kurtosis, (..., 3), from sums of powers (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -84,8 +86,8 @@ def _moments(sums: Array) -> Array:
 
 
 def tayfun(level: Array, skewness: float) -> Array:
-    """Probability that a crest of a second-order sea exceeds a level: exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2).
-    m is a third of the skewness: x = r + m r^2 / 2 of a Rayleigh amplitude r (Tayfun 1980).
+    """Probability that a crest of a second-order sea exceeds a level (Tayfun 1980).
+    exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2), with m a third of the skewness: x = r + m r^2 / 2 for a Rayleigh r.
     """
     steepness = max(float(skewness), 0.0) / 3
     level = np.asarray(level, float)

@@ -52,7 +52,7 @@ NAMES = tuple(SOURCES)
 
 @dataclass(frozen=True)
 class Requested:
-    """Fields and pairs of fields whose powers and products are summed."""
+    """The fields and pairs of fields whose power and cross spectra are summed."""
 
     names: Sequence[str]
     pairs: Sequence[tuple[str, str]] = ()
@@ -60,13 +60,13 @@ class Requested:
 
 
 def sources(names: Sequence[str]) -> list[str]:
-    """Fields of the cube that some spectral names need, in the cube's order."""
+    """Fields of a cube that the named spectra need, in the order of the cube."""
     needed = {field for name in names for field in SOURCES[name]}
     return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
 
 
 class _Advection:
-    """(u - U) . grad z, or z_t + U . grad z, of the steps that are cut out: never held for all of them."""
+    """(u - U) . grad z, or z_t + U . grad z, computed for a few steps at a time."""
 
     def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
         self.name = name
@@ -97,8 +97,9 @@ def transforms(
     welch: Welch,
     memory: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Transforms in space, (cells, steps), of a half segment of fields (steps, ny, nx), which are released.
-    z is still at mid-time. ``memory`` are earlier transforms, overwritten.
+    """Spatial transforms, (cells, steps), of half a segment of fields (steps, ny, nx); the fields are
+    released.
+    z is still at mid-time. ``memory`` holds earlier transforms, which are overwritten.
     """
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
@@ -113,7 +114,7 @@ def transforms(
 
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Zeros for `add_segment`; ``half`` is any half segment's transform, (cells, n / 2)."""
+    """Zero sums for `add_segment`; ``half`` is a transform (cells, n / 2) of the same shape."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -176,7 +177,7 @@ def _add_products(
     table: Rings,
     quadrature: Sequence[Array],
 ) -> None:
-    """Add the products of two fields in a slab of cells: over rings, and in each cell where that is held."""
+    """Add the product of two fields for a slab of cells, over rings and, if requested, per cell."""
     first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
     start = table.start[slab.start : slab.stop + 1]
     kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])
@@ -186,7 +187,7 @@ def _add_products(
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Factors of real and imaginary part of a product, in numpy's signs; `b` is omega dt / 2, signed."""
+    """Factors on real and imaginary part of a product, in numpy's signs; `b` is signed omega dt / 2."""
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
     return -np.sin(np.abs(b)), imaginary
@@ -195,7 +196,7 @@ def _quadrature(b: Array) -> tuple[Array, Array]:
 def _at_frame_times(
     first: Mapping[str, Array], second: Mapping[str, Array], slab: slice, dt: float
 ) -> tuple[Array, Array]:
-    """z of both halves of a segment at frame times, exactly: z and the differences z_t hold the frames."""
+    """z of both halves of a segment at frame times, exactly, from z and z_t at mid-time."""
     dtype, steps = first["z"].dtype, first["z"].shape[1]
     real = dtype.type(0).real.dtype
     halves = [part[name].T.view(real) for name in ("z", "z_t") for part in (first, second)]
@@ -303,7 +304,7 @@ def _transform_blocks(
 
 
 def moving_welch(cube: xr.Dataset, welch: Welch) -> Any:
-    """Welch with the mean current of the record, delayed."""
+    """Welch settings that include the mean current of the record (delayed)."""
 
     def with_current(mean_and_std: tuple[Array, Array]) -> Welch:
         mean = mean_and_std[0]
@@ -406,13 +407,13 @@ COHERENCE_PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 
 def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any:
-    """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1))."""
+    """Squared coherence that unrelated signals exceed with a probability: 1 - chance^(1 / (N - 1))."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - chance ** (1 / more)
 
 
 def _above_noise(energy: xr.DataArray) -> xr.DataArray:
-    """Rings (k,) whose energy (omega, k) exceeds their noise: waves are on few of a ring's lines."""
+    """Whether the energy (omega, k) of each ring exceeds its noise, (k,), on the few lines that hold waves."""
     noise = energy.median("omega") * energy.sizes["omega"]
     return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
 
@@ -570,7 +571,7 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
 
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
-    """Sums over steps of each term, of their products with z_t and of the powers, (cells,)."""
+    """Sums over steps, (cells,), of the power of each term and of its product with z_t."""
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -584,7 +585,7 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> dict[str, Array]:
-    """Moduli of the coherence of each term and of their sum, (cells,), from the means of `_plane_sums`."""
+    """Moduli of the coherence of each term and of their sum, (cells,)."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

@@ -19,8 +19,9 @@ _SLOWEST = 8  # Fourier lines of the means next to the mean itself, which show i
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Mean (2,) of u, v over the measured nodes of evenly spread steps, and uncertainty (2,), m/s; delayed.
-    Even weights in place of a Hann window's would leave a hundredth of the waves, coherent with z_t.
+    """Mean u, v over measured nodes of evenly spaced steps, m/s, and its uncertainty, each (2,); delayed.
+    A Hann window weights the nodes: with equal weights a hundredth of the waves would remain, coherent with
+    z_t.
     """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
@@ -36,7 +37,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
-    """Steps by the chunk of the field, as stored or of dask, that holds them."""
+    """Steps grouped by the chunk, stored or of dask, that holds them."""
     axis = field.get_axis_num("time")
     if field.chunks is not None:
         ends = np.cumsum(field.chunks[axis])

@@ -31,15 +31,16 @@ _LINE_VARIANCE = 1 / 3  # of the power that a Hann window leaves of one wave, ce
 
 
 def segments_of(dof: float) -> float:
-    """Number of segments, overlapping by half, that give a cell so many degrees of freedom."""
+    """Number of half-overlapping segments that gives a cell this many degrees of freedom."""
     return max(19 * dof / 36, 1.0)
 
 
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
-    """Variance of a mean of segments over that of independent ones, of free waves in each cell, (ky, kx).
-    Water is depth, m, and surface tension over density, m3/s2; current is m/s. White segments have 1.
+    """Variance of a mean over segments relative to independent segments, for free waves, (ky, kx).
+    A slow packet stays in view for several segments. Depth in m, tension over density in m3/s2, current in
+    m/s.
     """
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
@@ -57,8 +58,9 @@ def _white(count: float) -> float:
 def sector_covariances(
     shares: Array, around: Array, inside: NDArray[np.bool_], off: Array, packets: Array, dof: float
 ) -> Array:
-    """Covariances of the energies of sectors from shares of cells, (sectors, cells), and the energy around.
-    That is (lines, ky, kx); `off` (lines inside, cells) is in cells. Chance, 2 / dof, is taken off.
+    """Covariances of the sector energies, from fractions of cells (sectors, cells) and energies around.
+    Energies are (lines, ky, kx); `off` (lines inside, cells) is the distance from the relation in cells. The
+    part of chance, 2 / dof, is subtracted.
     """
     ring, energy = shares.sum(axis=0), around[inside]
     weight = ring * energy.reshape(len(energy), -1)
@@ -92,8 +94,8 @@ def _covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 
 def _correlation_across(weight: Array, off: Array) -> float:
-    """By what factor waves (lines, cells) across the relation are fewer than by the windows' correlation.
-    `off` is the distance from the relation in cells. Cells count as correlated for even energy.
+    """Factor on the number of independent cells, because waves on the relation fill only a thin ridge.
+    `off` is the distance of each cell from the relation, (lines, cells), in cells.
     """
     total = weight.sum()
     if not total > 0:
@@ -107,7 +109,7 @@ def _correlation_across(weight: Array, off: Array) -> float:
 
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
-    """Degrees of freedom of each sector's part of the sum over all, (sectors,)."""
+    """Degrees of freedom of each sector's share of the total, (sectors,)."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -162,7 +164,7 @@ def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, fl
 
 
 class _RingSectors:
-    """Fractions of the cells of a k plane in sectors of a ring."""
+    """Sectors of a ring in the k plane, as fractions of cells."""
 
     def __init__(self, ky: Array, kx: Array, count: int) -> None:
         n = rings.SUPERSAMPLING
@@ -181,7 +183,7 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Fractions of a ring, (sectors, cells), and how much of each sector the plane holds, (sectors,)."""
+        """Fraction of each cell in each sector, (sectors, cells), and sampled part of sectors, (sectors,)."""
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
         parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
@@ -300,8 +302,8 @@ def directions(
 
 
 def elevation_density(density: xr.DataArray, current: tuple[float, float], frames: int) -> xr.DataArray:
-    """E(omega, ky, kx) of the elevation from that of w, which water at a current, m/s, carries.
-    The rise of a particle that the current carries is integrated at omega - k . U.
+    """E(omega, ky, kx) of the elevation, from that of w on a current, m/s.
+    The rise of a particle is integrated at its own frequency, omega - k . U.
     """
     omega = density["omega"].values
     dt = np.pi / float(omega[-1])
@@ -328,7 +330,7 @@ def _largest_k(density: xr.DataArray) -> float:
 def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Frequencies, of those of `sector_spectrum`, at which the grid resolves waves that exceed the noise."""
+    """Those of the frequencies at which the grid resolves waves and they exceed the noise."""
     spectrum = PlaneSpectrum.of(density, water[0])
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
@@ -347,7 +349,7 @@ def above_noise(
 
 
 def only_at(found: xr.Dataset, there: NDArray[np.bool_]) -> xr.Dataset:
-    """Directions and spreads at some of the frequencies, NaN at the others; energies stay."""
+    """Directions and spreads at the selected frequencies, NaN at the others; energies are kept."""
     known = xr.DataArray(there, dims="frequency")
     return found.assign({name: found[name].where(known) for name in found if name != "energy"})
 
@@ -476,7 +478,7 @@ def _label(
 def _with_error_of_current(
     found: xr.Dataset, density: xr.DataArray, used: CurrentUsed, water: tuple[float, float]
 ) -> xr.Dataset:
-    """Directions and spreads whose uncertainties hold that of the current: by how much it moves them."""
+    """Add to directions and spreads the uncertainty that follows from that of the current."""
     out = found.copy()
     for i, std in enumerate(used.std):
         if not std > 0:
@@ -495,7 +497,7 @@ def _with_error_of_current(
 def direction_group(
     density: xr.DataArray, chosen: list[int], used: CurrentUsed, depth: float, gamma: float, welch: Welch
 ) -> xr.Dataset:
-    """Directions at the frequencies of the maps, isotropy at all."""
+    """Group `direction`: directions at the frequencies of the maps, isotropy at all frequencies."""
     current, dof = used.velocity, welch.dof
     lines = density["omega"].values / (2 * np.pi)
     out = sector_spectrum(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
@@ -517,7 +519,7 @@ def direction_group(
 def directional_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset:
-    """E(f, theta) of the elevation as wavespectra takes it."""
+    """Group `directional`: E(f, theta) of the elevation in the form of wavespectra."""
     elevation = elevation_density(density, used.velocity, welch.frames)
     frequency, step = resolved_frequencies(density, depth, gamma)
     found = sector_spectrum(

@@ -49,8 +49,8 @@ _UNITS = np.array([1, 1, 1e5])  # the solver's unit of surface tension is 1e-5 m
 
 
 def _misfit(points: RelationPoints, depth: float, around: Array) -> Callable[[Array], Array]:
-    """Misfit of a scaled fit in standard deviations of the points, (points,).
-    The slope of the relation, which turns an error in k into one in omega, is that of the fit `around`.
+    """Misfit of the points in standard deviations, (points,), for a scaled fit.
+    Errors in k become errors in omega by the slope of the relation for the fit `around`.
     """
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     speed = group_velocity(points.k, depth, around[2])
@@ -65,7 +65,7 @@ def _misfit(points: RelationPoints, depth: float, around: Array) -> Callable[[Ar
 
 
 def _outlier_limit(misfit: Array) -> float:
-    """Misfit beyond which points count less."""
+    """Misfit beyond which points get less weight."""
     return OUTLIER_STDS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
@@ -78,7 +78,7 @@ def solve(points: RelationPoints, depth: float, start: Array) -> Array:
 
 
 def _solve_current(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Current of some points with the surface tension of the fit, (2,); NaN if they do not determine it."""
+    """Current of a subset of points with the surface tension of the fit, (2,); NaN if undetermined."""
     misfit = _misfit(points, depth, fit)
     tension = fit[2] * 1e5
     limit = _outlier_limit(misfit(fit * _UNITS))
@@ -90,13 +90,13 @@ def _solve_current(points: RelationPoints, depth: float, fit: Array) -> Array:
 
 
 def _information(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """What each point contributes to the inverse variance of the current, (points,)."""
+    """Contribution of each point to the inverse variance of the current, (points,)."""
     return np.asarray((points.k / (points.k_std * group_velocity(points.k, depth, fit[2]))) ** 2)
 
 
 def jackknife(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Standard uncertainty of the current, (2,), from fits without one band of frequency each.
-    Bands determine the current equally well. Raises CubeError where it changes much without one.
+    """Standard uncertainty of the current, (2,), by leaving out one frequency band at a time.
+    The bands determine the current equally well. Raises CubeError if one band changes it much.
     """
     order = np.argsort(points.omega, kind="stable")
     share = np.cumsum(_information(points[order], depth, fit))
@@ -122,8 +122,8 @@ def jackknife(points: RelationPoints, depth: float, fit: Array) -> Array:
 
 
 def covariance_of(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Covariance of the fit, (3, 3), of least squares, from the misfit of all points; NaN if there are few.
-    Times Student's variance. Narrow seas have too few points of one direction for an estimate of its own.
+    """Covariance (3, 3) of the least-squares fit, from the misfit of all points; NaN if there are few.
+    Multiplied by the variance of Student's distribution.
     """
     misfit, scaled = _misfit(points, depth, fit), fit * _UNITS
     steps = np.diag([1e-4, 1e-4, 1e-2])
@@ -141,7 +141,7 @@ def covariance_of(points: RelationPoints, depth: float, fit: Array) -> Array:
 
 
 def with_surface_tension(fit: Array, covariance: Array, gamma: float) -> tuple[Array, Array]:
-    """The fit and its covariance, given that the surface tension is near `gamma`.
+    """The fit and its covariance with the surface tension constrained to be near `gamma`.
     On a fast current the measured waves are too long to determine it.
     """
     if not np.isfinite(covariance).all():
@@ -151,15 +151,15 @@ def with_surface_tension(fit: Array, covariance: Array, gamma: float) -> tuple[A
 
 
 def fast_waves(points: RelationPoints, depth: float, fit: Array) -> RelationPoints:
-    """Points of waves that the current slows little; all where few remain."""
+    """Points of waves that the current slows down little; all points if few of them remain."""
     speed = group_velocity(points.k, depth, fit[2])
     fast = speed + points.along(fit) > FAST_WAVES * speed
     return points[fast] if fast.sum() >= MIN_POINTS else points
 
 
 def distance_from_relation(points: RelationPoints, depth: float, fit: Array, least_k: float) -> float:
-    """Rms distance of the points from the fitted relation in k over their wavenumber, weighted as in the fit.
-    Shorter wavenumbers than `least_k`, rad/m, count as that.
+    """Rms distance of the points from the fitted relation in k, relative to k, weighted as in the fit.
+    Wavenumbers below `least_k`, rad/m, count as that value.
     """
     model = dispersion(points.k, depth, fit[2]) + points.k * points.along(fit)
     distance = (points.omega - model) / group_velocity(points.k, depth, fit[2])
@@ -303,7 +303,7 @@ def fit_dispersion(
 
 
 def _end_of_strong_lines(spectrum: PlaneSpectrum, gamma: float) -> float | None:
-    """Frequency, Hz, up to which the waves near the dispersion relation far exceed the noise."""
+    """Highest frequency, Hz, up to which waves on the relation far exceed the noise."""
     omega, plane = spectrum.omega, spectrum.plane
     k = wavenumber(np.maximum(omega, omega[1]), spectrum.depth, gamma)
     near = np.abs(plane.k - k[:, None]) < np.maximum(0.1 * k[:, None], 2.0 * plane.cell)
@@ -381,12 +381,12 @@ def _fit_band(
 
 
 def _between(limits: tuple[float, float]) -> str:
-    """The limits, rad/s, in words."""
+    """The frequency limits, rad/s, as text for a message."""
     return f"between {limits[0] / (2 * np.pi):.2g} and {limits[1] / (2 * np.pi):.2g} Hz"
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """The points, if they are enough for a fit."""
+    """Return the points; raise CubeError if they are too few for a fit."""
     if len(points) < MIN_POINTS:
         raise CubeError(
             f"no dispersion relation was found {_between(limits)}: choose a longer segment or another band"
@@ -397,7 +397,7 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 def _check_fit(
     spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, change: float, limits: tuple[float, float]
 ) -> float:
-    """Contrast of the fitted relation; raises CubeError for a fit that is not that of the waves."""
+    """Contrast of the fitted relation; raises CubeError if the fit does not describe the waves."""
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # a window spreads a wave over more than a cell of the k plane: in a small field that distance is no error
@@ -445,7 +445,7 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 def dispersion_group(
     density: xr.DataArray, k: Array, depth: float, gamma: float, settings: FitSettings | None = None
 ) -> xr.Dataset:
-    """The theory over k (rad/m) and the fit, or why it was refused."""
+    """Group `dispersion`: the theory over k, rad/m, and the fit or the reason for its refusal."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma, settings=settings)
@@ -471,7 +471,7 @@ MAX_TENSION_STD = 0.05  # standard uncertainty of the surface tension, relative
 
 
 def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:
-    """A dispersion fit, without its surface tension where that is not determined."""
+    """A dispersion fit, without the surface tension if the waves do not determine it."""
     if "refused" in fit.attrs:
         return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])
     gamma, std = float(fit["gamma"]), float(fit["gamma_std"])

@@ -94,7 +94,7 @@ RING_CELLS = 1.5  # width of a ring of wavenumbers
 
 @dataclass(frozen=True)
 class WavenumberPlane:
-    """Cells of the k plane, flat."""
+    """The cells of the k plane, flattened."""
 
     kx: Array  # (cells,), rad/m
     ky: Array
@@ -120,7 +120,7 @@ class WavenumberPlane:
 
 @dataclass(frozen=True)
 class PlaneSpectrum:
-    """Energy and noise of lines of frequency over the cells of the k plane."""
+    """Energy and noise of frequency lines over the cells of the k plane."""
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
@@ -137,13 +137,13 @@ class PlaneSpectrum:
         return cls(omega, energy, np.maximum(noise_level(energy, plane), least), plane, depth)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
-        """Some lines of the spectrum."""
+        """The spectrum on selected lines."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
 
 def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
-    """Level of the noise, (lines, cells): a function of the frequency times one of the wavenumber.
-    Errors are independent from step to step and smooth over a matching window: their spectrum is a product.
+    """Noise of the spectrum, (lines, cells), as a product of a function of omega and one of k.
+    Errors are independent in time and smooth over a matching window in space, so their spectrum is a product.
     """
     outer = plane.k > NOISE_ONLY * plane.nyquist
     if not outer.any():
@@ -162,8 +162,8 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
 
 
 def _mean_of_noise(values: Array) -> float:
-    """Mean of values distributed as chi-squared but for some larger ones: median + variance / (3 mean).
-    The variance is from the lower quartile, which waves do not change.
+    """Mean of chi-squared values that contain some larger ones (waves): median + variance / (3 mean).
+    The variance comes from the lower quartile, which waves do not change.
     """
     low, middle = np.quantile(values, [0.25, 0.5])
     std = (middle - low) / 0.6745
@@ -176,8 +176,9 @@ SECTORS = 48
 
 
 def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
-    """Current along x and y, (2,), to 0.02 m/s, whose dispersion relation holds most energy.
-    Cells give (omega -+ sigma(k)) / k along k; a current U appears in the sector theta at U cos(theta - phi).
+    """Current (2,), to 0.02 m/s, whose dispersion relation holds the most energy: the start of the fit.
+    Each cell votes for (omega -+ sigma(k)) / k along its k; a current U shows in direction theta as
+    U cos(theta - phi).
     """
     plane, omega = spectrum.plane, spectrum.omega
     used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
@@ -213,7 +214,7 @@ def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
 
 
 def _near_relation(spectrum: PlaneSpectrum, fit: Array) -> Array:
-    """Cells within two cells in k and two lines in omega of the relation `fit`, (lines, cells)."""
+    """Whether cells lie within two cells in k and two lines in omega of the relation, (lines, cells)."""
     omega, plane, depth = spectrum.omega, spectrum.plane, spectrum.depth
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
@@ -223,7 +224,7 @@ def _near_relation(spectrum: PlaneSpectrum, fit: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
-    """Energy near the relation over the energy there if each cell had the same energy on all lines."""
+    """Energy near the relation, relative to that if the energy of each cell were spread over all lines."""
     near = _near_relation(spectrum, fit)[lines]
     near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
     energy = spectrum.energy[lines]
@@ -237,15 +238,16 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
 
 
 def fraction(spectrum: PlaneSpectrum, fit: Array) -> float:
-    """Fraction of the energy near the relation."""
+    """Fraction of the energy that lies near the relation."""
     near = _near_relation(spectrum, fit)
     total = float(spectrum.energy.sum(dtype=float))
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
 def explained(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
-    """Fraction of the energy above the noise near the relation, of waves carried backwards as well.
-    Waves that a current carries backwards appear at the opposite wave vector: omega = k.U - sigma(k).
+    """Fraction of the energy above the noise that lies near the relation.
+    Waves that a current carries backwards appear at the opposite wave vector, omega = k.U - sigma(k); they
+    count.
     """
     counted = spectrum.plane.k > MIN_CELLS_FROM_ZERO * spectrum.plane.cell
     above = np.maximum(spectrum.energy[lines] - 3 * spectrum.noise[lines], 0.0)[:, counted]
@@ -265,7 +267,7 @@ MAX_FACTOR = 4.0  # of the energy in one round
 
 @dataclass(frozen=True)
 class SpectralCells:
-    """The cells of a spectrum."""
+    """Grid of the cells of a spectrum in omega, ky, kx."""
 
     omega: Array  # (lines,), rad/s, evenly spaced like the next two
     ky: Array  # rad/m
@@ -284,7 +286,7 @@ class SpectralCells:
 
 
 def _energy_on_relation(excess: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
-    """Energy (ny, nx) of each cell of the k plane near its frequency."""
+    """Energy (ny, nx) of each cell of the k plane near the frequency of free waves."""
     ky, kx = np.meshgrid(cells.ky, cells.kx, indexing="ij")
     frequency = cells.frequency(ky, kx, depth, fit)
     k = np.maximum(np.hypot(ky, kx), max(cells.steps[1:]))
@@ -298,8 +300,8 @@ def _energy_on_relation(excess: Array, cells: SpectralCells, depth: float, fit: 
 
 
 def windowed_waves(energy: Array, noise: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
-    """Spectrum of free waves on a fitted relation with the energy of a measured one, through Hann windows.
-    Energy, noise and result are (lines, ny * nx), ``fit`` is current x, y (m/s) and gamma.
+    """Spectrum that Hann windows make of free waves on the relation `fit` with the measured energy.
+    Energy, noise and result are (lines, ny * nx); ``fit`` is current x, y (m/s) and gamma.
     """
     measured = _energy_on_relation(energy - noise, cells, depth, fit)
     steps = cells.steps
@@ -353,7 +355,7 @@ SHORTEST_WAVES = 0.8  # of the grid's largest k: sectors are incomplete beyond
 
 @dataclass(frozen=True)
 class RelationPoints:
-    """Centroids in k, one for a line and sector; all (points,)."""
+    """Centroids in k, one per line and sector; all fields are (points,)."""
 
     omega: Array  # rad/s
     k: Array  # rad/m
@@ -376,7 +378,7 @@ class RelationPoints:
 
 @dataclass(frozen=True)
 class Sector:
-    """Cells of the k plane around one direction, by increasing k."""
+    """Cells of the k plane near one direction, sorted by k."""
 
     theta: float
     cells: Array  # of the plane
@@ -446,8 +448,8 @@ def centroids(
 
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
-    """Wavenumber of each line from the table k -> free + k * along; NaN for waves that the current blocks.
-    Against a current omega rises with k only as long as the group velocity `speed` of free waves exceeds it.
+    """Wavenumber of each line on the relation omega = free(k) + k along; NaN if a current blocks the wave.
+    Against a current omega grows with k only while the group velocity `speed` exceeds the current.
     """
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
@@ -458,7 +460,7 @@ def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: flo
 
 
 def _strongest_sector(points: RelationPoints) -> Array:
-    """Energy of the strongest sector on each point's line and its neighbours, (points,)."""
+    """Energy of the strongest sector on each point's line and the lines beside it, (points,)."""
     if not len(points):
         return points.energy
     _, line = np.unique(points.omega, return_inverse=True)
@@ -469,7 +471,7 @@ def _strongest_sector(points: RelationPoints) -> Array:
 
 @dataclass(frozen=True)
 class WindowDisplacement:
-    """How far the spectral windows move centroids."""
+    """Displacement of the centroids by the spectral windows."""
 
     key: Array  # as of the points
     k: Array  # rad/m
@@ -484,7 +486,7 @@ class WindowDisplacement:
         fit: Array,
         settings: FitSettings,
     ) -> "WindowDisplacement":
-        """Displacements of the centroids of free waves on the relation `fit`, as the windows show them.
+        """Displacements of the centroids of free waves on the relation `fit`, by simulated windows.
         Points displaced far are left out: beyond the end of a sea all energy is leakage. band is (lines,).
         """
         free_waves = windowed_waves(spectrum.energy, spectrum.noise, cells, spectrum.depth, fit)[band]
@@ -499,7 +501,7 @@ class WindowDisplacement:
         return cls(points.key[near], displacement[near])
 
     def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
-        """Points without that part of their displacement; without those that it does not hold."""
+        """The points corrected for their displacement, without points that have none."""
         _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
         points, displacement = points[measured], self.k[simulated]
         k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)

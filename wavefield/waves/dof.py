@@ -27,16 +27,16 @@ HANN_LINES = 2 * sum(_NEIGHBOURS) - 1  # lines that count as one
 
 
 def hann_correlation(lines: int) -> Array:
-    """Squared correlation of the lines of a Hann window, (lines, lines), for energy spread evenly."""
+    """Squared correlation of the lines of a Hann window, (lines, lines), for a flat spectrum."""
     apart = np.abs(np.subtract.outer(np.arange(lines), np.arange(lines)))
     return np.select([apart == n for n in range(len(_NEIGHBOURS))], _NEIGHBOURS, 0.0)
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Degrees of freedom of sums of powers, as their spread lets expect.
+    """Degrees of freedom, (n,), of sums of powers, from their correlations.
 
-    With power (parts, n); dof (parts, n); overlap (parts, parts); returns (n,): (sum P)^2 / sum_ij rho_ij^2
-    P_i P_j / sqrt(nu_i nu_j).
+    With power (parts, n), dof (parts, n) and overlap (parts, parts): (sum P)^2 / sum_ij rho_ij^2 P_i P_j /
+    sqrt(nu_i nu_j).
 
     Examples
     --------
@@ -54,7 +54,7 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 
 
 def independent_cells(energy: xr.DataArray, cells: xr.DataArray, table: rings.Rings) -> xr.DataArray:
-    """Independent cells of a sum over rings, (...), from each ring's energy and own cells, (..., k)."""
+    """Number of independent cells in a sum over rings, (...), from energies and cells per ring, (..., k)."""
     share = energy / energy.sum("k")
     # neighbouring rings share cells: correlated as for even energy, with the variance that each has
     share = share * (xr.DataArray(1 / np.diag(table.overlap), dims="k") / cells) ** 0.5
@@ -90,7 +90,7 @@ FLOOR = 1e-12  # of the strongest line
 
 
 def expected_segment_correlation(power: Array, count: int, furthest: int = 2) -> Array:
-    """Variance of a mean of segments over that of independent segments, from their power (n, lines).
+    """Variance of a mean over segments relative to independent segments, from their power (n, lines).
     1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, (n, lines).
     """
     lines = np.arange(power.shape[1])
@@ -135,8 +135,8 @@ def hann_autocorrelation(lag: Array) -> Array:
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
-    """Variance of a mean of segments over that of independent ones, of packets of velocities (x and y), m/s.
-    1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, T the duration, s; the window is lengths, m, along x and y.
+    """Variance of a mean over segments relative to independent ones, for packets at velocities in m/s.
+    1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, with T the duration, s, and the window of lengths in m.
     """
     s = np.linspace(-1, 1, LAGS)
     in_time = hann_autocorrelation(s)
@@ -157,8 +157,8 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 
 def crossing_correlation(welch: Welch) -> Array:
-    """Variance of a mean of segments over that of independent segments, of free waves, (rings, lines).
-    That of `correlation_at` of packets with v = c_g + U; the direction follows from omega = sigma(k) + k . U.
+    """Variance of a mean over segments relative to independent ones, for free waves, (rings, lines).
+    As `correlation_at` for packets with v = c_g + U; omega = sigma(k) + k . U gives their direction.
     """
     record, table = welch.record, welch.table
     duration = welch.segment * record.dt
@@ -184,7 +184,7 @@ def crossing_correlation(welch: Welch) -> Array:
 
 
 def wave_share(power: Array) -> Array:
-    """Share of waves in powers (rings, lines), noise being that of each ring's highest lines."""
+    """Fraction of the powers (rings, lines) that is waves; the highest lines of a ring give its noise."""
     first = int(NOISE_LINES * (power.shape[1] - 1))
     noise = power[:, first:-1].mean(axis=1, keepdims=True) if first < power.shape[1] - 1 else 0.0
     return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
@@ -212,18 +212,18 @@ MAX_RATIO = (
 
 
 def accumulate(sums: dict[str, Array], name: str, powers: Array, first: int) -> None:
-    """Add the powers (2, rings, lines) of the segment from step ``first`` to ``sums``, and hold its power."""
+    """Add the powers (2, rings, lines) of the segment that starts at step ``first``, and keep them."""
     sums[name] += powers
     sums[f"{name} from {first:012d}"] = powers[0].astype(np.float32)
 
 
 def keep_product(sums: dict[str, Array], pair: str, product: Array, first: int) -> None:
-    """Hold the product (2, rings, lines) of two fields in the segment from step ``first``."""
+    """Keep the product (2, rings, lines) of two fields in the segment that starts at step ``first``."""
     sums[f"{pair} from {first:012d}"] = (product[0] + 1j * product[1]).astype(np.complex64)
 
 
 def keep_lines(power: Array, first: int) -> dict[str, Array]:
-    """What `cell_freedom` needs of the power (cells, n) of a segment that begins at step ``first``."""
+    """Keep what `cell_freedom` needs of the power (cells, n) of the segment that starts at step ``first``."""
     total = power.sum(axis=0, dtype=float)
     half = total.size // 2
     folded = np.concatenate([total[:1], total[1:half] + total[:half:-1], total[half : half + 1]])
@@ -231,8 +231,9 @@ def keep_lines(power: Array, first: int) -> dict[str, Array]:
 
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
-    """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of a segments' mean.
-    By cells (`Welch.freedom`) and correlation (`correlation_of`), over the measured ratio of variances.
+    """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of the mean.
+    Expected from cells (`Welch.freedom`) and correlation (`correlation_of`), corrected by the measured
+    variance.
     """
     cells = welch.freedom(sums[name])
     if welch.count < LEAST_COUNT:
@@ -276,19 +277,19 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: boo
 
 
 def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
-    """Degrees of freedom of E(omega) of all nodes alike, from those under the window in space.
-    Waves of a line lie along an arc of the k plane, on which the window makes `CORRELATED_CELLS` cells one.
+    """Degrees of freedom of E(omega) with equal weights of all nodes, from those with the spatial window.
+    Waves of a line lie on an arc in the k plane, along which the window correlates `CORRELATED_CELLS` cells.
     """
     arc = np.maximum(dof / welch.dof, 1.0)
     return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)
 
 
 def of_leakage(power: Array, dof: Array) -> Array:
-    """Degrees of freedom (n,) of a sum where lines that hold what leaks into them have those of its source.
+    """Degrees of freedom (n,) of a sum, where lines that hold mostly leakage get those of its source.
 
-    A line weaker than its neighbour towards the strongest one by more than a sea falls off with frequency
-    (before the strongest line, by more than chance) holds mostly what the windows spread of that: the same
-    few waves in all of its cells, however many these are.
+    A line much weaker than its neighbour towards the strongest line, by more than a sea falls off with
+    frequency (before the strongest line: by more than chance), holds mostly what the window spreads from
+    there: the same few waves in all of its cells.
 
     Examples
     --------
@@ -359,8 +360,8 @@ def independent_samples(
 
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
-    """Degrees of freedom of the sums over k and over omega of powers (rings, lines).
-    The ridge of a line is thinner than the rings: powers have the correlation of amplitudes of even energy.
+    """Degrees of freedom of sums over k and over omega of powers (rings, lines).
+    The ridge of a line is thinner than a ring, so neighbouring rings are correlated as for a flat spectrum.
     """
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
@@ -370,8 +371,9 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Variance of a mean of segments over that of independent ones, of powers (rings, lines); of their sums.
-    The larger of `expected_segment_correlation` and, for waves, `crossing_correlation`; in sums both.
+    """Variance of a mean over segments relative to independent ones, for powers (rings, lines) and their
+    sums.
+    The larger of `expected_segment_correlation` and, for waves, `crossing_correlation`.
     """
     white = 1 + (1 - 1 / welch.count) / 18
     line = expected_segment_correlation(power, welch.count, MAX_LAG)
@@ -392,7 +394,7 @@ def cell_freedom(name: str, sums: Mapping[str, object], welch: Welch) -> float:
 
 
 def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
-    """First steps of the segments, and their powers (segments, rings, lines)."""
+    """First step of each segment, and its powers, (segments, rings, lines)."""
     start = f"{name} from "
     names = sorted(key for key in sums if key.startswith(start))
     steps = np.array([int(key.removeprefix(start)) for key in names])
@@ -401,20 +403,20 @@ def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
 
 
 def _student(number: Array) -> Array:
-    """Variance of a deviation scaled by a variance from so many values over that of a normal one."""
+    """Variance of Student's distribution: of a deviation scaled by a variance from few values."""
     number = np.maximum(number, LEAST_COUNT)
     return np.asarray((number - 1) / (number - 3))
 
 
 def _about_true_mean(between: Array, correlation: Array, count: int) -> Array:
-    """Variance between segments, of which those that are correlated vary less about their own mean."""
+    """Correct the variance between segments for correlated segments."""
     return np.asarray(between * (count - 1) / np.maximum(count - correlation, 1.0))
 
 
 def _of_sum(
     powers: Array, starts: Array, welch: Welch, expected: Array, correlation: Array, gaussian: bool
 ) -> Array:
-    """Degrees of freedom of sums (segments, n), from those expected if segments were independent."""
+    """Degrees of freedom of sums (segments, n), given those for independent segments."""
     between, _ = _variances(powers, starts, welch)
     between = _about_true_mean(between, correlation, welch.count)
     ratio = _smooth(between * expected / 2, SUM_SIZE).clip(1e-9 * expected, None)
@@ -431,7 +433,7 @@ def _variance_size(count: int, enough: int) -> tuple[int, int]:
 
 
 def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array]:
-    """Variance of the mean of the segments over its square, if they were independent, and as they are."""
+    """Relative variance of the mean over segments: if they were independent, and as measured."""
     count = welch.count
     mean = powers.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -449,7 +451,7 @@ def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array
 
 
 def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
-    """Mean of the values other than zero over a neighbourhood."""
+    """Mean of the non-zero values in a neighbourhood."""
     valid = values != 0
     weight = ndimage.uniform_filter(valid.astype(float), size, mode="nearest")
     mean = ndimage.uniform_filter(np.where(valid, values, 0.0), size, mode="nearest")

@@ -58,7 +58,7 @@ FLOOR = 1e-12  # of the strongest line
 
 @dataclass(frozen=True)
 class Leakage:
-    """Other frequencies in the lines of E(omega) of w; all (omega,)."""
+    """Energy from other frequencies in the lines of E(omega) of w; all (omega,)."""
 
     # Factors of the elevation's spectrum from w, and from the cross spectrum of w with z, that follow the
     # factor of the line's own frequency
@@ -70,8 +70,9 @@ class Leakage:
 
 
 def leakage(energy: Array, dt: float, frames: int) -> Leakage:
-    """Leakage into the lines of a spectrum of w, (n // 2 + 1,), by 60 rounds of `richardson_lucy`.
-    That spectrum times the elevation's factor, through the window again, is the spectrum of the elevation.
+    """Leakage in the lines of a spectrum of w, (n // 2 + 1,), by 60 iterations of `richardson_lucy`.
+    The deconvolved spectrum, times the factor to elevation and through the window again, is that of the
+    elevation.
     """
     half = energy.size - 1
     lines = np.pi * np.arange(half + 1) / (half * dt)
@@ -112,7 +113,7 @@ def _sum(response: Array, spectrum: Array) -> Array:
 
 
 def _response(lines: Array, fine: Array) -> tuple[Array, Array]:
-    """Response of each line to each frequency and its negative, and its main lobe, (lines, fine)."""
+    """Response of each line to each frequency, positive and negative, and its main lobe, (lines, fine)."""
     n = 2 * (lines.size - 1)
     window = hann(n)
     resolution = 2 * FREQUENCIES_PER_LINE
@@ -158,7 +159,7 @@ class SpectraOnCurrent:
     def of(
         cls, sums: dict[str, Array], welch: Welch, water: Water, current: tuple[float, float] | None
     ) -> "SpectraOnCurrent | None":
-        """From the sums of cross spectra; the current is fitted if not given. None on still water."""
+        """From the sums of cross spectra; the current is fitted if not given. None in still water."""
         w, zw = (
             plane_density(
                 xr.Variable(("omega", "ky", "kx"), density(sums[f"map {name}"], welch)), "", "1", welch
@@ -206,7 +207,7 @@ def longest_waves(omega: Array, water: Water, speed: float) -> Array:
 
 
 def shortest_waves(omega: Array, water: Water, speed: float) -> Array:
-    """Wavenumber of the waves against a current; beyond its limit that of the last ones that it lets pass."""
+    """Wavenumber of the waves against a current; for blocked frequencies that of the last waves that pass."""
     with_current = dispersion(_TABLE_K, *water) - _TABLE_K * speed
     blocked = np.flatnonzero(np.diff(with_current) <= 0)
     stop = max(int(blocked[0]), 2) if blocked.size else _TABLE_K.size
@@ -228,7 +229,7 @@ MIN_NOISE_FREQUENCY = 1.2  # Hz: below it the integrated w is mostly drift
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """Level of each ring: its median ignores free waves, where gains err, and the nonlinear term in w."""
+    """White noise level of each ring: a median over lines, which free waves hardly change."""
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # in a short record some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
@@ -237,7 +238,7 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Frequency up to which, from the peak on, a method is valid, Hz, and its decades below the peak."""
+    """Highest frequency, from the peak on, at which a method is valid, Hz, and its decades below the peak."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -253,7 +254,7 @@ def _smooth(values: Array, width: int = 7) -> Array:
 
 
 def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    """Lines whose free waves are in trusted cells: three rings about their k, seven lines."""
+    """Lines whose free waves fall in trusted cells, within three rings and seven lines."""
     k = spectra.k
     place = np.rint(np.interp(_wavenumber(spectra, water), k, np.arange(k.size))).astype(int)
     near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
@@ -262,7 +263,7 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Power gains of z and w and the gain of their cross spectrum, (k,) or (omega, k); 0: not trusted."""
+    """Power gains of z and w, and of their cross spectrum, (k,) or (omega, k); 0 where not trusted."""
 
     z: Array
     w: Array
@@ -271,7 +272,7 @@ class _Gains:
 
     @property
     def std(self) -> tuple[Array, Array]:
-        """Relative standard deviations of the amplitude gains of z and w: of S / (S + N)."""
+        """Relative standard uncertainties of the amplitude gains S / (S + N) of z and w."""
         z, w = (self.log_std * np.maximum(1.0 - np.sqrt(power), 0.0) for power in (self.z, self.w))
         return z, w
 
@@ -294,8 +295,8 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 
 
 def _source(spectra: "_Elevations", water: Water) -> Array:
-    """Wavenumbers (omega, k) of the waves whose energy a ring holds, rad/m.
-    In a field of few wavelengths, windows spread free waves to rings of other gains: energy near is theirs.
+    """Wavenumber, rad/m, of the waves whose energy each cell (omega, k) holds.
+    In a field of few wavelengths the window spreads free waves to rings with other gains.
     """
     waves = [reach(spectra.omega, water, spectra.speed)[:, None] for reach in (longest_waves, shortest_waves)]
     of_waves = np.clip(spectra.k, *waves)
@@ -304,7 +305,7 @@ def _source(spectra: "_Elevations", water: Water) -> Array:
 
 @dataclass(frozen=True)
 class _Elevations:
-    """Spectra (omega, k) of the elevation: stereo, integrated w, both together."""
+    """Elevation spectra (omega, k): from stereo, from integrated w, and from both."""
 
     omega: Array
     k: Array
@@ -360,7 +361,7 @@ def _wavenumber(spectra: _Elevations, water: Water) -> Array:
 
 @dataclass(frozen=True)
 class _Noise:
-    """Noise (omega, k) of stereo and of the integrated w, and its white fits."""
+    """Noise (omega, k) of stereo and of integrated w, and white fits to both."""
 
     z: Array
     w: Array
@@ -397,8 +398,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Spectrum and noise of z / H_z and w / H_w, weighted inversely to the variance of either in every cell,
-    by noise and by its gain; and the relative standard deviation of the amplitude by the gains.
+    """Spectrum and noise of the best combination of z / H_z and w / H_w, and its uncertainty by the gains.
+    In every cell both are weighted by their inverse variance, from noise and gain.
     """
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
@@ -450,7 +451,7 @@ def _by_method(
 def _agreed(
     spectra: _Elevations, noise: _Noise, gains: _Gains, both: Array, best: Array, dof: Array
 ) -> dict[str, Array]:
-    """Lines in which each method agrees with the more certain of z and w, in cells (omega, k) of both."""
+    """Lines in which a method agrees with the more certain of z and w, in cells (omega, k) that both have."""
     tiny = _tiny(spectra)
     with np.errstate(divide="ignore", invalid="ignore"):
         noises = noise.fit_z / gains.z, noise.fit_w / gains.w
@@ -475,7 +476,7 @@ def _agreed(
 def from_spectra(
     ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: SpectraOnCurrent | None = None
 ) -> xr.Dataset:
-    """Fusion from the power and cross spectra of z and w."""
+    """Elevation spectra and noise from the power and cross spectra of z and w."""
     ring = ring.compute()
     spectra = _elevations(ring, water, moving)
     omega = spectra.omega
@@ -547,7 +548,7 @@ def _freedom(ring: xr.Dataset) -> dict[str, Array]:
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
-    """Lines with energy at free waves of their frequency; leakage keeps the wavenumber of the peak."""
+    """Lines whose energy lies at free waves of their frequency; leakage has the wavenumber of the peak."""
     shorter = spectra.k > MIN_FREE_K * longest_waves(spectra.omega, water, spectra.speed)[:, None]
     energy = np.maximum(energy, 0.0)
     total = _smooth(energy.sum(axis=1))
@@ -557,7 +558,7 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
 def _above_noise(
     energies: dict[str, Array], dof: Array, fit_z: Array, fit_w: Array, remaining: Array, positive: Array
 ) -> dict[str, Array]:
-    """Where a method is right within a factor 2: its noise, or for the noise-free ones chance, is less."""
+    """Where a method is right within a factor 2: its noise (for noise-free methods, chance) is smaller."""
     zz, ww, zw = (_smooth(energies[method]) for method in ("stereo", "w", "cross"))
     std_cross = np.sqrt((zz * ww + zw**2) / dof)
     std_best = _smooth(np.maximum(energies["fusion"] + remaining, 0)) * np.sqrt(2 / dof)
@@ -571,7 +572,7 @@ def _above_noise(
 
 
 def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> dict[str, Array]:
-    """Fraction of the degrees of freedom that a method's estimate keeps."""
+    """Fraction of the degrees of freedom that remains after a method subtracts noise."""
     zz, ww, zw, best = (energies[method] for method in METHODS)
     both = np.maximum(best + remaining, tiny)
     return {
@@ -583,7 +584,7 @@ def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> 
 
 
 def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> float:
-    """Correlation of both noises below the dispersion relation, where there are no waves, free or bound."""
+    """Correlation of both noises, in cells without free or bound waves."""
     free = dispersion(spectra.k, *water)
     omega = spectra.omega[:, None]
     off = (

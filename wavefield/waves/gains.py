@@ -64,7 +64,7 @@ def gain_frame_mean(omega: Values, dt: float, frames: int = 2) -> Values:
 
 
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
-    """Amplitude of a velocity along a path over that of one displacement; omega in rad/s.
+    """Amplitude of a velocity along a path, relative to that of one displacement; omega in rad/s.
     w_0 + 2 w_1 cos omega dt + 2 w_2 cos 2 omega dt with `PATH_WEIGHTS` w; b / sin b of instantaneous ones.
     """
     factor: Values
@@ -91,7 +91,7 @@ def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
 
 
 def to_frame_time(omega: Array, dt: float, frames: int, z_frames: int = 4) -> Array:
-    """Factor T so that z + T z_t is the elevation at a step's first frame, in numpy's signs exp(+i omega t).
+    """Factor T such that z + T z_t is the elevation at the step's first frame, for exp(+i omega t).
     T is in seconds, omega in rad/s.
     """
     # with d differences over dt the mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) of four frames,
@@ -104,8 +104,9 @@ def to_frame_time(omega: Array, dt: float, frames: int, z_frames: int = 4) -> Ar
 
 
 def from_moving_frame(k: Array, omega: Array, dt: float) -> Array:
-    """Factor from z at mid-time in a frame that moves with the mean flow to z at the step's first frame.
-    In it a free wave turns by sigma(k) dt per frame; the gain of six frames is corrected, up to twofold.
+    """Factor from z at mid-time, in a frame moving with the mean flow, to z at the step's first frame.
+    In the moving frame a free wave turns by sigma(k) dt per frame; the gain of six frames is undone up to a
+    factor 2.
     """
     amplitude = np.sqrt(gain_frame_mean(dispersion(np.asarray(k, float)), dt, 6))
     return np.asarray(np.exp(-0.5j * omega * dt) / np.maximum(amplitude, MIN_AMPLITUDE))
@@ -226,7 +227,7 @@ def gain_of(
 
 
 def is_predicted(gain: xr.Dataset) -> bool:
-    """Whether a gain is predicted from what a run learned, not measured or given."""
+    """Whether a gain was predicted by a run, rather than measured or given."""
     return str(gain.attrs.get("origin", "")).startswith(PREDICTED)
 
 
@@ -240,7 +241,7 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
 
 
 def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
-    """The gain with ``weight`` (direction, k): the part of a ring's waves in each direction.
+    """The gain with ``weight`` (direction, k): the fraction of the waves of a ring in each direction.
     From the spectrum of w over (ky, kx); cameras near the horizon lose waves along the line of sight.
     """
     ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
@@ -257,7 +258,9 @@ def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
 
 
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
-    """Gain of a power or cross spectrum over rings (k in rad/m); directions count evenly without weights."""
+    """Gain of a power or cross spectrum over rings (k in rad/m); without weights all directions count
+    equally.
+    """
     product = gain[f"gain_{one}"] * gain[f"gain_{other}"] * gain.get("weight", 1.0 / gain.sizes["direction"])
     product = product.sum("direction", skipna=False)
     known = np.isfinite(product.values)

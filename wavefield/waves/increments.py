@@ -54,7 +54,7 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
-    """Blocks of equal length within the runs, each several longest lags long where the record allows it."""
+    """Blocks of equal length within the runs, each several longest lags long if the record allows."""
     steps = sum(b - a for a, b in record.runs)
     length = max(steps // MAX_BLOCKS, min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]

@@ -27,7 +27,7 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
-    """Convert the first argument of an estimator; parameters that are not given are read from the input."""
+    """Decorator: convert the first argument of an estimator; missing parameters are read from the input."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -48,7 +48,7 @@ def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
 
 
 def described(given: object) -> str:
-    """What was given, for messages."""
+    """A short description of the input, for messages."""
     if isinstance(given, xr.DataArray):
         return f"a variable over {', '.join(map(str, given.dims)) or 'nothing'}"
     if isinstance(given, xr.Dataset):
@@ -68,7 +68,7 @@ def is_cube(given: object) -> bool:
 
 
 def water_parameters(given: Any) -> dict[str, float]:
-    """Depth and surface tension over density that a cube, a field or a spectrum states; empty if none."""
+    """Depth and surface tension over density stated by a cube, field or spectrum; empty if none."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
     stated |= stated_water(given.attrs)
     if not stated:
@@ -78,12 +78,12 @@ def water_parameters(given: Any) -> dict[str, float]:
 
 
 def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
-    """A result with the water's coordinates of its field."""
+    """A result with the water's coordinates of the field it came from."""
     return out.assign_coords({name: given.coords[name] for name in WATER if name in given.coords})
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """A field, or a refusal."""
+    """The input if it is a field; else raises an error that describes it."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
@@ -92,7 +92,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """A cube, or a refusal."""
+    """The input if it is a cube; else raises an error that describes it."""
     if not is_cube(given):
         raise CubeError(
             f"{name} needs a cube, a Dataset over time, y and x (`wavefield.cube`, `wavefield.open_cube`),"
@@ -201,7 +201,7 @@ def cube(
 
 
 def _seconds(name: str, field: object) -> xr.DataArray:
-    """A field whose time is in seconds; of dates, since the first."""
+    """A field with time in seconds; dates are counted from the first."""
     if not isinstance(field, xr.DataArray):
         raise CubeError(f"{name!r} is a {type(field).__name__}: give a DataArray over time, y and x")
     if "time" in field.coords and field["time"].dtype.kind in "mM":

@@ -26,7 +26,9 @@ _BATCH = 1024  # values sorted into bins at once
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Join two halves (n / 2, 2 * cells) of a segment, less mean and trend, windowed: (cells, 2 * n)."""
+    """Join two halves (n / 2, 2 * cells) of a segment, remove mean and trend, apply the window: (cells, 2 *
+    n).
+    """
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -109,7 +111,7 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
-    """Add power and squared power of f (cells, n) to rings (2, rings, n // 2 + 1), +-omega folded."""
+    """Add power and squared power of f (cells, n), +-omega, to rings (2, rings, n // 2 + 1)."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -135,7 +137,7 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
-    """As `ring_powers`, conj(f) g (real, imaginary), in phase with exp(i (k . x - omega t)), omega > 0."""
+    """As `ring_powers` for conj(f) g (real, imaginary), in phase with exp(i (k . x - omega t))."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -160,7 +162,7 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 @_loose
 def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
-    """Add |f|^2 |g|^2 of two fields (cells, n) to rings (rings, n // 2 + 1), +-omega together."""
+    """Add |f|^2 |g|^2 of two fields (cells, n), both signs of omega, to rings (rings, n // 2 + 1)."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n)
@@ -181,7 +183,7 @@ def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, o
 
 @_loose
 def add_powers(f: Array, out: Array) -> None:
-    """Add |f|^2, (cells, n)."""
+    """Add |f|^2, (cells, n), to sums."""
     for c in range(f.shape[0]):
         line = f[c]
         to = out[c]
@@ -228,7 +230,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
-    """The same along the first axis, for one row."""
+    """The same derivative along the first axis, for one row."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:
@@ -313,7 +315,7 @@ def advection(
 
 @_fast
 def slope_square(z: Array, dy: float, dx: float) -> float:
-    """Sum of |grad z|^2 over all nodes and steps, the gradient that of `gradient`."""
+    """Sum of |grad z|^2 over all nodes and steps, with the gradient of `gradient`."""
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
     total = 0.0
@@ -441,8 +443,9 @@ def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> 
 def windowed_sums(
     energy: Array, noise: Array, cells: Array, k: Array, heading: Array, first: Array, last: Array, out: Array
 ) -> None:
-    """Sums (8, lines) over cells, from first to last, of a spectrum (lines, cells).
-    Energy less noise: itself, times k, heading x, y; squared energy: itself, times k, k^2; the noise.
+    """Sums (8, lines) over a range of cells of a spectrum (lines, cells).
+    Of energy less noise: itself, times k, times the two heading components; of its square: times 1, k, k^2;
+    the noise.
     """
     for i in range(first.size):
         out[:, i] = 0.0

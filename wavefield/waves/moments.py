@@ -39,8 +39,8 @@ def difference_gain(k: Array, step: float) -> Array:
 
 
 def power_gain_of_slopes(power: Array, ky: Array, kx: Array, dy: float, dx: float) -> float:
-    """Power gain of the mean square slope by finite differences, for a spectrum (ky, kx) of the elevation.
-    Waves of less than three nodes count as the differences have them: what is there is mostly noise.
+    """Factor by which finite differences change the mean square slope, for a spectrum (ky, kx).
+    Waves of less than three nodes are not corrected: what is there is mostly noise.
     """
     true = taken = 0.0
     for k, step, axis in ((ky, dy, 0), (kx, dx, 1)):
@@ -53,7 +53,7 @@ def power_gain_of_slopes(power: Array, ky: Array, kx: Array, dy: float, dx: floa
 
 
 def sampled_slope_gain(z: xr.DataArray, record: Record) -> float:
-    """The gain of `power_gain_of_slopes` from the spectrum of some steps of a field (time, y, x)."""
+    """As `power_gain_of_slopes`, from the spectrum of some steps of a field (time, y, x)."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SLOPE_STEPS).astype(int)})
@@ -75,7 +75,7 @@ def relative_std(power: Array, dof: Array, overlap: Array) -> float:
 
 def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, float]:
     """Relative standard uncertainties of the variance and of the mean square slope of all nodes.
-    From E(omega, k) and the degrees of freedom of E(omega) of all nodes; in moments all steps count alike.
+    From E(omega, k) and the degrees of freedom of E(omega) of all nodes; all steps count equally.
     """
     energy = energy.fillna(0.0)
     longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
@@ -120,8 +120,8 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
 
 
 def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:
-    """The uncertainties of `moment_stds` for a field (time, y, x), and its peak frequency and std, rad/s.
-    NaN where the record is shorter than a segment; no peak where it holds fewer than ten of its periods.
+    """Uncertainties as `moment_stds` for a field (time, y, x), and its peak frequency with std, rad/s.
+    NaN if the record is shorter than a segment; no peak if it holds fewer than ten peak periods.
     """
     try:
         both = komega(z, record=record).compute()
@@ -137,9 +137,9 @@ def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tup
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
-    """Frequency of the largest energy, of the parabola through its line and the next ones, rad/s; its std.
-    The std is that of draws about the spectrum, with each line's degrees of freedom and a Hann window's
-    correlation.
+    """Frequency of the spectral peak by a parabola through three lines, rad/s, and its std.
+    The std is that of spectra drawn about the estimate with its degrees of freedom and the correlation of
+    lines.
     """
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((PEAK_DRAWS, energy.size + 2))
@@ -168,7 +168,9 @@ def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
 
 
 def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> xr.Dataset:
-    """Add the standard uncertainties of peak and steepness, from that of the peak's omega, rad/s."""
+    """Add the standard uncertainties of peak wavenumber and steepness, from that of the peak frequency,
+    rad/s.
+    """
     k = float(out["peak_k"])
     k_std = peak / float(group_velocity(k, depth, gamma))
     relative = np.hypot(k_std / k, float(out["significant_height_std"] / out["significant_height"]))
@@ -188,7 +190,7 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation from a few steps: they fix the bins of the distributions."""
+    """Mean and standard deviation from a few steps, which fix the bins of the distributions."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     sampled = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
@@ -203,7 +205,7 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def survey(fields: Mapping[str, Array], scales: Scales) -> dict[str, Array]:
-    """Sums of powers and counts in bins of fields (steps, ny, nx)."""
+    """Sums of powers and histogram counts of fields (steps, ny, nx)."""
     out = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -216,7 +218,7 @@ def survey(fields: Mapping[str, Array], scales: Scales) -> dict[str, Array]:
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """The survey, sums over steps at each node, and of squared slopes, of fields (steps, ny, nx)."""
+    """The `survey`, sums over time at each node, and sums of squared slopes of fields (steps, ny, nx)."""
     out = survey(fields, scales)
     for name, values in fields.items():
         flat = values.reshape(values.shape[0], -1)
@@ -230,8 +232,8 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 
 def _about_node_means(sums: Array, maps: Array, steps: float) -> tuple[Array, float]:
-    """Sums of powers about each node's own mean, and the standard deviation of these means.
-    Differences of the means are no waves but, mostly, errors of the calibration.
+    """Sums of powers about each node's own mean, and the standard deviation of the means.
+    Differences between the means are mostly errors of the calibration, not waves.
     """
     m = maps[0] / steps
     n, _, s2, s3, s4 = sums
@@ -266,7 +268,7 @@ def _central_moments(sums: Array, guess: float) -> dict[str, float]:
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
     """Probability density over (value - mean) / std, (bins,), from counts in rough bins.
-    The cumulative count is interpolated: only values beyond the last bin are lost.
+    The cumulative count is interpolated, so only values beyond the last bin are lost.
     """
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["count"] or not moments["std"] > 0:
@@ -288,7 +290,7 @@ def label(
     pixel_size: float | None,
     gain_of_slopes: float = 1.0,
 ) -> xr.Dataset:
-    """Labelled statistics from sums over a record; the gain of slopes by finite differences is undone."""
+    """Labelled statistics from sums over a record; slopes are corrected for finite differences."""
     fields = {name: field for name, field in QUANTITIES.items() if f"sums {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():

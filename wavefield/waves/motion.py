@@ -283,7 +283,7 @@ def balance(
     frames: int = 2,
     current: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, float]:
-    """Root mean squares, m/s and s-1, of the terms of the kinematic condition at step i of fields."""
+    """Rms, m/s and s-1, of the terms of the kinematic condition at step i."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     if frames == 2:
         before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
@@ -306,7 +306,7 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """The balance over a record, from its rows at some steps of a cube."""
+    """Group `kinematics`: the balance over a record, from its values at some steps."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -325,7 +325,7 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
 
 
 def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
-    """The record's mean velocity (2,) and its standard uncertainty, m/s, as the wave store names them."""
+    """The record's mean velocity (2,) and its standard uncertainty, m/s, with the names of the wave store."""
     out, (mean, std) = {}, mean_and_std
     for i, axis in enumerate(("x", "y")):
         out[f"mean_current_{axis}"] = ((), float(mean[i]))
@@ -334,7 +334,7 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Ratio of nonlinear to linear, sqrt(E_nl / E_w), over k and over omega with 95 % intervals."""
+    """Ratio of the nonlinear to the linear term, sqrt(E_nl / E_w), over k and omega, with 95 % intervals."""
     out: dict[str, Any] = {}
     for axis, stem in (("k", "E_k"), ("omega", "E")):
         w, nl = spectra[f"{stem}_w"], spectra[f"{stem}_nl"]

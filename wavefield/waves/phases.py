@@ -1,4 +1,4 @@
-"""Phase averages of waves of a known period: what a wave maker makes, apart from all else."""
+"""Phase averages: the part of the waves that repeats with a known period, as of a wave maker."""
 
 from typing import Any
 
@@ -145,7 +145,7 @@ def phase_average(
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Share of each step in each phase, (steps, phases): linear between the two next to it."""
+    """Weight of each step in each phase, (steps, phases): linear between the two nearest phases."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))
@@ -156,7 +156,7 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Sums over the steps of each field times weights and design, and of its square, (..., ny, nx)."""
+    """Sums over steps of each field times weights and times the design matrix, and of its square."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

@@ -47,7 +47,7 @@ class ProbeFit:
     place: tuple[float, float] | None = None
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
-        """What does not fit, and a remedy."""
+        """Faults of the probe, each with a remedy."""
         if abs(self.best) < SAME_WAVES:
             if self.place is not None:
                 x, y = self.place
@@ -157,7 +157,7 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
 
 
 def _elsewhere(fit: ProbeFit, z: xr.DataArray, clock: Array, values: Array, dt: float) -> ProbeFit:
-    """The fit with the place in the cube that a probe fits better, by its own clock."""
+    """The fit, with the place in the cube that matches the probe better, if its clock is right."""
     there = np.interp(z["time"].values.astype(float), clock, values, left=np.nan, right=np.nan)
     good = np.isfinite(there)
     if good.sum() < MIN_SAMPLES:
@@ -271,7 +271,7 @@ def _bridged(values: Array) -> Array:
 
 
 def _longest_whole(values: Array) -> slice:
-    """The longest part of a series (n,) without missing values."""
+    """The longest part of a series (n,) without NaN."""
     known = np.concatenate([[0], np.isfinite(values).astype(int), [0]])
     edges = np.flatnonzero(np.diff(known))
     if not edges.size:
@@ -315,7 +315,7 @@ def _shared_time(
 
 
 def _independent(coherence: Array, count: int) -> Array:
-    """Number of independent probes, (omega,): n^2 / sum of their squared coherences (n, n, omega)."""
+    """Number of independent probes, (omega,): n^2 over the sum of their squared coherences (n, n, omega)."""
     n, lines = coherence.shape[1:]
     if count < MIN_SEGMENTS_FOR_COHERENCE:
         return np.ones(lines)

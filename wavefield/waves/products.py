@@ -46,7 +46,7 @@ GIVEN = {
 
 @dataclass(frozen=True)
 class WaveProduct:
-    """A value that an analysis computes from others."""
+    """One result of an analysis: the function that computes it, and the names of its inputs."""
 
     name: str
     inputs: tuple[str, ...]  # names of given values or of other products
@@ -92,7 +92,7 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute waiting products whose inputs are among the values, and add them; gives the notes of each."""
+    """Compute all products whose inputs are available, add them to the values, return their notes."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # all that is quick first, so that as many as possible of the others are computed side by side

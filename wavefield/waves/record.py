@@ -35,8 +35,8 @@ _PLATE_ERROR = (1.0, -4.0, 6.0, -4.0, 1.0)  # grows with k^4 as the error of the
 
 
 def fill_nodes(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Fill the missing nodes of the steps (steps, ny, nx) that are not missing as a whole.
-    Steps are made smooth, then what the steps around leave: errors in space and in time multiply.
+    """Fill the missing nodes of steps (steps, ny, nx) that are not missing as a whole.
+    First each step is interpolated smoothly, then the error predicted from the steps around is subtracted.
     """
     holes = ~np.isfinite(block) & ~missing[:, None, None]
     out = block.copy()
@@ -58,8 +58,8 @@ def fill_nodes(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 
 def fill_error(block: Array) -> float:
-    """Standard deviation of `fill_nodes` at the middle of 2 `IN_TIME` + 1 steps; NaN where it has no holes.
-    It is measured on nodes that are there, in holes of the same shapes half a field away.
+    """Standard deviation of `fill_nodes` at the middle of 2 `IN_TIME` + 1 steps; NaN without holes.
+    Measured on present nodes, in holes of the same shapes half a field away.
     """
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
@@ -74,7 +74,7 @@ def fill_error(block: Array) -> float:
 
 
 def _agreement(field: Array, guess: Array) -> float:
-    """Factor of a guess (ny, nx) that leaves least of the short waves of a field."""
+    """Factor on a prediction (ny, nx) that leaves the least short-wave energy of a field."""
     short = []
     for values in (field.astype(np.float64), guess):
         parts = [np.zeros(1)]
@@ -131,8 +131,8 @@ def most_probable(field: Array, hole: NDArray[np.bool_]) -> Array:
 
 
 def smoothest(field: Array, hole: NDArray[np.bool_]) -> Array:
-    """Values of the missing nodes (hole.sum(),) of a field (ny, nx): least squares of second differences.
-    A thin plate through the nodes around: waves of length L leave (2 pi r / L)^4 / 64 amid holes of radius r.
+    """Values of the missing nodes (hole.sum(),) of a field (ny, nx) with the least squared curvature.
+    A thin plate: waves of length L leave (2 pi r / L)^4 / 64 in the middle of holes of radius r.
     """
     number = np.full(hole.shape, -1)
     number[hole] = np.arange(hole.sum())
@@ -278,7 +278,7 @@ def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
 
 
 class _Stored:
-    """A piece of a stored field: read when it is converted, and not held (xarray holds what it has read)."""
+    """A piece of a stored field that is read on conversion and not kept (xarray would cache it)."""
 
     def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
         self.variable, self.area = variable, area
@@ -290,14 +290,14 @@ class _Stored:
 
 
 def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns: slice = slice(None)) -> Any:
-    """Cut a piece out of a field: a dask array where the cube is chunked, else read when its task runs."""
+    """Cut a piece out of a field: a dask array if the cube is chunked, else read inside the task."""
     if array.chunks is None:
         return _Stored(array.variable, (steps, rows, columns))
     return array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns).data
 
 
 def all_finite(block: np.ndarray) -> bool:
-    """Whether every value is finite, from their sum, which is quicker than a test of each."""
+    """Whether every value is finite, from their sum, which is faster than testing each."""
     return bool(np.isfinite(block.sum(dtype=np.float64)))
 
 
@@ -316,8 +316,8 @@ def outside_holes(finite: np.ndarray) -> np.ndarray:
 
 
 def _finite(pieces: list[object]) -> np.ndarray | None:
-    """Packed masks of the nodes that have values in all variables, and of those that are outside of holes,
-    (2, steps, bytes); None where nothing is missing.
+    """Packed masks of nodes with values in all variables, and of nodes outside holes, (2, steps, bytes).
+    None if nothing is missing.
     """
     mask = None
     for part in pieces:  # one at a time: memory
@@ -404,7 +404,7 @@ def find_record(
 
 @dataclass(frozen=True)
 class _ValidNodes:
-    """Nodes that have values, and those outside of holes: of each piece two masks in bits, None where all."""
+    """Masks of nodes with values, and of nodes outside holes, packed in bits per piece; None if complete."""
 
     pieces: Sequence[tuple[int, int]]
     masks: Sequence[np.ndarray | None]
@@ -422,7 +422,7 @@ class _ValidNodes:
 
 
 def _measured(cube: object, steps: int) -> np.ndarray:
-    """Steps that were measured according to the ledger; all without one."""
+    """Steps that the ledger marks as measured; all without a ledger."""
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
         return np.isin(cube["frame_status"].values, done)
@@ -466,7 +466,7 @@ def _rectangle(
 def _masked_pieces(
     cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes
 ) -> list[tuple[slice, np.ndarray]]:
-    """Masked nodes (steps, ny, nx) of the pieces that have some; a masked node has no value."""
+    """Masked nodes (steps, ny, nx), for pieces that have any; a masked node has no value."""
     if not (isinstance(cube, xr.Dataset) and "quality" in cube):
         return []
     out = []
@@ -482,8 +482,8 @@ def _masked_pieces(
 def _without_masked(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, masked: Sequence[tuple[slice, np.ndarray]]
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], np.ndarray]:
-    """Rectangle, and steps to be left out, so that nothing masked is left: it is no water, and never filled.
-    Nodes that are masked at any step are left out, or all such steps are, whichever leaves more.
+    """The rectangle, and steps to drop, so that no masked node remains: masked nodes are never filled.
+    Either the nodes that are masked at any step are dropped, or those steps, whichever keeps more.
     """
     ever_masked, barred = np.zeros(valid_nodes.shape, bool), np.zeros(valid_steps.size, bool)
     for _, nodes in masked:
@@ -520,8 +520,8 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
-    """Standard deviation of the error of a field at filled nodes, found on nodes that are there.
-    It is 0 without filled nodes, NaN where runs are too short to find it.
+    """Standard deviation of the error of a field at filled nodes, measured on present nodes.
+    0 without filled nodes, NaN if runs are too short to measure it.
     """
     if not record.holes:
         return 0.0
@@ -535,7 +535,7 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
 
 
 def filled_density(record: Record, field: xr.DataArray) -> float:
-    """What filled nodes add to E(omega) of a field at most, per rad/s: their error, white up to Nyquist."""
+    """Upper limit of what filled nodes add to E(omega) of a field, per rad/s: white error up to Nyquist."""
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))
 

@@ -76,7 +76,7 @@ class PlaneWaves:
         self.respond(current)
 
     def respond(self, current: Array) -> None:
-        """Set what a unit of each unknown gives, (fields, times, unknowns), on a current, m/s."""
+        """Compute the fields, (fields, times, unknowns), of one unit of each unknown on a current, m/s."""
         self.current = np.asarray(current, float)
         k, drift = np.hypot(self.kx, self.ky), self.kx * current[0] + self.ky * current[1]
         sigma = dispersion(k, *self.water)
@@ -98,7 +98,7 @@ class PlaneWaves:
         )
 
     def fields(self, unknowns: Array, times: slice = slice(None)) -> Array:
-        """Fields (fields, times, ny, nx) of unknowns: real parts of amplitudes, then imaginary ones."""
+        """Fields (fields, times, ny, nx) of the unknowns: real, then imaginary parts of the amplitudes."""
         return self._sums(self.response[:, times], unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
@@ -120,7 +120,7 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Scalar product of every unknown's fields with weighted ones, (fields, times, ny, nx)."""
+        """Inner product of each unknown's fields with weighted fields (fields, times, ny, nx)."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
@@ -136,7 +136,7 @@ class PlaneWaves:
     def normal(
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
-        """Normal matrix of the fields with even variances of noise, at the nodes of `products`."""
+        """Normal matrix for uniform noise variances, at the nodes of `products`."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -153,7 +153,7 @@ class PlaneWaves:
 
 
 class Posterior:
-    """Unknowns from fields: Gaussian with a prior variance each, given a normal matrix."""
+    """Gaussian estimate of the unknowns, given their prior variances and a normal matrix."""
 
     def __init__(self, normal: Array, prior: Array) -> None:
         self.scale = np.sqrt(np.tile(prior, 2))
@@ -162,12 +162,12 @@ class Posterior:
         self._lower = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:
-        """The unknowns of a right side (`PlaneWaves.transposed` of fields over their variances)."""
+        """Unknowns for a right-hand side (`PlaneWaves.transposed` of fields over their variances)."""
         out = scipy.linalg.cho_solve((self._lower, True), self.scale * right, check_finite=False)
         return np.asarray(self.scale * out)
 
     def covariance(self, rows: Array) -> Array:
-        """Covariance (nodes, r, r) of what rows (r, nodes, 2 unknowns) give at each node."""
+        """Covariance (nodes, r, r) of linear functions of the unknowns, rows (r, nodes, 2 unknowns)."""
         flat = (rows * self.scale).reshape(-1, self.scale.size).T
         half = scipy.linalg.solve_triangular(self._lower, flat, lower=True, check_finite=False)
         half = half.reshape(-1, *rows.shape[:2])
@@ -175,12 +175,12 @@ class Posterior:
 
     @cached_property
     def inverse(self) -> Array:
-        """Of the matrix of unknowns over their prior standard deviations."""
+        """Inverse of the matrix, in units of the prior standard deviations."""
         lower, _ = scipy.linalg.lapack.dpotri(self._lower, lower=True)
         return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
 
     def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
-        """Unknowns of fields that lack nodes which the normal matrix has, by conjugate gradients."""
+        """Unknowns of fields with missing nodes, by conjugate gradients."""
         precision = self.scale**-2
 
         def apply(x: Array) -> Array:
@@ -205,7 +205,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Learned:
-    """What sample windows of a record show; arrays (fields,) but for the first and the last."""
+    """Spectrum, noise and current learned from sample windows of a record."""
 
     prior: Array  # (groups,): variance of the amplitudes
     variance: Array  # median of the stated variances
@@ -216,9 +216,9 @@ class Learned:
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
-    """Spectrum, noise and current from windows (fields, times, ny, nx), zero outside of the mask.
+    """Learn spectrum, noise and current from windows (fields, times, ny, nx), zero outside the mask.
 
-    Spectrum and current first from single steps, whose fields are coupled but do not turn, then from windows.
+    First from single steps without propagation, then from whole windows.
     """
     products = waves.products(mask)
     current = first = np.mean([w[1:3, :, mask].mean(axis=(1, 2)) for w in windows], axis=0)
@@ -262,7 +262,7 @@ def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Arr
 
 
 def _variances(posterior: Posterior, found: Sequence[Array], group: NDArray[np.intp]) -> Array:
-    """Variance of the amplitudes of each group: what was found, over the share of it that was measured."""
+    """Variance of the amplitudes of each group, corrected for the fraction that the data determine."""
     kept = np.diag(posterior.inverse)  # of the prior's variance
 
     def total(values: Array) -> Array:
@@ -285,7 +285,7 @@ def _faster(
     weight: Array,
     expected: Array,
 ) -> Array:
-    """Change of the current (2,), m/s, that explains most of what is left: a step of Gauss and Newton."""
+    """Change of the current (2,), m/s, that best explains the residual: one Gauss-Newton step."""
     normal = np.eye(2) / CURRENT_ERROR**2
     right = expected / CURRENT_ERROR**2
     response = model.response
@@ -321,7 +321,7 @@ VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is 
 
 
 def beyond_jumps(quality: Array) -> Array:
-    """Steps of a window, quality (times, ny, nx), that a discontinuous step separates from the middle one."""
+    """Steps of a window that a discontinuous step separates from the middle; quality (times, ny, nx)."""
     jump = (quality == JUMP_OF_TIME).any(axis=(1, 2))
     middle = jump.size // 2
     before = np.logical_or.accumulate(jump[middle::-1])[::-1]
@@ -329,7 +329,7 @@ def beyond_jumps(quality: Array) -> Array:
 
 
 class _Smoother:
-    """What is common to all steps of a record."""
+    """What all steps of a record share."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, dt: float, water: tuple[float, float], steps: int
@@ -367,7 +367,7 @@ class _Smoother:
         return np.where(there, fields, 0.0), np.where(there, variance, 1.0), there
 
     def study(self, windows: list[Array]) -> None:
-        """Learn from the fullest of sample windows (9, times, ny, nx), at nodes that all of them measured."""
+        """Learn from the fullest sample windows (9, times, ny, nx), at nodes measured in all of them."""
         parts = [self.parts(window) for window in windows]
         shares = np.array([there.mean() for _, _, there in parts])
         order = np.argsort(-shares, kind="stable")[:LEARNED_WINDOWS]
@@ -390,7 +390,7 @@ class _Smoother:
         self.waves.respond(self.learned.current)
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
-        """Factor of a tile, and the covariance (ny, nx, 6, 6) of its fields and slopes at mid-time."""
+        """Factor for a tile, and the covariance (ny, nx, 6, 6) of its fields and slopes at mid-time."""
         if number not in self._fits:
             waves, mask = self.waves, self.mask[self.tiles[number]]
             normal = waves.normal(waves.products(mask), self.learned.noise)

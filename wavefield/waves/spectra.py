@@ -62,7 +62,7 @@ Array = NDArray[Any]
 
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """E(k, omega) as given, or of a field."""
+    """E(k, omega): as given, or computed from a field."""
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == {"omega", "k"}:
@@ -213,7 +213,7 @@ def total(density: xr.DataArray) -> xr.DataArray:
 
 
 def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """The transform in space, and the values themselves, two nodes as one complex number, (pairs, steps)."""
+    """The spatial transform, and the node values with two nodes as one complex number, (pairs, steps)."""
     flat = blocks[0].reshape(blocks[0].shape[0], -1)
     pairs = np.ascontiguousarray(flat[:, : flat.shape[1] // 2 * 2])  # an odd node is left out
     nodes = pairs.view(np.result_type(pairs.dtype, np.complex64)).T
@@ -248,7 +248,9 @@ def _add_ring_powers(
 
 
 def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
-    """E(k, omega), its freedom and interval, (4, omega, k); E(omega) of all nodes; freedom of both sums."""
+    """E(k, omega) with degrees of freedom and interval, (4, omega, k); E(omega) of all nodes; degrees of
+    freedom of both sums.
+    """
     dof = ring_freedom(summed, "f", welch)
     nodes = [power for name, power in summed.items() if name.startswith("nodes from ")]
     parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
@@ -470,8 +472,9 @@ PLANE = {"omega", "ky", "kx"}
 
 
 def plane_of(field: str, independent: bool = False, segment: int | None = None) -> Convert:
-    """Converter to E(omega, ky, kx): as given, in the Dataset of `spectrum`, of a field, or of a cube's.
-    Degrees of freedom are those of the segments as they are, or of independent ones.
+    """Converter of inputs to E(omega, ky, kx): a spectrum as given, a Dataset of `spectrum`, a field or a
+    cube.
+    Degrees of freedom are those of the segments, or of independent ones.
     """
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
@@ -509,7 +512,7 @@ def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
 
 
 def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
-    """Lines of the spectrum next to some frequencies, Hz."""
+    """Lines of the spectrum nearest to given frequencies, Hz."""
     lines = welch.omega / (2 * np.pi)
     return sorted({int(np.abs(lines - f).argmin()) for f in frequencies if f < lines[-2]} - {0})
 

@@ -57,7 +57,7 @@ def degrees_of_freedom(segments: float) -> float:
 
 
 def effective_duration(segments: float, length: float) -> float:
-    """Length of a record, weighted as by its Hann-windowed, half-overlapping segments, of this length."""
+    """Effective length of a record of half-overlapping Hann windows."""
     return length * 18 * segments**2 / (38 * segments - 3)
 
 
@@ -77,7 +77,8 @@ def richardson_lucy(
     corrected: Callable[[np.ndarray, np.ndarray], np.ndarray],
     rounds: int,
 ) -> np.ndarray:
-    """Non-negative estimate that a window turns into what was measured (Richardson 1972, Lucy 1974).
+    """Deconvolve: the non-negative spectrum that a window turns into the measured one (Richardson 1972, Lucy
+    1974).
     ``corrected(estimate, ratio)`` multiplies it by measured / ``through_window(estimate)``, window-averaged.
     """
     for _ in range(rounds):
@@ -120,7 +121,7 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """What to read for the steps a to b, which of it is missing, and where a to b are in it."""
+    """Where to read for steps a to b: slices with a margin, missing steps, and a to b inside them."""
     # interpolation in time needs measured steps on either side, and filling missing nodes some more
     bridged = np.asarray(record.bridged, int)
     reach = IN_TIME if record.holes else 0
@@ -132,7 +133,7 @@ def _span(
 
 
 class Link(NamedTuple):
-    """Half a segment of a chain: steps ``start`` to ``stop`` of a run; ``new`` if no other chain has them."""
+    """Half a segment in a chain: steps ``start`` to ``stop`` of a run; ``new`` if in no other chain."""
 
     start: int
     stop: int
@@ -141,7 +142,7 @@ class Link(NamedTuple):
 
 
 class UnlikeFirst(Exception):
-    """A field of a record lacks values where the first one has them."""
+    """A field of a record lacks values at nodes where the first field has them."""
 
 
 class Reader:
@@ -154,7 +155,7 @@ class Reader:
         self.first = first  # step of the record that the arrays begin with
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
-        """Blocks (b - a, ny, nx) of the steps a to b of a run, without gaps."""
+        """Yield blocks (b - a, ny, nx) of the steps a to b of a run, gaps filled."""
         (steps, *nodes), missing, inner = _span(self.record, a, b, run)
         steps = slice(steps.start - self.first, steps.stop - self.first)
         blocks: list[np.ndarray] = []
@@ -384,7 +385,7 @@ class Welch:
 
     @property
     def duration(self) -> float:
-        """Length of the record as its segments weigh it, s."""
+        """Effective length of the record, as its segments weight it, s."""
         return effective_duration(self.count, self.segment * self.record.dt)
 
     @property
@@ -424,7 +425,7 @@ class Welch:
         return inner(self.omega.size)[:, None] & in_k
 
     def over_filled(self, energy: Any, added: float) -> Any:
-        """Where E(k, omega), (omega, k), exceeds what filled nodes add; ``added`` to E(omega) at most."""
+        """Where E(k, omega), (omega, k), exceeds ``added``, the most that filled nodes add to E(omega)."""
         plane = 2 * np.pi * self.table.k * self.table.coverage
         white = added * plane * self.record.dy * self.record.dx / (2 * np.pi) ** 2
         return energy > MIN_OVER_FILLED * white
@@ -451,7 +452,7 @@ class Welch:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes that state how a spectrum was estimated."""
+        """Attributes that describe how a spectrum was estimated."""
         record = self.record
         return {
             "estimator": "Welch, Hann windows in t, y and x, half overlap, mean and trend removed",
@@ -469,8 +470,9 @@ class Welch:
 
 
 def with_stated(given: Any) -> Any:
-    """A field or a cube whose `path_frames` and water are coordinates, as results keep them, where fields
-    state them as attributes (those of `wavefield.open_cube` do); anything else as it is.
+    """A field or cube with `path_frames` and the water as coordinates, if its fields state them as
+    attributes.
+    Anything else is returned unchanged.
     """
     if not isinstance(given, xr.DataArray | xr.Dataset):
         return given
@@ -503,7 +505,7 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
 
 
 def frames_of_meaning(*stated: str) -> int:
-    """Frames of velocities that are stated to be displacements over a step, or instantaneous."""
+    """`path_frames` for velocities declared as displacements over a step, or as instantaneous."""
     if len(stated) > 1 or stated[0] not in MEANINGS:
         raise CubeError(
             f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
@@ -512,7 +514,7 @@ def frames_of_meaning(*stated: str) -> int:
 
 
 def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
-    """A cube that states what its velocities are, and a note where neither it nor the argument does."""
+    """A cube that states the meaning of its velocities, with a note if neither it nor the argument does."""
     cube = with_stated(cube)
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
     stated = "path_frames" in cube.coords or any(
@@ -551,6 +553,6 @@ def moves_with_flow(fields: xr.DataArray | xr.Dataset) -> bool:
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
-    """Lines of a spectrum off its mean and off the Nyquist frequency, (lines,)."""
+    """Lines of a spectrum without zero and Nyquist frequency, (lines,)."""
     index = np.arange(lines)
     return (index >= LOWEST) & (index < lines - 1)
