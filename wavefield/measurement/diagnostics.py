@@ -73,16 +73,16 @@ class Diagnosis:
 
     @property
     def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Elevation by one pair minus that by another, metres, (..., ny, nx)."""
+        """Elevation from one pair minus that from another, metres, (..., ny, nx)."""
         return {(p, q): self.z[p] - self.z[q] for p, q in combinations(self.z, 2)}
 
     @property
     def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Displacement by one pair minus that by another, metres, (..., 3, ny, nx)."""
+        """Displacement from one pair minus that from another, metres, (..., 3, ny, nx)."""
         return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
     def table(self) -> list[dict[str, Any]]:
-        """The rms of every error.
+        """Rms of every error.
 
         Returns
         -------
@@ -117,7 +117,7 @@ class Diagnosis:
 
 
 def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
-    """Several steps of the same cameras as one.
+    """Join several steps of the same cameras into one diagnosis.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def joined(cameras: Sequence[str]) -> str:
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Rms without what exceeds three times it, and the share that does."""
+    """Rms without values beyond three times the rms, and their fraction."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -245,7 +245,7 @@ def diagnose(
 def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
-    """The images of both frames, with a model learned from them where none is given."""
+    """Images of both frames, and a model; the model is learned from them if none is given."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:
@@ -264,7 +264,7 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Displacement between the partners of two pairs of one reference."""
+    """Displacement between the other cameras of two pairs with the same reference."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
@@ -272,7 +272,7 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
 
 
 def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, PairMatch]:
-    """Each planned pair, and the direct pairs among their partners."""
+    """Match each planned pair, and the pairs among the other cameras of these."""
     pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
     return {(a, b): match_pair(view.flat[a], view.flat[b], (a, b), geometry) for a, b in pairs}
 
@@ -284,7 +284,7 @@ def _moved(
     geometry: GridGeometry,
     model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
-    """Displacement by each pair alone, the misfit of each pair and of all, and the uncertainty by all."""
+    """Displacements from each pair alone, misfits of each pair and of all cameras, uncertainty of all."""
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
     moves = flows(views[0].raw, views[1].raw, geometry.settings.piv, model)

@@ -31,7 +31,7 @@ STILL_WATER_VARIANCE = 8e-4  # of matched displacements, px^2: less in the sampl
 
 @dataclass(frozen=True)
 class CameraFlow:
-    """One camera's displacement from one frame to the next, ready to be read anywhere."""
+    """One camera's displacement from one frame to the next, interpolated between blocks."""
 
     spline: Float  # (ny, nx, 2): spline coefficients on the lattice of blocks, px of the binned image
     # (1 or 2, ny, nx): variance by noise, and by what the prior removes or adds, px^2; of each component or
@@ -51,7 +51,7 @@ Flows = Mapping[str, CameraFlow]
 
 @dataclass
 class FlowEstimate:
-    """The MAP displacement between two frames, and what it is based on."""
+    """MAP displacement between two frames, with the match and information it came from."""
 
     waves: Float  # (2, my, mx): cosine coefficients of the displacement less its smooth part, px
     edges: Float = field(repr=False)  # (2, ny, nx): that smooth part (`Modes.split`), px
@@ -62,19 +62,20 @@ class FlowEstimate:
 
     @property
     def information(self) -> Float:
-        """(ny, nx): mean of both parts of the diagonal, px^-2."""
+        """Mean of both diagonal elements of the information, (ny, nx), px^-2."""
         return np.asarray(np.float32(0.5) * (self.each[0] + self.each[1]))
 
 
 def filled(found: matching.Displacement) -> Float:
-    """Displacement without holes, (2, ny, nx), px: filled by coarser and coarser means."""
+    """Displacement with holes filled by successively coarser means, (2, ny, nx), px."""
     return np.moveaxis(push_pull(np.stack([found.u, found.v], axis=-1), found.valid), -1, 0)
 
 
 def harmonics(midway: Float) -> Float:
-    """Second-harmonic correction (2, ny, nx), px, from midway to start-point coordinates.
-    u(x) = D(x + u/2), so that the harmonics of a wave are u - D = (D . grad) D / 2, to first order. What all
-    water moves alike displaces the waves without changing them, by however much, and is left out of D.
+    """Second-harmonic correction from start-point to midpoint coordinates, (2, ny, nx), px.
+    u(x) = D(x + u/2) gives u - D = (D . grad) D / 2 to first order. The mean of D is excluded: a common
+    motion
+    shifts waves without changing them.
     """
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
@@ -89,9 +90,10 @@ def map_displacement(
     modes: Modes,
     with_harmonics: bool = False,
 ) -> FlowEstimate:
-    """Displacement by all blocks together, from what matching found.
-    The prior limits the displacement without harmonics. While spectra and noise are learned these count as
-    waves: fields are open to noise then, whose harmonics would be learned.
+    """MAP displacement from all blocks of a match.
+    The prior applies to the displacement without harmonics. While spectra and noise are learned, harmonics
+    are kept
+    as waves, because the fields are noisy then and so would be their harmonics.
     """
     found = match
     u = filled(match)
@@ -136,7 +138,7 @@ def flows(
     model: Model,
 ) -> dict[str, CameraFlow]:
     """Displacements of every camera that has a usable frame at both instants.
-    Blocks are rejected as out of range where waves are far higher than in the steps that spectra are from.
+    Blocks are rejected as out of range where waves are far higher than in the sample steps.
     """
     out, learned = {}, dict(model.record.motion)
     for name in first:
@@ -151,7 +153,7 @@ def flows(
 
 
 def motion_variance(found: matching.Displacement) -> float:
-    """Variance over the field of the displacement that was matched, both components together, px^2."""
+    """Variance over the field of the matched displacement, sum of both components, px^2."""
     valid = found.valid
     return float(np.var(found.u[valid]) + np.var(found.v[valid])) if valid.any() else 0.0
 
@@ -162,12 +164,12 @@ def flow_near(
     other: matching.PreparedImage,
     model: FieldModel,
 ) -> CameraFlow:
-    """Displacement of one camera from what matching found."""
+    """MAP displacement of one camera from its match."""
     return camera_flow(map_displacement(near, one, other, model.modes, True), model)
 
 
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
-    """The MAP displacement, ready to be read."""
+    """The MAP displacement, prepared for interpolation."""
     noise, missing = model.spread(found.information)
     spline = model.splined(found.waves, found.edges + found.harmonics)
     return CameraFlow(spline, noise, missing, why_rejected(found.found.reason))

@@ -30,7 +30,7 @@ _NOISE_AT_HOLES = 3.0  # times more noise is assumed around a hole
 
 @dataclass(frozen=True)
 class Blocks:
-    """Elevation on the lattice by plain least squares over all pairs."""
+    """Elevation on the lattice by least squares over all pairs, without a prior."""
 
     z: Float  # (ny, nx): elevation and mismatch, metres; NaN where no pair counts
     eps_y: Float
@@ -39,13 +39,13 @@ class Blocks:
 
     @property
     def filled(self) -> Float:
-        """Elevation without holes, (1, ny, nx): filled by coarser and coarser means."""
+        """Elevation with holes filled by successively coarser means, (1, ny, nx)."""
         return np.moveaxis(push_pull(self.z[..., None], self.valid), -1, 0)
 
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:
-    """Least squares over the pairs that count: z = -sum dD . d / sum |dD|^2.
-    Across the sight line likewise eps_Y = sum (dD_y d_x - dD_x d_y) / sum |dD|.
+    """Least squares over the valid pairs: z = -sum dD . d / sum |dD|^2.
+    The part across the sight line is eps_Y = sum (dD_y d_x - dD_x d_y) / sum |dD|.
     """
     shape = matches[0].eps_y.shape
     along, across, square, length = np.zeros((4, *shape), np.float32)
@@ -68,7 +68,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 @dataclass
 class ElevationEstimate:
-    """The MAP elevation of one instant, and what it is based on."""
+    """MAP elevation of one instant, with the scores and information it came from."""
 
     waves: Float  # (1, my, mx): cosine coefficients of the elevation less its smooth part, metres
     edges: Float = field(repr=False)  # (1, ny, nx): that smooth part (`Modes.split`), metres
@@ -87,8 +87,8 @@ def map_elevation(
     pixel: float,
     noise_across: bool = True,
 ) -> ElevationEstimate:
-    """MAP elevation by the blocks of all pairs together; pixel in metres.
-    A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD.
+    """MAP elevation from the blocks of all pairs; pixel in metres.
+    A rise of z moves the patches of a pair by -dD z, so its score is -dD . s and its information dD H dD.
     """
     z = blocks.filled
     edges, waves = modes.split(z)
@@ -127,7 +127,7 @@ def map_elevation(
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
-    """Mean information of a block about the elevation, before any posterior."""
+    """Mean information of a block about the elevation, before the MAP estimate."""
     pairs = [_PairScores(m, pixel) for m in matches]
     z = blocks.filled[0]
     hessian = np.sum([one.hessian for one in pairs], axis=0)
@@ -140,7 +140,7 @@ def _noise(score: Float, hessian: Float, freedom: float) -> Float:
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
-    """Noise of the scores, (ny, nx), from those across the sight lines."""
+    """Noise variance of the scores, (ny, nx), from the component across the sight lines."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     out = np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
@@ -149,8 +149,8 @@ def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
-    """Smooth part of the "elevation" across the sight lines, (ny, nx), and its rms without noise, metres.
-    Waves that are shorter by a third show the noise.
+    """Smooth part of the mismatch across the sight lines as an elevation, (ny, nx), and its rms, metres.
+    The rms is corrected for noise, which is estimated from waves up to a third shorter.
     """
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
@@ -175,12 +175,12 @@ class _PairScores:
         self._weigh()
 
     def _weigh(self) -> None:
-        """Information dD H dD of every block, (ny, nx)."""
+        """Information dD H dD of each block about the elevation, (ny, nx)."""
         self._hessian = self.found.hessian * self.match.valid
         self.hessian = _through(self.D, self._hessian)
 
     def reevaluate(self, z: Float, prepared: PreparedImages) -> None:
-        """Evaluate the images at an elevation (ny, nx)."""
+        """Evaluate both images at an elevation (ny, nx)."""
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
@@ -188,11 +188,11 @@ class _PairScores:
         self._weigh()
 
     def score(self, z: Float) -> Float:
-        """Score at an elevation (ny, nx) near to that of the last evaluation."""
+        """Score at an elevation (ny, nx) close to the last evaluation."""
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
-        """Score and Hessian as if the parallax were turned by a quarter, at a field (ny, nx) of heights."""
+        """Score and Hessian for a displacement across the sight lines, with "heights" (ny, nx)."""
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
@@ -203,7 +203,7 @@ class _PairScores:
 
 
 def _through(D: Float, h: Float) -> Float:
-    """D h D of blocks."""
+    """Quadratic form D h D of blocks."""
     return np.asarray(D[0] ** 2 * h[0] + 2 * D[0] * D[1] * h[1] + D[1] ** 2 * h[2])
 
 
@@ -278,7 +278,7 @@ def surface_of(
 
 
 def _sheet(shape: tuple[int, int]) -> Surface:
-    """A light sheet on z = 0."""
+    """The surface of a light sheet: z = 0."""
     z = np.zeros(shape, np.float32)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
     unknown = np.full_like(z, np.nan)
@@ -302,7 +302,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Elevation at the nodes without the posterior, (ny, nx), metres: to compare pairs with each other."""
+    """Elevation at the nodes without the prior, (ny, nx), metres, for comparisons between pairs."""
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)

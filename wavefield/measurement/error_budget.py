@@ -51,7 +51,7 @@ SHORTEST_DAMPED = 0.01  # metres: shorter ripples are damped fast
 
 
 class WaveRings(NamedTuple):
-    """Waves that stand out from noise in a record, in rings of wavenumber, each (rings,)."""
+    """Detected waves of a record in rings of wavenumber; fields are (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -78,11 +78,10 @@ def error_budget(
 
 
 def noise(estimate: StepEstimate) -> Float:
-    """Noise of the blocks, F^2 A / (F^2 A + 1/S)^2 summed over the modes, through the paths of the cameras.
+    """Noise of the blocks, sum of F^2 A / (F^2 A + 1/S)^2 over the modes, propagated through the paths.
 
-    Where displacements contradict each other by more than this, chi^2 > 1, it is larger by
-    (1 + (2N - 3) chi^2) / (2N - 2): cameras show other water or other beads. That of z is larger where this
-    is more than chance, by the factor over `CHANCE_MISFIT`.
+    Where displacements of the cameras disagree by more than this (chi^2 > 1) it is multiplied by (1 + (2N -
+    3) chi^2) / (2N - 2). The noise of z is multiplied by that factor over `CHANCE_MISFIT` if more than 1.
     """
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
@@ -92,19 +91,21 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Waves that the prior removes, 1/S / (F^2 A + 1/S)^2 summed over the modes, as far as S is of waves.
+    """Waves that the prior removes: sum of 1/S / (F^2 A + 1/S)^2 over the modes, for the part of S that is
+    waves.
 
-    All cameras miss the same waves, so it does not shrink when they are averaged: it is shared among the
-    components as waves move the water.
+    All cameras miss the same waves, so averaging over cameras does not reduce it. It is divided among u, v, w
+    in the proportions of wave motion.
     """
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
-    """Waves that turn too fast for the frames: sum S |1 - K(omega dt)|^2, for velocities with (omega dt)^2.
+    """Waves that turn too fast for the frame rate: sum S |1 - K(omega dt)|^2, times (omega dt)^2 for
+    velocities.
 
-    z comes from 6, 4, 3 or 2 frames, velocities from paths of 6, 4 or 2.
+    z comes from 6, 4, 3 or 2 frames, velocities from paths through 6, 4 or 2.
     """
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
@@ -118,10 +119,11 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
-    """Variance of z, m^2, by waves that start or stop within the six frames, which no spectrum foresees.
+    """Variance of z, m^2, from waves that start or stop within the six frames.
 
-    Then z by six frames departs from that by four by more than twice what noise and waves explain,
-    noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, and is itself off by some times as much.
+    They show as a difference between z from six and from four frames. Noise and stationary waves explain
+    noise sum (w6 - w4)^2 + sum S |K6 - K4|^2 of its square; beyond four times that, four times the excess is
+    added.
     """
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
@@ -131,25 +133,25 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance, m^2, that the weights w of the frames at times t remove of z: sum S |1 - sum w e^(ipt)|^2."""
+    """Variance of z, m^2, lost by interpolation with weights w at times t: sum S |1 - sum w e^(ipt)|^2."""
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance, m^2, that paths remove of the rise per step: sum S |ip - sum w e^(ipt)|^2, and `orbits`."""
+    """Variance of the rise per step, m^2, lost by paths: sum S |ip - sum w e^(ipt)|^2, plus `orbits`."""
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)
 
 
 def orbits(waves: WaveRings, path_frames: int) -> float:
-    """Variance, m^2, that paths remove of the rise per step where waves i carry the water in waves j.
+    """Variance of the rise per step, m^2, that paths lose where the orbits of waves i carry short waves j.
 
-    A particle that is moved by xi meets u + xi u', which turns with the sum or the difference of both phases
-    p, and the frames leave out a part D = 1 - Q(p_i) of xi. With the gains K of paths and Q of places,
-    c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2).
+    A particle displaced by xi meets u + xi u', which turns with the sum or difference of both phases p; the
+    frames miss a part D = 1 - Q(p_i) of xi. With K the gain of paths and Q that of places: c sum S_i S_j (k_j
+    p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2).
     """
     p, gain = waves.phase, path_gain(waves.phase, path_frames)
     of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))
@@ -160,7 +162,7 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
 
 
 def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
-    """Waves of the learned spectrum of z that stand out from noise: S k dk / (2 pi) of every ring."""
+    """Waves of the learned spectrum of z that exceed the noise: variance S k dk / (2 pi) of each ring."""
     k = np.array(elevation.k)
     detected = np.array(elevation.detected or [[True] * len(k)]).all(axis=0)
     power = elevation.wave_fraction * np.mean(elevation.power, axis=(0, 1)) * detected
@@ -175,8 +177,8 @@ def waves_of_flat_sheet() -> WaveRings:
 
 
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
-    """Share of the variance of the rise by detected waves that turn by more than half a turn from frame to
-    frame, which frames do not follow, and the longest of them, metres.
+    """Fraction of the variance of the rise that is aliased, and the longest aliased wave, metres.
+    A wave is aliased if it turns by more than half a turn from frame to frame.
     """
     waves = detected_waves(elevation, pixel, frame_rate)
     rise = waves.variance * np.square(waves.phase)
@@ -198,11 +200,11 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
-    """Variances (4,) by waves shorter than blocks, from the std of their rise per frame and their wavelength.
+    """Variances (4,) of waves shorter than blocks, from the std of their rise per frame and a wavelength.
 
-    With the variance a^2 and the phase p per frame of waves the rise has 2 a^2 (1 - cos p), or 2 a^2 where
-    phases are even, and its rate (a p)^2. z is that of the longest ones, the rise that of the shortest.
-    Without a wavelength cameras from one side share changes of light, which are an error of velocities alone.
+    Waves of variance a^2 and phase p per frame rise by 2 a^2 (1 - cos p) per frame, or 2 a^2 if phases are
+    uniform, at a rate of variance (a p)^2. For z the longest of them count, for velocities the shortest.
+    Wavelength 0 means that cameras on one side share changes of light, which disturb only velocities.
     """
     rise, wavelength = learned
     if not rise:
@@ -220,9 +222,9 @@ RIPPLE_BLOCKS = 2.5  # wavelength that stands for all waves that blocks do not r
 
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
-    """Smooth epipolar error of the calibration in z; thickness of a light sheet; doubt of the beads' tilt.
+    """Calibration error of z, thickness of a light sheet, and uncertainty of the tilt of beads.
 
-    A calibration errs along the sight lines about as much as across them, where it shows.
+    The calibration error along the sight lines is taken to equal the smooth error across them.
     """
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
@@ -234,8 +236,8 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
-    """Excess motion of beads per step along x and y, (2, ny, nx), by the rise (ny, nx), metres.
-    A point at a height h above the water along its normal moves by -h d(grad z)/dt more than the water.
+    """Additional motion of tall beads per step along x and y, (2, ny, nx), from the rise (ny, nx), metres.
+    A point at height h along the normal moves by -h d(grad z)/dt more than the water.
     """
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))

@@ -32,8 +32,8 @@ _ORDER = 4
 
 
 class Sight:
-    """Where one camera sees the nodes at any height, as polynomials in z, and the blocks of its image, px.
-    `binning`: side of the squares of raw pixels averaged first, px; `camera` is that of the binned image.
+    """One camera's view of the nodes, as polynomials in z, and the block lattice of its image, px.
+    `binning`: side, px, of the squares of raw pixels that are averaged; `camera` is that of the binned image.
     """
 
     def __init__(
@@ -125,8 +125,8 @@ class RectifiedView:
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
-    """The part of the plane where nodes x, y (ny, nx) appear at any height to the reference and a partner.
-    The reference comes first. One partner is enough: a node moves to opposite sides in opposite cameras.
+    """Part of the plane in which the reference and a partner see nodes x, y (ny, nx) at any height.
+    The reference comes first. One partner suffices, as opposite cameras shift a node in opposite directions.
     """
     if min(x.shape) < _MIN_NODES:
         raise RigError(
@@ -161,8 +161,8 @@ def fit_plane(
 
 
 def _reach(camera: Camera, edge: Float) -> Float:
-    """Places that bound what a camera sees of the plane, (n, 2), metres.
-    Where the horizon is in view, visible nodes of the edge (m, 2) are added: `view_on_water` bounds less.
+    """Points that bound the part of the plane in view of a camera, (n, 2), metres.
+    If the horizon is in view, visible edge nodes (m, 2) are added.
     """
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
@@ -173,7 +173,7 @@ def _reach(camera: Camera, edge: Float) -> Float:
 def rectified_views(
     sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
 ) -> dict[str, RectifiedView]:
-    """Maps, masks and blur of every camera; with the middle of the grid, metres."""
+    """Maps, masks and blur of every camera, and the middle of the grid, metres."""
     blur = _blur(sights, plane.pixel, middle)
     out = {}
     for name, sight in sights.items():
@@ -188,8 +188,8 @@ def rectified_views(
 def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
-    """Standard deviations along x and y, px, that make a bead as wide in every rectified image.
-    Beads of an oblique camera are wider across its view, which would pull at the surface.
+    """Blur along x and y, px, that makes beads equally wide in all rectified images.
+    An oblique camera sees beads stretched along its view, which would bias the surface.
     """
     variances = {}
     for name, sight in sights.items():
@@ -208,13 +208,13 @@ Pixels = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Covered:
-    """Mask of one image of one camera, ready for matching."""
+    """Mask of one image, prepared for matching."""
 
     raw: Mask  # Of the binned image, for matching in time
     flat: Mask | None  # Of the rectified image; None for a camera that does not measure the surface
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Whether the blocks around positions hold masked pixels."""
+        """Whether the blocks around given positions contain masked pixels."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -350,7 +350,7 @@ class GridGeometry:
 
     @cached_property
     def covered_nodes(self) -> NDArray[np.bool_]:
-        """Nodes inside or on the outlines of objects in the water, (ny, nx)."""
+        """Nodes inside or on the outline of a mask on the water, (ny, nx)."""
         out = np.zeros(self.x.shape, bool)
         for outline in self.covered:
             line = np.array(outline, np.float32)
@@ -378,7 +378,7 @@ class GridGeometry:
         return settings
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
-        """Pairs among the cameras that have a frame; without the reference, pairs of the others."""
+        """Pairs among the cameras that have a frame; if the reference has none, pairs of the others."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -386,7 +386,7 @@ class GridGeometry:
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
 
     def _check_view(self) -> None:
-        """Refuse a grid of which no node is seen by two cameras."""
+        """Raise an error if no node is seen by two cameras."""
         heights = (self.z_range[0], 0.0, self.z_range[1])
         visible = {
             name: np.any([self.rig[name].sees(self.x, self.y, z) for z in heights], axis=0)
@@ -396,7 +396,7 @@ class GridGeometry:
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
-        """The cameras' own pixel, or finer (at most twice) where blocks would exceed 0.8 grid steps."""
+        """The cameras' own pixel, or down to half of it where blocks would exceed 0.8 grid steps."""
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 

@@ -1,4 +1,4 @@
-"""Frames made ready for matching: floor removed, brightness compressed, binned, rectified, masked."""
+"""Frames prepared for matching: background removed, brightness compressed, binned, rectified, masked."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ MAX_SIZE_TO_WIDTH = 3.0  # of a bead
 
 
 def bead_width(image: NDArray[Any]) -> float:
-    """Width of the beads' images at half their height, from the image's own correlation.
+    """Width at half height of the images of beads, px, from the autocorrelation of the image.
 
-    Of the image less its surroundings (sigma 4 px). White noise adds to the correlation without shift alone,
-    so the width follows from those for shifts of 1 and 2 px: a Gaussian bead of standard deviation s has
-    exp(-r^2 / 4 s^2). Subtracting the surroundings removes part of a bead: widths of 2 to 7 px come out a
-    tenth to a third too small. Beads skew the distribution of brightness, a texture does not: its width is 0.
+    The local mean (sigma 4 px) is subtracted first. White noise affects only the correlation without shift,
+    so the width follows from shifts of 1 and 2 px: a Gaussian bead of standard deviation s gives exp(-r^2 / 4
+    s^2). Subtracting the mean also removes part of each bead: widths of 2 to 7 px come out a tenth to a third
+    too small. Beads make the brightness skewed, a texture does not: its width is 0.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """Brightness in excess of anything as large as three beads: a white top-hat."""
+    """Brightness above everything as large as three beads: a white top-hat."""
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -85,7 +85,7 @@ GREY_LEVELS_PER_E = 5000.0  # log(65535) still fits 16 bits
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
-    """Whether a frame has the size of its camera (width, height), numbers and contrast."""
+    """Whether a frame has the size (width, height) of its camera, finite values and contrast."""
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":
@@ -97,8 +97,8 @@ def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
 def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """A usable frame as it is matched: the floor subtracted, brightness evened out, pixels binned.
-    The width of its beads, px, is found if None; covered pixels do not count.
+    """A usable frame without background, with compressed brightness and binned pixels.
+    The width of its beads, px, is measured if None; masked pixels do not count.
     """
     if covered is not None:
         image = made_even(image, covered)
@@ -112,8 +112,8 @@ def ready(
 
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
-    """An image with its short waves raised, so that beads do not reach into each other.
-    Where one does, brightness that differs between cameras pulls at the match, with the spectrum of beads.
+    """An image with its short waves amplified, so that images of neighbouring beads overlap less.
+    Where beads overlap, brightness that differs between cameras biases the match.
     """
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
@@ -123,8 +123,8 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def even_out(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Logarithm of the brightness above the black level B: log(1 + (I - B) / (0.5 (I_99 - B))).
-    Beads bright in one camera would pull the match; factors become additions, and gain and offset drop out.
+    """Compressed brightness log(1 + (I - B) / (0.5 (I_99 - B))), with B the black level.
+    A bead that is bright in one camera only would bias the match. The logarithm turns factors into constants.
     """
     low, _, high = _levels(image, covered)
     low = low if black is None else black
@@ -152,7 +152,7 @@ def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) ->
 
 
 def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
-    """Brightness at 1, 50 and 99 % of a sample of the image; all equal if the image is too small."""
+    """Brightness at the 1, 50 and 99 % quantiles of a sample of the image; all equal for tiny images."""
     sample = image[3::8, 3::8].ravel()
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]
@@ -178,7 +178,7 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Masks of one instant, ready for matching; one that stays the same is prepared once."""
+    """Masks of one instant, prepared for matching; constant masks are prepared once."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -209,13 +209,13 @@ MIN_BARE_FRACTION = 0.1
 
 
 def bare_of_camera(covered: Sequence[Covered | None]) -> float:
-    """Fraction of a camera's blocks that are masked in none of some images."""
+    """Fraction of a camera's blocks that is never masked in the given images."""
     levels = [one.raw.levels[0] > 0 for one in covered if one is not None]
     return max(float(np.logical_and.reduce(levels).mean()), MIN_BARE_FRACTION) if levels else 1.0
 
 
 def bare_of_pairs(covered: Mapping[str, Covered], geometry: GridGeometry) -> float:
-    """Fraction of the common views of pairs that is masked in neither camera, mean over the pairs."""
+    """Fraction of the common view that neither camera masks, mean over the pairs."""
 
     def level(name: str, mask: Mask | None) -> Pixels:
         return (geometry.views[name].mask if mask is None else mask).levels[0] > 0
@@ -236,8 +236,8 @@ def masked_nodes(
     z: NDArray[Any],
     geometry: GridGeometry,
 ) -> Pixels:
-    """Nodes (ny, nx) masked by an outline on the water, or for too many cameras, on the surface z, metres.
-    True where no pair of the surface's cameras, or fewer than two of the velocity's, are left.
+    """Nodes (ny, nx) masked on the water or in too many cameras, on the surface z, metres.
+    Too many: no pair for z, or fewer than two cameras for the velocity, remains.
     """
     hidden = {}
     for name in {*covered[0], *covered[1]}:
@@ -255,7 +255,7 @@ def masked_nodes(
 def prepare(
     image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
 ) -> matching.PreparedImage:
-    """Rectify a raw image and make it ready for matching."""
+    """Rectify a raw image and prepare it for matching."""
     view = geometry.views[camera]
     flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
     return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
@@ -266,7 +266,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 @dataclass(frozen=True)
 class Images:
-    """The usable frames of one instant, ready for matching."""
+    """The usable frames of one instant, prepared for matching."""
 
     flat: Mapping[str, matching.PreparedImage]  # Rectified, for the surface; none of a light sheet
     raw: Mapping[str, matching.PreparedImage]  # For matching in time
@@ -277,7 +277,7 @@ class Images:
 def usable_frames(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks
 ) -> dict[str, NDArray[Any]]:
-    """Usable frames with the floor removed, of even brightness, binned."""
+    """Usable frames, without background, compressed and binned."""
     out: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:
         image = frames.get(name)
@@ -289,7 +289,7 @@ def usable_frames(
 def rectified_images(
     ready_frames: Mapping[str, NDArray[Any]], geometry: GridGeometry, covered: Mapping[str, Covered]
 ) -> dict[str, matching.PreparedImage]:
-    """Images ready for matching between cameras; none of a light sheet."""
+    """Rectified images for matching between cameras; none for a light sheet."""
     if geometry.settings.sheet_thickness is not None:
         return {}
     return {
@@ -302,7 +302,7 @@ def rectified_images(
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Make the frames of one instant ready for matching; with the widths of beads, raw px, and masks."""
+    """Prepare the frames of one instant, given the widths of beads, raw px, and masks."""
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, beads, masks)
@@ -316,7 +316,7 @@ def with_raw_images(
     geometry: GridGeometry,
     covered: Mapping[str, Covered],
 ) -> Images:
-    """Rectified images with those for matching in time."""
+    """Add the images for matching in time to rectified images."""
     raw = {
         name: matching.prepare(
             sharpened(ready_frames[name], IN_TIME),

@@ -21,7 +21,7 @@ Surfaces = Sequence[Surface | None]
 
 @dataclass(frozen=True)
 class MidTime:
-    """Surface at mid-time of a step."""
+    """The surface at mid-time of a step."""
 
     z: Float  # (ny, nx): elevation, metres
     rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
@@ -57,8 +57,8 @@ def z_by_orders(
     times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[Float, ...]:
-    """Elevation at mid-time at nodes x, y (ny, nx), metres: by all frames, by fewer, by the nearest two.
-    Times of frames, and by how much later than at these each node is seen (late, ny, nx), are in intervals.
+    """Elevation at mid-time at nodes x, y (ny, nx), metres, from all frames, from fewer, and from two.
+    Times of frames, and the delay of each node in them (late, ny, nx), are in frame intervals.
     """
     # a current carries short waves past a node faster than frames follow: in water that moves with it (U, the
     # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
@@ -71,7 +71,7 @@ def z_by_orders(
 
 
 def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
-    """The frames as far on the other side of mid-time."""
+    """The frames mirrored in time about mid-time."""
     return tuple(5 - n for n in reversed(frames))
 
 
@@ -84,7 +84,7 @@ def _interpolated(
     times: Float,
     late: Float | None,
 ) -> tuple[Float, ...]:
-    """Polynomials through the surfaces of some frames, in water that moves with the flow, at mid-time."""
+    """Polynomial interpolation to mid-time of surfaces, in a frame that moves with the mean flow."""
     dx, dy = _per_interval(flow, times)
     at: Float | float = 0.0 if late is None else -late
     weights = [frame_weights(times, some, at=at)[0].astype(np.float32) for some in used]
@@ -99,7 +99,7 @@ def _interpolated(
 
 
 def _per_interval(flow: tuple[float, float], times: Float) -> tuple[float, float]:
-    """How far the water moves in an interval, metres, from how far it moves in the step."""
+    """Displacement of the water per frame interval, metres, from that over the step."""
     interval = float(times[AROUND + 1] - times[AROUND])
     return flow[0] / interval, flow[1] / interval
 
@@ -113,8 +113,9 @@ def where_measured(
     times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
-    """Elevations of `z_by_orders`, by fewer frames where others have not measured a node; their number; and
-    where the nearest two have measured it. Elsewhere all are filled alike, and z stays smooth.
+    """Best elevation at each node, the number of frames used, and where the nearest two measured it.
+    Fewer frames are used where others have not measured the node. Unmeasured nodes are filled, so z stays
+    smooth.
     """
     dx, dy = _per_interval(flow, times)
     # z comes from the others where a frame is absent
@@ -145,7 +146,7 @@ def where_measured(
 def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
-    """Rise per step of the surface at the water that is at nodes x, y (ny, nx) at mid-time, metres.
+    """Rise per step, metres, of the surface that moves with the water at nodes x, y (ny, nx) at mid-time.
     z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z: c displacement over the step, b bend, d at mid-time.
     """
     measured = np.isfinite(motion.chord).all(axis=0)
@@ -175,7 +176,7 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 
 def _numbers_of_frames(surfaces: Surfaces) -> list[int]:
-    """By which z at mid-time is interpolated: by all frames, by fewer, by two."""
+    """Numbers of frames of the interpolations of z: all, fewer, two."""
     count = frames_used(surfaces)
     return [n for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
 

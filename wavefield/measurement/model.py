@@ -104,8 +104,8 @@ class LearnedRecord:
 
 
 class FieldModel:
-    """A field that is estimated with a prior spectrum: cosines, variance and spline, computed on first use.
-    shape is that of its lattice of blocks; inner (ny, nx) are the blocks whose fit counts, all by default.
+    """Estimator of a field with a prior spectrum; modes, variance and spline are computed on first use.
+    shape is that of the lattice of blocks; inner (ny, nx) are the blocks whose fit counts, by default all.
     """
 
     def __init__(
@@ -119,13 +119,13 @@ class FieldModel:
 
     @cached_property
     def modes(self) -> Modes:
-        """Cosines of the field."""
+        """Cosine modes of the field."""
         with one_thread():
             return Modes(self.prior, self._shape, self._inner)
 
     @cached_property
     def spread(self) -> PosteriorVariance:
-        """Variance of the field."""
+        """Variance of the estimated field."""
         with one_thread():
             return PosteriorVariance(self.prior, self._shape)
 
@@ -152,7 +152,7 @@ def displacement_model(geometry: GridGeometry, camera: str, prior: Prior) -> Fie
 
 
 class Model:
-    """Elevation and displacements as a record's spectra, noise and transfer describe them.
+    """Estimators of elevation and displacements for one geometry, from a learned record.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ OSCILLATION_RATIO = 0.7  # of the change before: solutions that change by more o
 
 
 class Convergence:
-    """How solutions change from evaluation to evaluation; `scale` is px per unit of the field."""
+    """Change of the solution between evaluations, and when to stop; `scale` is px per unit of the field."""
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._evaluations, self._change = scale, 0, np.inf
@@ -220,8 +220,8 @@ class Convergence:
         return self._diverged or (self._evaluations >= MIN_EVALUATIONS and self._change <= self._allowed)
 
     def next(self, modes: Modes, waves: Float, solved: Float, seen: Float | None) -> tuple[Float, Float]:
-        """Coefficients to continue with and the field that blocks see: half way where solutions oscillate.
-        They are those before, if the solution is no displacement of an image.
+        """Coefficients to continue with, and the field that blocks see; averaged if solutions oscillate.
+        The previous ones are returned if the solution is not a plausible displacement.
         """
         after = modes.seen(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # NaN is none either

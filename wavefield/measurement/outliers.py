@@ -27,10 +27,10 @@ _MIN_MISFIT_FRACTION = 0.5  # of the nodes around that must contradict
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
-    """The camera without which the others agree.
+    """The camera without which the others agree; None if there is none.
 
-    Along the line of three cameras there is only one redundant displacement: whichever is left out, the other
-    two agree, and which of them moves that way cannot be determined.
+    For three cameras on a line only one displacement is redundant: whichever is left out, the other two
+    agree, so the camera that moved along the line cannot be identified.
 
     Examples
     --------
@@ -47,7 +47,7 @@ def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int]
 
 
 def median_misfit(misfit: Float, measured: Mask) -> float:
-    """Median misfit (ny, nx) over the nodes that all cameras measured; 0 if there are few."""
+    """Median misfit (ny, nx) over the nodes measured by all cameras; 0 if there are few."""
     good = measured & np.isfinite(misfit)
     return float(np.median(misfit[good])) if good.sum() >= _MIN_NODES else 0.0
 
@@ -55,8 +55,8 @@ def median_misfit(misfit: Float, measured: Mask) -> float:
 def outlier_regions(
     misfit: Float, measured: Mask, n_cameras: int, misfit_without: Callable[[int], Float], reach: int
 ) -> dict[int, Mask]:
-    """Where one camera contradicts the others, which agree there without it, (ny, nx), by its number.
-    The misfit (ny, nx) is that of all cameras, then without each; reach is in nodes.
+    """Regions (ny, nx), by camera number, where one camera contradicts the others and these agree.
+    The misfits (ny, nx) are those of all cameras, and without each; reach is in nodes.
     """
     side = (2 * reach + 1, 2 * reach + 1)
     bad = (measured & (misfit > MAX_MISFIT)).astype(np.float32)
@@ -80,8 +80,8 @@ def outlier_regions(
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
-    """Blocks at which pairs of cameras see different surfaces, (ny, nx); pixel in metres.
-    Elevations differ by over 1.5 px of parallax on the mean of 5 x 5 blocks; two blocks around count as well.
+    """Blocks at which pairs of cameras give different surfaces, (ny, nx); pixel in metres.
+    Means over 5 x 5 blocks differ by more than 1.5 px of parallax; two blocks around are included.
     """
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
@@ -96,7 +96,7 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
     """Blocks (ny, nx), and two around, where sum s / sum H over 9 x 9 differs by over 0.75 px of parallax.
-    Scores s and hessians H of pairs are (ny, nx), the lengths of their parallax (ny, nx), px per metre.
+    Scores s, Hessians H and parallax lengths (px per metre) of the pairs are (ny, nx).
     """
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
@@ -115,5 +115,5 @@ def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], leng
 
 
 def widened(where: Mask) -> Mask:
-    """Blocks and those that their windows reach, two to every side."""
+    """Blocks and their neighbours within two blocks, the reach of windows."""
     return np.asarray(cv2.dilate(where.view(np.uint8), _WINDOW_REACH) > 0)

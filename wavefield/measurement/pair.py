@@ -46,12 +46,12 @@ class PairMatch:
 
     @property
     def turned(self) -> PairMatch:
-        """The same with parallaxes turned to the left by a quarter: no elevation causes what these show."""
+        """The same with parallaxes turned by 90 degrees: "elevations" of it are errors, not water."""
         return replace(self, parallax=quarter_turn(self.parallax))
 
 
 def quarter_turn(vector: Float) -> Float:
-    """Turned to the left by a quarter, (2, ny, nx)."""
+    """Vectors (2, ny, nx) turned to the left by 90 degrees."""
     return np.stack([-vector[1], vector[0]])
 
 
@@ -59,7 +59,7 @@ def match_pair(
     a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
     """Match two rectified images of one instant: d = x_b - x_a = -(D_b - D_a) z in apparent positions.
-    So z = -(dD . d) / |dD|^2 and eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
+    Hence z = -(dD . d) / |dD|^2 and eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
     """
     found = matching.match(a, b, geometry.stereo_settings(pair))
     d = np.stack([found.u, found.v]) * np.float32(geometry.pixel)
@@ -80,13 +80,13 @@ def match_pair(
 
 
 def _sight_line(centre: Float, x: Float, y: Float) -> Float:
-    """Coefficients D of a camera's sight lines through apparent positions, (2, ny, nx)."""
+    """Horizontal displacement D of a sight line per unit of height, at apparent positions, (2, ny, nx)."""
     depth = np.float32(-centre[2])
     return np.stack([(x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth])
 
 
 def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Bits of `Quality` for matching's bits of `Reason`."""
+    """The bits of `Quality` for matching's bits of `Reason`."""
     out = np.zeros(reason.shape, np.uint16)
     known = int(Reason.NEIGHBOURS | Reason.RANGE)
     for bits, flag in (

@@ -49,7 +49,7 @@ def path_gain(phase: Float, frames: int) -> Float:
 
 
 def noise_weights(frames: int) -> tuple[float, ...]:
-    """Weights of the noise variances of displacements in that at mid-time: its step, then neighbours."""
+    """Weights of the noise variances in the displacement at mid-time: of its own step, then of neighbours."""
     half = PATH_WEIGHTS[frames]
     w = np.array([0.0, *half[:0:-1], *half, 0.0])
     out = w[1:-1] * (w[1:-1] + _NOISE_CORRELATION * (w[:-2] + w[2:]))
@@ -77,20 +77,20 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """As `noise_weights`, of any weights (5, ...) of five successive displacements."""
+    """As `noise_weights`, for any weights (5, ...) of five successive displacements."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
 
 def place_weights(frames: int) -> tuple[Float, Float]:
-    """Times of a path's places, steps from mid-time, and their weights in the displacement at mid-time."""
+    """Times of a path's points, in steps from mid-time, and their weights in the mid-time displacement."""
     later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
     t = np.arange(2 * len(later)) - len(later) + 0.5
     return t, np.concatenate([-later[::-1], later])
 
 
 def row_delay(name: str, geometry: GridGeometry) -> float:
-    """Intervals by which a camera reads a row of its binned image later than the one above it."""
+    """Delay in frame intervals from one row of the binned image to the next."""
     return dict(geometry.settings.row_delays).get(name, 0.0) * geometry.sights[name].binning
 
 
@@ -100,7 +100,7 @@ def middle_row(sight: Sight) -> float:
 
 
 def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
-    """By how many intervals after the frame's time each camera of the pairs shows the nodes, (ny, nx)."""
+    """Delay, in frame intervals, at which each camera of the pairs shows the nodes, (ny, nx)."""
     out = {}
     for name in geometry.surface_cameras:
         sight = geometry.sights[name]
@@ -109,16 +109,16 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Mean of the cameras' lateness at nodes on the surface z, (ny, nx), intervals; None without any."""
+    """Mean over cameras of the delay of nodes on the surface z, (ny, nx), frame intervals; None if zero."""
     if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
 
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
-    """Error of the elevation (ny, nx) and its offset from the node (2, ny, nx) by cameras' lateness; metres.
-    A point that camera n sees tau_n late is off by tau_n (d_xy - D_n d_z), with its sight line D_n and the
-    motion d (3, ny, nx).
+    """Error of the elevation (ny, nx), and its shift from the node (2, ny, nx), from row delays; metres.
+    A point that camera n sees tau_n late is off by tau_n (d_xy - D_n d_z): D_n sight line, d (3, ny, nx)
+    motion.
     """
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)
@@ -150,7 +150,7 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Both fields at the block nearest to a place, in blocks, and that block; the first one of a NaN."""
+    """Both fields at the block nearest to a place (in blocks), and that block; block 0 for NaN."""
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # of two, `max` returns the first beside a NaN
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i
@@ -159,14 +159,14 @@ def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
-    """Whether a place, in blocks, is in the image; fields are read at its edge from beyond it."""
+    """Whether a place (in blocks) lies inside the image; outside, fields are read at the edge."""
     half = F(0.5)
     return bool(-half < x < F(nx) - half and -half < y < F(ny) - half)
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
-    """Four blocks along x, weighed, of four rows."""
+    """Weighted sums along x of four blocks, in four rows."""
     step = np.uintp(2)
     return (
         spline_line(c, first, step, w),
@@ -195,8 +195,8 @@ def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real,
 def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
-    """Solve p = x - part f(p) by one Newton step from p = x - part (u, v), all in blocks.
-    Returns p, f there, and how p follows a shift of x: (1 + part G)^-1, row by row.
+    """Solve p = x - part f(p) by one Newton step from p = x - part (u, v), in blocks.
+    Returns p, f(p), and the derivative of p with respect to x, (1 + part G)^-1, row by row.
     """
     px, py = x - part * u, y - part * v
     i, t = place_of(px, nx)
@@ -227,8 +227,8 @@ def _read_path(
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
-    """Fill out (6, n) and block (5, n); fields of five steps in time order, empty where there is none.
-    The weights are those of `path_weights`, of all places (m = 1) or of each (m = n).
+    """Fill out (6, n) and block (5, n) from the fields of five steps in time order; empty if missing.
+    The weights are those of `path_weights`, for all places (m = 1) or for each (m = n).
     """
     bb, b, c, a, aa = splines
     has_bb, has_b, has_a, has_aa = measured
@@ -326,7 +326,7 @@ def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float =
 
 
 def five(steps: Sequence[Step | None]) -> Sequence[Step | None]:
-    """Five steps, None where none is given on either side."""
+    """Five steps in order, None for missing ones."""
     missing = [None] * (2 - len(steps) // 2)
     return [*missing, *steps, *missing]
 
@@ -396,7 +396,7 @@ def displacements_at_nodes(
     every: int = 1,
 ) -> CameraDisplacements:
     """Displacements of the named cameras at every n-th node along x and y on the surface z, metres.
-    z is at all nodes. Times of the six frames are in intervals from mid-time.
+    z is given at all nodes. Times of the six frames are in intervals from mid-time.
     """
     z = z[::every, ::every]
     count, shape = len(names), z.shape
@@ -432,7 +432,7 @@ def displacements_at_nodes(
 def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """Path of one camera at given pixels (`read_path`), blocks read, variances by noise and by the prior."""
+    """For one camera: path at given pixels (`read_path`), blocks read, variances of noise and prior."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -449,8 +449,8 @@ def _along_path(
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
-    """Fill out (c, n) with the noise (c, blocks) of five steps at the blocks read (5, n), -1 where none was.
-    The weights (5, 5, m) are of variances, for the places of `FRAMES_OF_PATH`.
+    """Fill out (c, n) with the noise of a path: variances (c, blocks) of five steps at blocks read (5, n).
+    -1 marks steps not read. The weights (5, 5, m) apply to variances, for the places of `FRAMES_OF_PATH`.
     """
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
@@ -470,6 +470,6 @@ def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: F
 
 
 def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Number of places of paths, from the blocks read for them: 2, 4 or 6."""
+    """Number of points of each path, from the blocks read for it: 2, 4 or 6."""
     near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
     return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)

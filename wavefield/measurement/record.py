@@ -179,14 +179,14 @@ def _learned(
 
 
 def _with_pooled_fraction(priors: Mapping[str, Prior]) -> dict[str, Prior]:
-    """Priors of cameras that see the same waves: what they contain of undetected ones is that of all."""
+    """Priors of cameras that see the same waves, with a common fraction of undetected waves."""
     fraction = float(np.mean([prior.undetected_fraction for prior in priors.values()]))
     return {name: replace(prior, undetected_fraction=fraction) for name, prior in priors.items()}
 
 
 @dataclass(frozen=True)
 class _SampleStep:
-    """One step with what matching finds, whatever the prior."""
+    """One sample step with its matches, which do not depend on a prior."""
 
     first: Images
     second: Images
@@ -233,10 +233,9 @@ def _bead_widths(
 
 @dataclass(frozen=True)
 class _FieldSample:
-    """One field of a sample step, as windows give it, and how a prior makes it.
+    """One field of a sample step: windowed, and as the MAP estimate of a prior.
 
-    `information` and the coefficients are as if no block were masked: below a mask the water is assumed to be
-    as rough and as visible.
+    `information` and the coefficients are computed as if no block were masked.
     """
 
     field: Float  # (c, ny, nx), without holes
@@ -253,7 +252,7 @@ class _FieldSample:
 def _elevation_samples(
     steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor
 ) -> list[_FieldSample]:
-    """The elevation of the samples' first frames, where they show one."""
+    """Elevation of the first frame of each sample step that shows one."""
 
     def sample_of(step: _SampleStep) -> _FieldSample | None:
         if step.pairs is None:
@@ -292,7 +291,7 @@ def _displacement_samples(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> list[_FieldSample]:
-    """The displacement of one camera in the sample steps, where they show one."""
+    """Displacement of one camera in each sample step that shows one."""
     area = displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
 
     def sample_of(step: _SampleStep) -> _FieldSample:
@@ -316,7 +315,7 @@ def _displacement_samples(
 def _first_spectrum(
     samples: Sequence[_FieldSample], settings: matching.MatchSettings, pool: ThreadPoolExecutor
 ) -> Prior:
-    """Prior of fields of one kind: from windowed fields over the windows' gain, then refined twice."""
+    """Prior of one kind of field: from windowed fields with their gain undone, then refined twice."""
     kx, ky = (np.pi * np.arange(n) / n for n in samples[0].field.shape[:-3:-1])
     window = transfer_function(settings, kx, ky[:, None]).clip(0, 1)
     fields = [one.field - edge_field(one.field) for one in samples]
@@ -328,7 +327,7 @@ def _first_spectrum(
 
 
 def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
-    """The spectrum of the fields that a prior gives with at least this signal to noise in every mode."""
+    """Prior refined from the fields of a prior raised to a least signal-to-noise ratio."""
     prior = prior.with_min_signal_to_noise(ratio)
     modes = Modes(prior, samples[0].field.shape[-2:])
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
@@ -340,7 +339,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 def _elevation_prior(
     samples: Sequence[_FieldSample], geometry: GridGeometry, pool: ThreadPoolExecutor
 ) -> Prior:
-    """The prior of the elevation with its information along the sight lines, and how much of it is waves."""
+    """Prior of the elevation, with its information along the sight lines and the fraction that is waves."""
     prior = _first_spectrum(samples, geometry.settings.stereo, pool)
     modes = Modes(prior, samples[0].field.shape[-2:])
     each = list(pool.map(lambda one: one.summary(modes), samples))
@@ -364,7 +363,7 @@ def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel
 
 @dataclass(frozen=True)
 class _Differences:
-    """Noise, waves and shared residuals from the differences between cameras, in one step or in several."""
+    """Noise, waves and shared residuals, from differences between cameras in one or several steps."""
 
     noise: float = 1.0  # over the priors'
     waves: float = 1.0  # fraction of the displacements' spectra that all cameras share

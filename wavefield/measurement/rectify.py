@@ -83,8 +83,8 @@ def _double(
 
 
 def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
-    """Weighted means of squares of count x count pixels, for a camera that resolves more than its partners.
-    Returns (row // count, column // count); 8 bit become 16 (times 64), so that means are not rounded.
+    """Weighted means of count x count pixels, for a camera that resolves more than its partners.
+    Returns (row // count, column // count); 8-bit images become 16-bit (times 64), so means are not rounded.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
@@ -121,7 +121,7 @@ def _in(y: Any, h: int) -> Any:
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float32, out: NDArray[Any]) -> None:
-    """Every count-th row and column of an image weighed along both; what lies outside is as its edge."""
+    """Weighted sums at every count-th row and column; beyond the edge the image is repeated."""
     h, w = image.shape
     reach, wide = np.int64(count), np.int64(out.shape[1])
     line = np.empty(w + 2 * reach, np.float32)
@@ -165,7 +165,7 @@ def double(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """As `double`, from rows (first, last) of an image to the next, each in the memory of the one before."""
+    """As `double`, in bands of rows that reuse memory."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)
@@ -180,8 +180,9 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Where a camera sees points x (nx,), y (ny,) of the water at rest, on the grid of `double`, (ny, nx).
-    The third result is True where it sees the point three pixels (the reach of the spline) from its edge.
+    """Position at which a camera sees points x (nx,), y (ny,) of still water, on the grid of `double`.
+    The third result is True where the point lies at least three pixels (the reach of the spline) inside the
+    image.
     """
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size

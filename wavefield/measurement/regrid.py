@@ -18,7 +18,7 @@ Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # of four block
 
 @dataclass(frozen=True)
 class BlockLattice:
-    """Block centres in a plane: apparent coordinates or pixels."""
+    """Centres of blocks on a regular lattice in a plane, in metres or pixels."""
 
     x0: float  # Position of block (0, 0)
     y0: float
@@ -38,7 +38,7 @@ class BlockLattice:
 
 @compiled()
 def _pull(fields: Float, weight: Float, sums: Float, total: Float) -> None:
-    """Add up squares of two by two, blocks without weight left out."""
+    """Sum squares of two by two blocks, without those of zero weight."""
     sums[:] = 0
     total[:] = 0
     for j in range(weight.shape[0]):
@@ -51,7 +51,7 @@ def _pull(fields: Float, weight: Float, sums: Float, total: Float) -> None:
 
 @compiled()
 def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
-    """Mean of each block, or where it has no weight the coarser means read between their centres."""
+    """The mean of each block; where it has no weight, the coarser means interpolated."""
     quarter = np.float32(0.25)
     for j in range(weight.shape[0]):
         for i in range(weight.shape[1]):
@@ -70,7 +70,7 @@ def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Fields (ny, nx, F) with the gaps of valid (ny, nx) filled from coarser and coarser means."""
+    """Fields (ny, nx, F) with the gaps of valid (ny, nx) filled by successively coarser means."""
     levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
     while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
         ny, nx = ((n + 1) // 2 for n in levels[-1][1].shape)
@@ -109,7 +109,7 @@ def coefficients(fields: Float) -> Float:
 
 
 def local_coefficients(fields: Float) -> Float:
-    """`coefficients` of fields (F, ny, nx) to a thousandth, from the nearest seven blocks on every side."""
+    """As `coefficients` for fields (F, ny, nx), to a thousandth, from seven blocks on every side."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
     reflected = {"kernelX": kernel, "kernelY": kernel, "borderType": cv2.BORDER_REFLECT}
@@ -137,7 +137,7 @@ def spline_slopes(t: np.float32) -> Weights:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32:
-    """Four neighbours along x from element k on; unsigned indices are not checked for a minus."""
+    """Weighted sum of four neighbours along x from element k on (unsigned, which skips a sign check)."""
     out: np.float32 = (
         w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
     )
@@ -146,7 +146,7 @@ def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
-    """One field: element k is the first of four by four."""
+    """Value of one field from four by four coefficients, the first of which is element k."""
     return (
         wy[0] * spline_line(c, k, step, wx)
         + wy[1] * spline_line(c, k + down, step, wx)
@@ -157,7 +157,7 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Block to the left and distance from it; kept one block inside the lattice, even of a NaN."""
+    """Block to the left of a position and the distance from it, kept one block inside the lattice."""
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
     i: Any = np.int32(max(lowest, q))  # of two, `max` returns the first beside a NaN
@@ -175,7 +175,7 @@ def _read_along_lines(
     height: Float,
     out: Float,
 ) -> None:
-    """Elevation out (n,) where the lines of sight to places x, y (n,) on z = 0 reach a height (n,)."""
+    """Elevation (n,) where sight lines to places x, y (n,) on z = 0 pass a height (n,)."""
     x0, y0, across = lattice
     cx, cy, cz = centre
     ny, nx = shape
@@ -199,7 +199,7 @@ def _read_surface(
     tolerance: np.float32,
     out: Float,
 ) -> None:
-    """Fill out (rows, n): nodes of a row are independent of each other, which is several times as fast."""
+    """Fill out (rows, n); the nodes of a row are independent, so that the loop vectorises."""
     n = x.shape[1]
     before, height, found = np.zeros(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     half = np.float32(0.5)
@@ -237,7 +237,7 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> NDArray[np.intp]:
-    """Number of the block in which the camera sees each place x, y, z (ny, nx), metres, or of the nearest."""
+    """Number of the block in which the camera sees each point x, y, z (ny, nx), metres, or of the nearest."""
     row, column = (
         np.clip(np.rint(at), 1, n - 2).astype(np.intp)
         for at, n in zip(_places_below(lattice, centre, x, y, z), lattice.shape)

@@ -1,4 +1,4 @@
-"""Gain of the measurement for waves, by linear theory: that of the MAP fields, read between the blocks."""
+"""Amplitude gain of the measurement for waves, by linear theory: MAP estimate and interpolation."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 def shortest_carried(
     geometry: GridGeometry, record: LearnedRecord, better: float | Mapping[str, float] = 1.0
 ) -> dict[str, float]:
-    """Wavelengths, metres, at which the gain is one half, with blocks of so many times the information."""
+    """Wavelength, metres, with a gain of one half, for blocks with the information multiplied by factors."""
     each = better if isinstance(better, Mapping) else dict.fromkeys(geometry.cameras, better)
     both = 1.0 / float(np.mean([1.0 / each[name] for name in geometry.surface_cameras]))  # noises add
     record = replace(
@@ -93,8 +93,8 @@ def shortest_carried(
 
 
 def in_focus(record: LearnedRecord) -> dict[str, float]:
-    """Factor on each camera's information if its beads' images were two pixels wide.
-    The same light in a spot of width s has gradients whose squares sum up to s^-4.
+    """Factor on each camera's information if the images of its beads were two pixels wide.
+    The squared gradients of a spot of width s with the same light scale as s^-4.
     """
     return {name: max(width / FOCUSED_WIDTH_PX, 1.0) ** 4 for name, width in record.beads}
 
@@ -112,7 +112,7 @@ def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, 
 
 
 def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Measured (dx, dy, dz) by true (dx, dy, dz), S + (3, 3), at wavenumbers kx, ky S, rad/m."""
+    """Matrix from true to measured (dx, dy, dz), S + (3, 3), at wavenumbers kx, ky of shape S, rad/m."""
     x, y = (np.linspace(*side, 2 * PLACES + 1)[1::2] for side in (geometry.grid.x, geometry.grid.y))
     gains = [_gain_of_velocity_at(place, geometry, record, kx, ky) for place in product(x, y)]
     return np.asarray(np.mean(gains, axis=0))

@@ -1,4 +1,4 @@
-"""Ripples shorter than a block: how far they move single beads, in all cameras alike."""
+"""Ripples shorter than a block, found from residual motion that all cameras share."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
 class SharedMotion(NamedTuple):
-    """Residual displacements of blocks that two cameras share in one step, as variance of the rise, m^2."""
+    """Residual displacements that two cameras share in one step, as variance of the rise, m^2."""
 
     shared: float  # per frame; by chance it may be negative
     total: float  # variance of the blocks
@@ -80,8 +80,8 @@ def shared_motion(
 
 
 def ripple_rise(shared: Sequence[SharedMotion]) -> tuple[float, float]:
-    """Standard deviation of the rise per frame by ripples, and their wavelength, metres; 0 without ripples.
-    What pairs share is divided among ripples and the waves that the prior removes, by their sizes.
+    """Standard deviation of the rise of ripples per frame, and their wavelength, metres; 0 without ripples.
+    The shared variance is divided between ripples and waves that the prior removed, in proportion.
     """
     if not shared:
         return 0.0, 0.0
@@ -108,7 +108,7 @@ def blocks_at(lattice: BlockLattice, x: Float, y: Float) -> tuple[Blocks, Blocks
 
 
 def covariance(J: Float, K: Float) -> Float:
-    """Covariance of displacements in two images, (2, 2, n), of waves whose rise has the variance 1."""
+    """Covariance of the displacements in two images, (2, 2, n), from waves with unit variance of the rise."""
     return np.asarray(np.einsum("ikn,k,jkn->ijn", J, WAVE_VARIANCES, K))
 
 
@@ -127,6 +127,6 @@ def block_residuals(found: Displacement) -> Float:
 
 
 def limited(values: Float) -> Float:
-    """Values (2, n) within some standard deviations."""
+    """Values (2, n) clipped to some standard deviations."""
     limit = MAX_STD * float(np.sqrt(np.median(np.square(values)) / MEDIAN_SQUARE))
     return np.clip(values, -limit, limit)

@@ -1,4 +1,4 @@
-"""Ranges of displacements and elevations to search, found in the record before it is measured."""
+"""Search ranges of displacements and elevations, found in the record before the measurement."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from wavefield.variables import Quality
 
 @dataclass(frozen=True)
 class FirstGuess:
-    """Range of the displacements from one frame to the next."""
+    """Range of displacements from frame to frame, from a coarse search."""
 
     x: tuple[float, float]  # smallest and largest displacement, px of the image as it is matched
     y: tuple[float, float]
@@ -29,7 +29,7 @@ class FirstGuess:
     tried: int
 
     def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Ranges to search along x and y, px; None if the usual one suffices or no patch was found."""
+        """Search ranges along x and y, px; None if the usual ones suffice or no patch was found."""
         if not self.found:
             return None
         if all(low >= usual[0] and high <= usual[1] for low, high in (self.x, self.y)):
@@ -38,7 +38,7 @@ class FirstGuess:
 
     @property
     def sentence(self) -> str:
-        """The range in words."""
+        """The range as a sentence."""
         if self.found < 0.1 * self.tried:
             return (
                 f"motion: only {self.found} of {self.tried} patches of images are found in the next frame; "
@@ -73,7 +73,7 @@ def first_guess(
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Settings whose search includes the motion of the water."""
+    """Settings with a search range that includes the motion of the water."""
     piv = settings.piv
     wide = guess.search(searched(settings)[0])
     if wide is None:
@@ -82,13 +82,13 @@ def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
 
 
 def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Range of displacements that matching in time reaches, along x and along y, px."""
+    """Displacements that matching in time reaches, along x and y, px."""
     reach = (-4.0, 4.0)  # of the pyramid without a search, px
     return settings.piv.search_x or reach, settings.piv.search_y or reach
 
 
 def beyond(settings: Settings, moved: NDArray[np.float64]) -> bool:
-    """Whether most of the displacements (n, 2), px, are outside the range that is searched."""
+    """Whether most of the displacements (n, 2), px, are outside the search range."""
     if len(moved) < 3:
         return False
     out = np.zeros(len(moved), bool)
@@ -121,7 +121,7 @@ class FirstHeights:
 
     @property
     def sentence(self) -> str:
-        """The range in words."""
+        """The range as a sentence."""
         low, high = (100 * z for z in self.searched)
         digits = max(1, 2 - math.floor(math.log10(high - low))) if high > low else 1
         searched = f"searched {low:+.{digits}f} to {high:+.{digits}f} cm"
@@ -168,7 +168,7 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
 
 
 def _resolution(geometry: GridGeometry) -> float:
-    """Elevation by which the parallax changes by a coarse pixel in the middle of the field, metres."""
+    """Elevation that corresponds to a parallax of one coarse pixel in the middle, metres."""
     x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
     step = COARSE_PX * geometry.pixel
     lines = {name: np.array(geometry.rig[name].sight_line(x, y)) for name in geometry.surface_cameras}
@@ -176,7 +176,7 @@ def _resolution(geometry: GridGeometry) -> float:
 
 
 def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
-    """Largest parallax along x and along y of the elevations searched here, coarse px."""
+    """Largest parallax along x and y of the elevations searched here, coarse px."""
     x, y = np.meshgrid(geometry.lattice.x[[0, -1]], geometry.lattice.y[[0, -1]])
     (Ax, Ay), (Bx, By) = (geometry.rig[name].sight_line(x, y) for name in pair)
     height = SEARCH_FACTOR * max(abs(z) for z in geometry.z_range) / (COARSE_PX * geometry.pixel)
@@ -185,7 +185,7 @@ def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
 
 
 def _agreement(geometry: GridGeometry) -> float:
-    """Elevations closer than this confirm each other, metres."""
+    """Largest difference, metres, at which two elevations confirm each other."""
     return max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
 
 
@@ -199,7 +199,7 @@ def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
 def _heights(
     moved: NDArray[np.float64], pair: tuple[str, str], geometry: GridGeometry
 ) -> NDArray[np.float64]:
-    """Elevations of patches (n, 5) from `shifts`, metres, without those of large epipolar error."""
+    """Elevations of patches (n, 5) of `shifts`, metres, without those of large epipolar error."""
     step = COARSE_PX * geometry.pixel
     half = 0.5 * (COARSE_PX - 1) * geometry.pixel
     x, y = (origin + half + step * at for origin, at in zip(geometry.plane.origin, moved[:, 3:].T))
@@ -216,7 +216,7 @@ def _heights(
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Settings whose search includes the elevations of the water."""
+    """Settings with a search range that includes the elevations of the water."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -230,7 +230,7 @@ Images = Mapping[str, NDArray[Any] | None]
 
 
 def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
-    """The geometry with the ranges to search found in some steps; itself if its own suffice."""
+    """The geometry with search ranges found in some steps; unchanged if its own suffice."""
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
         image = pairs[frame // 2][frame % 2].get(name)
@@ -255,7 +255,7 @@ MIN_MEASURED_FRACTION = 0.5  # of the nodes in view
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Whether a surface z (ny, nx), metres, reaches an end of the range of elevations searched.
+    """Whether a surface z (ny, nx), metres, touches an end of its search range.
 
     Examples
     --------
@@ -278,7 +278,7 @@ def few_measured(quality: NDArray[np.uint8]) -> bool:
 
 
 def rose_beyond(images: Mapping[str, NDArray[Any] | None], geometry: GridGeometry) -> bool:
-    """Whether the water of an instant is outside the elevations searched, by a wider search."""
+    """Whether the water of an instant is outside the search range, according to a wider search."""
 
     def read(name: str, _: int) -> NDArray[Any] | None:
         image = images.get(name)
@@ -293,7 +293,7 @@ def rose_beyond(images: Mapping[str, NDArray[Any] | None], geometry: GridGeometr
 def moved_beyond(
     one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, geometry: GridGeometry
 ) -> bool:
-    """Whether a camera's image moved further than is searched, by a wider search."""
+    """Whether a camera's image moved beyond the search range, according to a wider search."""
     size, count = geometry.rig[name].size, geometry.sights[name].binning
     if one is None or other is None or not usable(one, size) or not usable(other, size):
         return False

@@ -219,7 +219,7 @@ def _fill_step(
 
 
 def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint16:
-    """Bits of `Quality` for nodes that the other cameras measured."""
+    """Bits of `Quality` for nodes measured without some camera."""
     bits = Quality(0)
     for name in cameras:
         bits |= Quality.without(geometry.cameras.index(name))
@@ -227,14 +227,14 @@ def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint1
 
 
 def _out_of_range(surfaces: Surfaces, geometry: GridGeometry) -> Mask:
-    """Nodes at which one of the surfaces is outside the elevations searched, (ny, nx)."""
+    """Nodes at which a surface is outside the search range, (ny, nx)."""
     lowest, highest = geometry.z_range
     outside = [(one.z < lowest) | (one.z > highest) for one in surfaces if one is not None]
     return np.asarray(np.logical_or.reduce(outside))
 
 
 def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
-    """Bits of `Quality` of a step, (ny, nx), apart from what is masked or outside."""
+    """Bits of `Quality` of a step, (ny, nx), other than masked and outside."""
     first, second = estimate.nearest
     quality = first.quality | second.quality | estimate.motion.quality
     quality[out_of_range] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
@@ -278,7 +278,7 @@ def _fields(
 
 @dataclass(frozen=True)
 class Instant:
-    """The surface of one instant, and its images for matching in time."""
+    """The surface of one instant, with its images for matching in time."""
 
     surface: Surface | None  # Elevation at the nodes; None if it could not be measured
     images: Images
@@ -287,7 +287,7 @@ class Instant:
     _without: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
-        """Elevation at the nodes by the other cameras."""
+        """Elevation at the nodes without a camera."""
         if camera not in self._without:
             rest = {name: image for name, image in self.frames.items() if name != camera}
             ready_frames = usable_frames(rest, geometry, dict(model.record.beads), self.masks)
@@ -296,14 +296,14 @@ class Instant:
         return self._without[camera]
 
     def without_images(self) -> Instant:
-        """The same without images for matching in time, which take most of the memory."""
+        """The same without the images for matching in time, which take most of the memory."""
         return replace(self, images=replace(self.images, raw={}))
 
 
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
-    """Elevation and prepared images of one instant; masks are True where pixels do not count."""
+    """Elevation and prepared images of one instant; masks are True on pixels to ignore."""
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, dict(model.record.beads), masks)
@@ -353,7 +353,7 @@ def _estimate(
     times: Float,
     regions: Regions | None = None,
 ) -> StepEstimate | None:
-    """Motion and surface at mid-time: where water is in an image depends on its height, that on its path."""
+    """Motion and surface at mid-time, iterated: each depends on the other."""
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
@@ -380,14 +380,14 @@ def _estimate(
 
 
 def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
-    """Mean square of z by six frames less that by four, m^2, where all six show the node; 0 where none."""
+    """Mean square difference between z from six frames and from four, m^2; 0 if no node has six."""
     if len(orders) < 3 or not (frames == 6).any():
         return 0.0
     return float(np.median(np.square(orders[0] - orders[1])[frames == 6])) / MEDIAN_SQUARE
 
 
 def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
-    """Surface (ny, nx), metres, without what rolling shutters make of its motion."""
+    """Surface (ny, nx), metres, corrected for rolling shutters."""
     measured = np.isfinite(motion.d).all(axis=0)
     error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
@@ -397,7 +397,7 @@ def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float
 def _repaired(
     instant: Instant, regions: Mapping[str, NDArray[np.bool_]], geometry: GridGeometry, model: Model
 ) -> Surface | None:
-    """An instant's surface with that of the other cameras where one contradicts them."""
+    """An instant's surface, taken from the other cameras where one contradicts them."""
     surface = instant.surface
     if geometry.settings.sheet_thickness is not None:
         return surface
@@ -413,7 +413,7 @@ def _repaired(
 
 
 def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surface:
-    """One surface with another in a part of the field."""
+    """One surface, replaced by another in a part of the field."""
     names = ("z", "eps_y", "noise", "missing", "quality", "inconsistent")
     parts = {n: np.where(where, getattr(other, n), getattr(surface, n)) for n in names}
     return Surface(

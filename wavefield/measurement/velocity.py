@@ -36,7 +36,7 @@ njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _weigh(
     moved: tuple[Float, Float], noise: tuple[Float, Float], missing: tuple[Float, Float], w: Float
 ) -> None:
-    """Inverse mean variance of one camera's components; 0 where it does not see the node."""
+    """Inverse mean variance of the two components of one camera; 0 where it does not see the node."""
     (x, y), (n0, n1), (m0, m1) = moved, noise, missing
     for k in range(len(w)):
         seen = np.isfinite(x[k]) and np.isfinite(y[k])
@@ -71,8 +71,8 @@ def _add_right(jacobian: tuple[Float, ...], w: Float, observed: Float, sums: tup
 
 @njit
 def _factor(sums: tuple[Float, ...]) -> None:
-    """Replace a normal matrix [[a, b, c], [b, d, e], [c, e, f]] by 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1.
-    The result is NaN where the cameras do not determine a direction.
+    """Factorize a normal matrix [[a, b, c], [b, d, e], [c, e, f]]: 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1.
+    NaN where the cameras do not determine a direction.
     """
     a, b, c, d, e, f = sums
     for k in range(len(a)):
@@ -107,7 +107,7 @@ def _add_rest(
     noise: Float,
     sums: tuple[Float, ...],
 ) -> None:
-    """Add one row's squared misfit, that over its noise, and its part of the variance of the solution."""
+    """Add the squared misfit of one row, the same over its noise, and its part of the variance of d."""
     x, y, z = jacobian
     dx, dy, dz = solution
     a, b, c, d, e, f = matrix
@@ -131,7 +131,7 @@ def _add_rest(
 
 @njit
 def _recede(axis: Float, solution: tuple[Float, ...], bend: Float, chord: Float, out: Float) -> None:
-    """Correct the bend for recession: a point that moves away at constant speed slows down in the image."""
+    """Correct the bend for motion along the view: a receding point slows down in the image."""
     x, y, z = solution
     for k in range(len(out)):
         away = axis[0] * x[k] + axis[1] * y[k] + axis[2] * z[k]
@@ -147,7 +147,7 @@ def _add_removed(
     parts: Float,
     sums: tuple[Float, Float, Float],
 ) -> None:
-    """Add what the prior removed from one camera, and the water's motion in it, weighed; and count it."""
+    """Add the variance removed by the prior in one camera, and that of the water's motion in it; count it."""
     x0, y0, z0 = first
     x1, y1, z1 = second
     m0, m1 = missing
@@ -174,9 +174,9 @@ def solve_nodes(
     axes: Float,
     out: Float,
 ) -> None:
-    """Fill out (16, n): d, chord, bend, variance of d by noise (3 each), variance by the prior over parts,
+    """Fill out (16, n): d, chord, bend, noise variance of d (3 each), variance by the prior over parts,
     eps = |J d - moved| / sqrt(2N), chi^2 / dof, and the factor on the noise where chi^2 exceeds its mean.
-    Float32 (2N, 3, n) jacobian, (2N, n) others; float64 parts (3,) and axes (N, 3).
+    Float32 jacobian (2N, 3, n), others (2N, n); float64 parts (3,) and axes (N, 3).
     """
     rows, n = moved.shape
     work = np.empty((23, NODES_AT_ONCE))
@@ -268,7 +268,7 @@ class Motion:
 
     @property
     def inconsistent(self) -> bool:
-        """Whether cameras contradict each other at more than single nodes."""
+        """Whether cameras contradict each other over more than single nodes."""
         against = self.misfit[np.isfinite(self.misfit)] > MAX_MISFIT
         return bool(
             self.left_out or self.regions or against.sum() > _MAX_INCONSISTENT_FRACTION * against.size
@@ -285,14 +285,14 @@ def velocity(
 ) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
 
-    d = argmin sum w (J d - dX)^2, J the 2N x 3 Jacobian at the node's position on the surface z (ny, nx),
-    metres, at mid-time, dX the image velocity there (`read_path`): dX/dt = J dx/dt holds exactly, where the
-    displacements themselves would need the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
+    d = argmin sum w (J d - dX)^2, with J the 2N x 3 Jacobian at the position of the node on the surface z
+    (ny, nx), metres, at mid-time, and dX the image velocity there (`read_path`). dX/dt = J dx/dt is exact,
+    while displacements would also need the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
 
-    Noise of the cameras is independent; what the prior removes from a wave all cameras miss alike, so it does
-    not shrink when they are averaged: it is shared among the components (`component_variances`). Cameras are
-    left out in given regions, or where they are found to contradict the others.
-    Times of the six frames are in intervals from mid-time.
+    The noise of the cameras is independent. What the prior removes is the same in all cameras, so averaging
+    does not reduce it; it is divided among the components (`component_variances`). Cameras are left out in
+    given regions, or where they contradict the others. Times of the six frames are in intervals from mid-
+    time.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -357,7 +357,7 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 
 def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
-    """One motion with another in a part of the field."""
+    """One motion, replaced by another in a part of the field."""
     names = (
         "d",
         "noise",
@@ -374,7 +374,9 @@ def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
 
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
-    """Least squares over the cameras; parts are the `component_variances` of what the prior removes."""
+    """Solve for the motion by least squares over the cameras.
+    parts: relative variances of u, v, w that the prior removes (`component_variances`).
+    """
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
     flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
@@ -402,13 +404,13 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 
 def component_variances(settings: Settings) -> Float:
-    """Relative variances of u, v, w that the prior removes: of waves, or all alike in a light sheet."""
+    """Relative variances of u, v, w that the prior removes: those of waves, or equal in a light sheet."""
     return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Variance in each camera's image, (N, ny, nx), px^2, of motion whose components vary by parts, m^2.
-    It is the mean of both components of the image.
+    """Variance in each camera's image, (N, ny, nx), px^2, of motion with component variances `parts`, m^2.
+    Mean of both image components.
     """
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))

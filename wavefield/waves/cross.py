@@ -413,7 +413,7 @@ def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any
 
 
 def _above_noise(energy: xr.DataArray) -> xr.DataArray:
-    """Whether the energy (omega, k) of each ring exceeds its noise, (k,), on the few lines that hold waves."""
+    """Whether the energy (omega, k) of each ring exceeds its noise on the few lines with waves, (k,)."""
     noise = energy.median("omega") * energy.sizes["omega"]
     return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
 
