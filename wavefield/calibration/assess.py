@@ -34,12 +34,12 @@ class FlatSurface:
 
     @property
     def rms(self) -> float:
-        """Of z about zero, metres."""
+        """Rms of z, metres."""
         return _rms(self.z[self.plane.kept])
 
     @property
     def tilt(self) -> float:
-        """Of the plane, milliradians."""
+        """Tilt of the plane, milliradians."""
         return float(1e3 * np.hypot(*self.plane.slope))
 
 
@@ -91,7 +91,7 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
 def numbers(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """All numbers of the report that follow from residuals."""
+    """All numbers of the report that are computed from residuals."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
@@ -171,7 +171,7 @@ def usable_views(views: Views, findings: Findings) -> UsableViews:
 def _common_size(
     name: str, by_pose: Mapping[str, TargetPoints], findings: Findings
 ) -> tuple[int, int] | None:
-    """Size of most of a camera's images; other sizes are a problem."""
+    """Most frequent size of a camera's images; other sizes are reported."""
     sizes: dict[tuple[int, int], list[str]] = {}
     for pose, points in by_pose.items():
         sizes.setdefault((int(points.size[0]), int(points.size[1])), []).append(pose)
@@ -188,7 +188,7 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Points that are numbers, with uncertainties that an image can give."""
+    """Points with finite positions and plausible uncertainties."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
@@ -326,7 +326,7 @@ def assess_rig(
 
 
 def provenance(calibration: Calibration) -> dict[str, Any]:
-    """Numbers and texts that are stored with the rig."""
+    """The numbers and texts stored with the rig."""
     o, result, errors = calibration.observations, calibration.fit, calibration.predicted
     assert o is not None
     assert result is not None

@@ -28,7 +28,7 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def terms_of_kind(terms: Sequence[str], fisheye: bool) -> tuple[str, ...]:
-    """The terms that a kind of lens has: a fisheye's polynomial has k4, and its centre absorbs a tilt."""
+    """Free terms of a kind of lens: a fisheye has k4, and its centre absorbs a tilt of the sensor."""
     if not fisheye:
         return tuple(term for term in terms if term != "k4")
     own = ["c" if term == "tilt" else term for term in terms if term != "p"]
@@ -44,7 +44,7 @@ def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Which parameter moves what."""
+    """Position of each parameter in the vector of the fit."""
 
     names: tuple[str, ...]  # One per parameter
     lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera, (parameter, moved term)
@@ -91,7 +91,7 @@ def layout(
 
 
 def moved(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
-    """The geometry at given parameters x (p,), relative to a start."""
+    """The geometry after a step x (p,) of the parameters from a start."""
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -183,8 +183,10 @@ ROWS = 128  # of a Jacobian taken together then: they have one or two cameras an
 
 
 class Whitener:
-    """Residuals times C^(-1/2), C = I + target_std^2 B B^T: the errors of a node are shared by all its views.
-    B is by_node (n, 2, 3): a node's offset, m, displaces its images by B in units of their uncertainty.
+    """Makes residuals independent: multiplies by C^(-1/2), C = I + target_std^2 B B^T.
+    The error of a node is shared by all its views. B is by_node (n, 2, 3): the shift of its images, in units
+    of
+    their uncertainty, per metre of offset of the node.
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
@@ -232,7 +234,7 @@ def huber(r: Array, limit: float) -> float:
 
 
 def normal_matrix(J: Array, weight: Array) -> Array:
-    """J^T W J, (p, p), of rows in the order of cameras and poses."""
+    """J^T W J, (p, p), for rows sorted by camera and pose."""
     if J.shape[1] <= MANY:
         return np.asarray(J.T @ (weight[:, None] * J) if (weight < 1.0).any() else J.T @ J)
     out = np.zeros((J.shape[1], J.shape[1]))

@@ -17,7 +17,7 @@ Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
 
 def passage(a: Pose, b: Pose) -> Pose:
-    """From one camera's frame to another's, by the pose of the target in each of them."""
+    """Transformation from one camera's frame to another's, from the target's pose in each."""
     (Ra, ta), (Rb, tb) = a, b
     R = Rb @ Ra.T
     return R, tb - R @ ta
@@ -66,7 +66,7 @@ def equidistant_start(o: Observations, views: list[int]) -> tuple[float, dict[in
 
 
 def pose_along_rays(points: Array, rays: Array) -> Pose | None:
-    """Pose of a plane target, points (n, 3), metres, along unit vectors (n, 3); None where there is none."""
+    """Pose of a plane target, points (n, 3), metres, seen along unit rays (n, 3); None if there is none."""
     level = np.median(points[:, 2])
     used = np.isfinite(rays).all(1) & (np.abs(points[:, 2] - level) < 1e-8)
     plan = points[:, :2]
@@ -271,7 +271,7 @@ def _rms(result: Fit) -> float:
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """A camera in the frame of the first of the poses that it found: its pose stays, all others move."""
+    """A camera in the frame of the first pose it found; that pose is fixed, the others are free."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     for p, (R, t) in poses.items():
         pose_R[p], pose_t[p] = R, t

@@ -34,8 +34,8 @@ CELL_MIDDLES = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
 class _Cells:
-    """Brightness around the nodes of a lattice of bright dots, above the ground between them, in units of the
-    dots' contrast; the nodes are dots, and gaps among dots.
+    """Brightness around the nodes of a lattice of bright dots, relative to the ground, in units of the dots'
+    contrast. Nodes are dots, and gaps among dots.
     """
 
     def __init__(self, image: Image, lattice: TargetLattice) -> None:
@@ -54,11 +54,11 @@ class _Cells:
         return values
 
     def _ground(self, nodes: Array) -> Array:
-        """Between the dots around each node: light is seldom even."""
+        """Brightness between the dots around each node, because light is rarely uniform."""
         return np.asarray(np.median(self._at(nodes[:, None] + CELL_MIDDLES), axis=1))
 
     def share(self, offset: Array) -> Array:
-        """At offsets (..., 2), meshes, from each place: (n, ...)."""
+        """Relative brightness at offsets (..., 2), in meshes, from each node: (n, ...)."""
         at = self.places.reshape(-1, *(1,) * (offset.ndim - 1), 2) + offset
         ground = self._ground(self.places.astype(float)).reshape(-1, *(1,) * (offset.ndim - 1))
         return np.asarray((self._at(at) - ground) / self._contrast)

@@ -85,12 +85,12 @@ def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
 
 
 def cross(a: Array, b: Array) -> float:
-    """Cross product of two plane vectors (2,)."""
+    """Cross product of two vectors (2,)."""
     return float(a[0] * b[1] - a[1] * b[0])
 
 
 def independent_pair(arms: Array) -> tuple[Array, Array] | None:
-    """The first of the vectors (n, 2) and the first one not along it, or the next such pair."""
+    """The first vector of (n, 2) and the first that is not parallel to it; else the next such pair."""
     for k, a in enumerate(arms):
         for b in arms[k + 1 :]:
             if abs(cross(a, b)) > MIN_SINE * np.hypot(*a) * np.hypot(*b):
@@ -105,7 +105,7 @@ def most_central(points: Array, count: int) -> list[int]:
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Nodes at given steps (m, 2) from some, each once, (k, 2)."""
+    """Nodes at given steps (m, 2) from some nodes, without repeats, (k, 2)."""
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 
@@ -145,7 +145,7 @@ class TargetLattice:
         return out
 
     def front(self) -> Nodes:
-        """Indices of the empty nodes that have a filled neighbour, (m, 2)."""
+        """Empty nodes that have a filled neighbour: indices (m, 2)."""
         near = cv2.dilate(self.filled.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
         empty = np.argwhere((near > 0) & ~self.filled)
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH

@@ -52,7 +52,7 @@ class Levelled:
 
     @property
     def sentence(self) -> str:
-        """All this for the user."""
+        """The result as sentences for the user."""
         height = spell_uncertain(self.height, self.height_std, "m")
         turned = spell_uncertain(self.tilt, self.tilt_std, "degrees")
         return (
@@ -65,7 +65,7 @@ class Levelled:
 
     @property
     def _moving(self) -> str:
-        """That one rig does not fit all frames, where the cameras sway."""
+        """A sentence saying that one rig does not fit all frames, if the cameras sway."""
         if not self.sway > MAX_SWAY:
             return ""
         return (
@@ -75,7 +75,7 @@ class Levelled:
 
     @property
     def _unknown(self) -> str:
-        """What has no uncertainty, and why."""
+        """A sentence naming what has no uncertainty, and why."""
         if np.isfinite(self.height_std):
             return ""
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
@@ -149,7 +149,7 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """The fit, the uncertainties of tilt (degrees) and height (m), and what levelled it."""
+    """The fit, the uncertainties of tilt (degrees) and height (m), and what the level is based on."""
     free = fit_platform(start, matches, {}, distance)
     std = leave_out(free, matches, {}, distance)
     if not horizons:

@@ -66,11 +66,11 @@ class Correlation:
             self._own += np.square(np.abs(spectrum)).sum(axis=(0, 1))
 
     def planes(self) -> Image:
-        """Correlation of every window, (rows, columns, side, side): no displacement in the middle."""
+        """Correlation of every window, (rows, columns, side, side), with zero displacement in the middle."""
         return self._plane(self._sum)
 
     def own(self) -> Image:
-        """Correlation of the images with themselves, all windows and both images together, (side, side)."""
+        """Mean autocorrelation over all windows and both images, (side, side)."""
         return self._plane(self._own)
 
     def _plane(self, spectrum: NDArray[np.complexfloating | np.floating]) -> Image:
@@ -111,8 +111,8 @@ def _peak(plane: Image) -> Mask:
 
 
 def peak_length(planes: Image, own: Image, shift: Array, along: Array) -> float:
-    """Standard deviation, px, that a particle's height adds to the peaks along the disparity (n, m, 2).
-    Less the peaks' width across and the size of the particles' images; Wieneke (2005), Exp. Fluids 39, 267.
+    """Standard deviation, px, that the height of particles adds to the peaks along the disparity (n, m, 2).
+    The width across and the size of particle images are subtracted (Wieneke 2005, Exp. Fluids 39, 267).
     """
     middle = np.full(2, own.shape[0] // 2)
     variances = [
@@ -128,7 +128,7 @@ def peak_length(planes: Image, own: Image, shift: Array, along: Array) -> float:
 
 
 def _excess_variance(plane: Image, centre: Array, way: Array) -> float:
-    """Variance of one peak along a direction less that across it, px^2."""
+    """Variance of one peak along a direction minus that across it, px^2."""
     peak = _peak(plane)
     row, column = np.nonzero(peak)
     place = np.stack([column - centre[0], row - centre[1]])
@@ -199,13 +199,13 @@ class SheetWindows:
         return np.stack(self.rig[name].project(self.x + dx, self.y + dy, 0.0), axis=-1).reshape(-1, 2)
 
     def rms(self) -> float:
-        """Disparity, px."""
+        """Rms disparity, px."""
         squares = [np.sum(np.square(shift), axis=-1) for shift in self._disparities.values()]
         return float(np.sqrt(np.nanmean(squares)))
 
     def thickness(self) -> float:
         """Thickness of the sheet at 1/e2, metres.
-        The light of both cameras makes the correlation, which is therefore narrower by root 2.
+        The peak is a product of the light of both cameras, so the sheet is wider by root 2.
         """
         out = []
         for (a, b), planes in self._planes.items():
@@ -242,7 +242,7 @@ class LightSheet:
 
     @property
     def sentence(self) -> str:
-        """All this for the user."""
+        """The result as sentences for the user."""
         x, y = (1e3 * part for part in self.slope)
         return (
             f"light sheet: {1e3 * self.height:+.3f} mm at the origin, slope {x:+.2f}, {y:+.2f} mrad along "
@@ -313,8 +313,8 @@ def find_sheet(
 def fit_sheet(
     read: Read, instants: Sequence[int], rig: Rig, progress: Callable[[int, int], None] | None = None
 ) -> LightSheet:
-    """`find_sheet` of images that a function returns (Wieneke 2005, Exp. Fluids 39, 267).
-    Repeats until the disparity of dewarped images is gone: cameras corrected, the sheet's plane made z = 0.
+    """Find the light sheet from images that a function returns (Wieneke 2005, Exp. Fluids 39, 267).
+    Each round corrects the cameras and moves z = 0 to the sheet, until dewarped images show no disparity.
     """
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None

@@ -29,7 +29,7 @@ LIMITS = CalibrationLimits()
 
 @dataclass
 class Findings:
-    """Sentences for the user."""
+    """Problems and notes for the user, as sentences."""
 
     problems: list[str] = field(default_factory=list)  # Why the rig cannot be used, and what to do
     notes: list[str] = field(default_factory=list)  # What was left out, and other remarks
@@ -67,7 +67,7 @@ class Observations:
         return len(self.camera)
 
     def only(self, keep: Mask) -> "Observations":
-        """Some of the observations; names and nodes stay."""
+        """A subset of the observations; names and nodes are kept."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -75,7 +75,7 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Free points, each observed by every camera in the last pose, camera by camera; pixels are zero."""
+        """Free points, all observed by every camera in the last pose; pixels are set to zero."""
         n = len(cameras) * count
         return Observations(
             cameras,

@@ -49,11 +49,11 @@ class PlatformFit:
     offset: float  # m
 
     def height(self, name: str) -> float:
-        """Of a camera above the mean surface, m."""
+        """Height of a camera above the mean surface, m."""
         return float(self.up @ self.cameras[name].centre + self.offset)
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
-        """Of the water of the matches from the first camera, m."""
+        """Distance of the matched water from the first camera, m."""
         name = next(iter(self.cameras))
         rays = [
             sight_lines(self.cameras[name], np.reshape(pixels[0], (-1, 2))) @ self.cameras[name].R @ self.up
@@ -66,7 +66,7 @@ class PlatformFit:
 
 @dataclass(frozen=True)
 class _Match:
-    """Matches of one pair, px, and the instants they are of."""
+    """Matched pixels of one pair of cameras, with the number of their instant."""
 
     pair: Pair
     a: Array  # (n, 2)
@@ -139,7 +139,7 @@ def leave_out(
 
 
 def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]) -> float:
-    """How many groups of instants show the same waves, F of `leave_out`, by elevations in cells."""
+    """Number of groups of instants that show the same waves (F of `leave_out`), from elevations in cells."""
     count = len(groups)
     products, squares = np.zeros(count), np.zeros(count)
     number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])
@@ -165,7 +165,7 @@ def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArra
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
-    """All matches of each pair, thinned evenly where there are very many."""
+    """All matches of each pair; evenly thinned if there are very many."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]
@@ -205,8 +205,9 @@ def _changed(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Of each match, px: the distance from its epipolar line, that along it from the plane's, and the
-    parallax per metre of elevation."""
+    """For each match, px: distance from its epipolar line, distance along it from the plane, and the
+    parallax per metre of elevation.
+    """
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -LOWEST / 4)
@@ -223,7 +224,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Expected sizes, px, of the distances from the lines and (n,) of those along them."""
+    """Expected standard deviations, px, of the distances across and (n,) along the epipolar lines."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -271,7 +272,7 @@ class PlatformMotion:
 
     @property
     def sentence(self) -> str:
-        """All this for the user."""
+        """The result as sentences for the user."""
         seen = np.isfinite(self.tilt[:, 0])
         pitch, roll = np.std(self.tilt[seen], axis=0)
         height = float(np.mean([camera.centre[2] for camera in self.rig.cameras.values()]))
@@ -371,7 +372,7 @@ def sway(images: Sequence[NDArray[Any]], camera: Camera) -> float:
 def _level_frame(
     series: Mapping[str, FrameSeries], index: int, rig: Rig, folder: Path
 ) -> tuple[Array, Array] | None:
-    """Tilt (2,) of a frame, and by camera (cameras, 2), rad; its images are written turned level."""
+    """Tilt (2,) of a frame, and of each camera (cameras, 2), rad; writes the levelled images."""
     images = {name: series[name].read_uncovered(index) for name in rig}
     rays = {}
     for name, image in images.items():
@@ -400,7 +401,7 @@ def _level_frame(
 
 
 def _tilt(rays: Array, dips: Array) -> Array:
-    """Tilt about x and y, rad, of a frame whose unit rays (n, 3) go to the horizon, dipped by (n,), rad."""
+    """Tilt about x and y, rad, of a frame, from unit rays (n, 3) to the horizon with dips (n,), rad."""
     tilt, weight = np.zeros(2), np.ones(len(rays))
     for _ in range(8):
         up = _level_turn(tilt)[2]

@@ -26,14 +26,14 @@ class PoseConsistency:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Consistency of two cameras: of the pair, and of each view."""
+    """Consistency of two cameras, in total and by view."""
 
     consistent: bool
     good: Mapping[str, bool] = field(default_factory=dict)  # by pose, where they are consistent
 
 
 def passages(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
-    """From camera a's frame to camera b's, by each pose of the target that both observed."""
+    """Transformations from camera a's frame to camera b's, one from each pose that both observed."""
     return {pose: passage(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
@@ -93,7 +93,7 @@ def _limit(differences: Mapping[str, float], bounds: tuple[float, float]) -> flo
 
 
 def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
-    """A camera, those linked with it, those linked with them, and so on."""
+    """All cameras that are linked with a camera, directly or through others."""
     group = [name]
     for member in group:
         partners = [b if a == member else a for a, b in links if member in (a, b)]
@@ -117,7 +117,7 @@ def mirrored(camera: SingleCamera) -> SingleCamera:
 
 
 def chained(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
-    """Passage from the first camera's frame to each camera's, by the views they share."""
+    """Transformation from the first camera's frame to each camera's, through shared views."""
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
         links = [(len(passages(cameras[a], cameras[b])), a, b) for a in out for b in cameras if b not in out]
@@ -131,7 +131,7 @@ def chained(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
 
 @dataclass(frozen=True)
 class PhysicalFrame:
-    """The poses that define the frame: one that is not moved, and others on its plane, or all placed."""
+    """The poses that define the physical frame: one fixed pose and others in its plane, or all given."""
 
     reference: int
     flat: tuple[int, ...] = ()

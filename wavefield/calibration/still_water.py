@@ -62,7 +62,7 @@ def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array
 
 @dataclass(frozen=True)
 class Solution:
-    """Most probable parameters of the cameras."""
+    """Most probable parameters of the cameras, with their covariance."""
 
     x: Array  # (p,): Relative to the rig as it is
     misfit: float  # Robust distance of sight lines, px
@@ -104,7 +104,7 @@ class SightLineFit:
 
     @property
     def matches(self) -> dict[str, Array]:
-        """The pixels used, by camera."""
+        """Matched pixels used in the fit, by camera."""
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
     def rig_at(self, x: Array) -> Rig:
@@ -150,12 +150,12 @@ class SightLineFit:
         return r - Q @ (Q.transpose(0, 2, 1) @ r), J - Q @ (Q.transpose(0, 2, 1) @ J)
 
     def angle(self, solution: Solution, name: str) -> float:
-        """By how much a solution turns a camera, degrees."""
+        """Angle by which a solution turns a camera, degrees."""
         k = self.layout.camera[self.names.index(name)]
         return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
 
     def turn(self, solution: Solution, name: str) -> float:
-        """By how much a solution turns a camera, px of its image."""
+        """Shift of the image by which a solution turns a camera, px."""
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:

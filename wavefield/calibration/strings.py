@@ -100,7 +100,7 @@ def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Arr
 
 
 def _above_ground(image: Image, scale: float) -> Image:
-    """The image smoothed, less its local ground."""
+    """The smoothed image minus its local background."""
     smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
     ground = cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
     return np.asarray(smooth, np.float32) - np.asarray(ground, np.float32)
@@ -154,7 +154,7 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
 def _pairs_of_discs(
     places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
 ) -> list[tuple[float, Nodes, Nodes]]:
-    """Merit, node of a disc, and step to a smaller one next to it; best first."""
+    """Candidate pairs of discs: merit, node of the larger disc, step to the smaller; best first."""
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((places + REACH + 1).T)] = np.arange(len(places))
     pairs = []

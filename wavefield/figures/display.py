@@ -49,7 +49,7 @@ class Display:
 
     @property
     def long_name(self) -> str:
-        """What the variable is."""
+        """Description of the variable."""
         return TABLE[self.name].long_name
 
     @property

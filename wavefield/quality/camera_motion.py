@@ -63,7 +63,7 @@ MIN_VELOCITY = 0.03  # px per frame, rms beside constant and slopes: what moves 
 
 @dataclass(frozen=True)
 class Delay:
-    """By how much one camera's frames are taken later than the others'."""
+    """Delay of one camera's frames relative to the others."""
 
     seconds: float  # Negative if earlier
     std: float  # Standard uncertainty, s
@@ -92,9 +92,7 @@ class Synchrony(NamedTuple):
 def sample(
     geometry: "GridGeometry", patch_matcher: PatchMatcher, pair: Pair, frame: int, flat: Mapping[str, Any]
 ) -> Sample | None:
-    """Miss and velocity all over what two cameras share at an instant.
-    None where too little of it is known.
-    """
+    """Mismatch and velocity in patches over the common view at an instant; None if too few are known."""
     from wavefield.measurement.pair import match_pair
 
     if not all(name in flat for name in pair):
@@ -130,14 +128,14 @@ def _rows_below_middle(camera: "Camera", x: Array, y: Array) -> Array:
 
 
 def _furthest(geometry: "GridGeometry", name: str) -> int:
-    """How far a camera's beads go from frame to frame, raw px: as far as the measurement searches."""
+    """Search range of a camera's displacements from frame to frame, raw px."""
     ranges = (geometry.settings.piv.search_x, geometry.settings.piv.search_y)
     ends = [abs(end) for one in ranges if one is not None for end in one]
     return min(int(np.ceil(max(ends, default=REACH) * geometry.sights[name].binning)), REACH)
 
 
 def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) -> Array | None:
-    """How far what one camera shows in each patch moves in a frame, px, (n, 2), from five frames."""
+    """Displacement per frame of each patch of one camera's image, px, (n, 2), from five frames."""
     still = np.zeros((len(patch_matcher.x), 2), np.int64)
     now = patch_matcher.around(name, frame, still, 0)
 
@@ -212,7 +210,7 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]] | None:
-    """The delay, in frames, and what it leaves of the misses; None where nothing moves."""
+    """The delay, in frames, and the remaining mismatch; None if nothing moves."""
     cleared = [_cleared(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(cleared, weights))
     if power <= 0:
@@ -222,14 +220,14 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 
 def is_determined(samples: Sequence[Sample], delay: float, std: float) -> bool:
-    """Whether a delay and its standard uncertainty, in frames, follow from what moves."""
+    """Whether the motion determines a delay, given its standard uncertainty, in frames."""
     moving = np.concatenate([_cleared(s, np.ones(len(s.miss)))[1] for s in samples])
     fast = float(np.sqrt(np.mean(moving**2))) >= MIN_VELOCITY
     return fast and std < MAX_STD_INTERVALS and abs(delay) < MAX_INTERVALS
 
 
 def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """By how much each row is read later than the one above it, alike in both cameras, in frames."""
+    """Delay from row to row, equal in both cameras, in frames."""
     other = [
         replace(s, velocity=s.velocity * s.rows, low=np.column_stack([s.low, s.velocity]))
         for s in samples
@@ -239,13 +237,13 @@ def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def _cells(one: Sample) -> NDArray[np.intp]:
-    """Which part of the field each patch is in."""
+    """Number of the part of the field that each patch lies in."""
     column, row = np.clip((one.low[:, 1:3].T + 1) * (0.5 * _CELLS), 0, _CELLS - 1).astype(np.intp)
     return np.asarray(row * _CELLS + column)
 
 
 def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
-    """Miss and velocity without what a constant and slopes explain of them."""
+    """Mismatch and velocity without the part that a constant and slopes explain."""
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.miss, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.low, root * both, rcond=None)[0]
@@ -273,7 +271,7 @@ def delays(
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """By how much each camera's frames are taken later than those of most, and rows than those above."""
+    """Delay of each camera's frames relative to most cameras, and delay from row to row."""
     names = list(geometry.surface_cameras)
     late: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
@@ -307,7 +305,7 @@ def delays(
 def _of_cameras(
     names: Sequence[str], found: Mapping[Pair, tuple[float, float]], rate: float
 ) -> dict[str, Delay]:
-    """Of each camera behind most, s, from the differences within pairs and their uncertainties in frames."""
+    """Delay of each camera relative to most, s, from pairwise delays and uncertainties in frames."""
     rows = [[float(name == b) - float(name == a) for name in names] for a, b in found]
     if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
         return {}
@@ -378,7 +376,9 @@ def _on_delays(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
 
 
 def spell_delays(found: Mapping[str, Delay], interval: float = np.inf) -> str:
-    """Delays of all cameras; those less certain than half the interval of frames (s) are left out."""
+    """Text with the delays of all cameras; those with an uncertainty above half a frame interval (s) are
+    omitted.
+    """
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = []
     for name, one in found.items():
@@ -418,7 +418,7 @@ class CameraMotion:
 
 @dataclass(frozen=True)
 class Knock:
-    """A jump."""
+    """A sudden turn of a camera, with its frame."""
 
     frame: int  # First frame (index in the record) after it
     size: float  # Rms over the field of what eps_y is more since, px
@@ -495,7 +495,7 @@ def knocks(cube: xr.Dataset, found: CameraMotion) -> list[Knock]:
 
 
 def shaking(found: CameraMotion, cuts: Sequence[int]) -> tuple[float, float]:
-    """How far the picture of the cameras shakes from step to step."""
+    """Rms shake of the cameras' pictures from step to step."""
     edges = [0, *np.searchsorted(found.steps, cuts).tolist(), len(found.steps)]
     parts = [found.low[a:b] - found.low[a:b].mean(axis=0) for a, b in pairwise(edges) if b - a > 1]
     if not parts:
@@ -652,7 +652,7 @@ class StabilizedFrames(Sequence[RawImage | None]):
 def corrected(
     images: Mapping[str, RawImage | None], geometry: "GridGeometry"
 ) -> tuple[dict[str, RawImage | None], dict[str, Array]]:
-    """Images of one moment turned back, and by how much, as from `shifts`."""
+    """Images of one moment shifted back, and the shifts as from `shifts`."""
     found = shifts(images, geometry)
     out: dict[str, RawImage | None] = dict(images)
     for name, low in found.items():
@@ -680,8 +680,8 @@ def prepared(
 
 
 def shifts(images: Mapping[str, RawImage | None], geometry: "GridGeometry") -> dict[str, Array]:
-    """By how much each camera's picture has moved across the sight lines, in one frame.
-    (3,), px on the water: in the middle of the lattice, and what is added at its right and upper edge.
+    """Shift of each camera's picture across the sight lines in one frame, (3,), px on the water.
+    The values are for the middle of the lattice, and what is added at its right and upper edge.
     """
     from wavefield.measurement.pair import match_pair
 
@@ -707,7 +707,7 @@ def shifts(images: Mapping[str, RawImage | None], geometry: "GridGeometry") -> d
 
 
 def _scaled(geometry: "GridGeometry") -> tuple[Array, Array, Array]:
-    """1, and places on the lattice from -1 to 1 along x and y."""
+    """Linear basis on the lattice: 1, and coordinates from -1 to 1 along x and y."""
     x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, len(v)) for v in (geometry.lattice.x, geometry.lattice.y)))
     return np.ones_like(x), x, y
 
@@ -731,7 +731,7 @@ def _across(parallax: Array) -> Array:
 
 
 def moved_back(image: RawImage, low: Array, name: str, geometry: "GridGeometry") -> NDArray[np.float32]:
-    """A raw image (row, column) moved back by what its camera has moved, `low` (3,) as from `shifts`."""
+    """A raw image (row, column) shifted back by its camera's motion, `low` (3,) as from `shifts`."""
     x, y = (v[::8, ::8].ravel() for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
     design = np.stack([part[::8, ::8].ravel() for part in _scaled(geometry)], axis=-1)
     along = parallax(geometry.rig, geometry.pairs[0], x, y)

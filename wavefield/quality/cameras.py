@@ -100,7 +100,7 @@ class PatchMatcher:
         return self._patches[key]
 
     def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """The same, not kept."""
+        """As `patches`, without caching."""
         image = self.read(name, frame)
         if image is not None and change:
             image = np.asarray(image)[FLIPS[change]]
@@ -192,7 +192,7 @@ class PairConsistency:
 def agreement(
     patch_matcher: PatchMatcher, pair: Pair, found: Comparison | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
-    """How far one camera's patches found in another's could be the same water; of the patches in `ground`."""
+    """Consistency of two cameras: which patches in `ground` can show the same water in both."""
     n = len(patch_matcher.x)
     nothing = PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp))
     counted = n if ground is None else int(ground.sum())
@@ -277,7 +277,7 @@ class ConsistencyTable:
         return agreement(patch_matcher, pair, found, ground)
 
     def level(self) -> float:
-        """Fraction of patches from which on two cameras agree."""
+        """Fraction of matched patches above which two cameras agree."""
         return max(
             CAMERA_LIMITS.agreement,
             CAMERA_LIMITS.agreement_to_best * max(score(found) for found in self.found.values()),
@@ -300,7 +300,7 @@ class ConsistencyTable:
 
 
 def score(found: Sequence[PairConsistency]) -> float:
-    """How well two cameras agree over some instants: patches found, nothing if they scatter."""
+    """Agreement of two cameras over some instants: fraction of patches found; 0 if they scatter."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
@@ -337,7 +337,7 @@ def covered(table: ConsistencyTable, name: str) -> list[float]:
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """What was found."""
+    """Result of `find_camera_faults`."""
 
     remarks: tuple[Remark, ...]  # What is wrong
     # Per pair: ``agreement`` (fraction of patches), ``eps_y`` (px, smooth part), one value per instant
@@ -427,7 +427,7 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
-    """A camera that matches none, or cameras of which no two match, and nothing that explains it."""
+    """Remark on a camera that matches none, or on cameras of which no two match, without a known cause."""
     pairs = {pair: found for pair, found in table.found.items() if not name or name in pair}
     best = max(map(score, pairs.values()))
     share = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
@@ -475,7 +475,7 @@ def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
 
 
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
-    """What makes a camera agree with its partners, tried at two instants."""
+    """Cause of a camera's disagreement with its partners, from trials at two instants."""
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
@@ -590,7 +590,7 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
-    """Difference of the heights of two pairs in patches that both matched, px of parallax."""
+    """Difference between the heights from two pairs, at patches that both matched, px of parallax."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
     parallax = np.minimum(table.patch_matcher.parallax(first), table.patch_matcher.parallax(second))[both]
@@ -598,7 +598,7 @@ def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArra
 
 
 def _significance(found: Sequence[PairConsistency]) -> float:
-    """The smooth part over its uncertainty."""
+    """Ratio of the smooth part to its uncertainty."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < 8:
         return 0.0

@@ -60,7 +60,7 @@ CHANCE = 1e-3  # that an even record shows as large a jitter
 
 @dataclass(frozen=True)
 class FrameInspection:
-    """What reading some frames of one camera has shown."""
+    """Faults found by reading some frames of one camera."""
 
     read: tuple[int, ...]  # Indices of the frames that were read
     faults: Mapping[int, tuple[FrameFault, str]]  # Fault and sentence of those that are bad
@@ -72,7 +72,7 @@ class FrameInspection:
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Indices of the frames to be read: all of a short record, else those of some steps drawn at random."""
+    """Indices of the frames to read: all of a short record, else those of some random steps."""
     complete = complete_steps(series)
     if len(complete) < MAX_FRAMES_READ_ALL:
         return tuple(range(len(complete) + 1))
@@ -159,7 +159,7 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Cameras with many missing frames, and cameras that have few steps in common."""
+    """Remarks on cameras with many missing frames, and on cameras with few common steps."""
     for name, one in series.items():  # recordings with a clock report dropped images themselves
         missing = one.missing
         if one.times is not None or len(missing) <= RECORD_LIMITS.bad_frames * len(one):
@@ -197,7 +197,7 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """A frame rate that the recordings, or the duration, contradict."""
+    """Remark on a frame rate that the recordings, or the duration, contradict."""
     file, rate = experiment.path.name, experiment.frame_rate
     frames = max((len(one) for one in series.values()), default=0)
     hours = frames / rate / 3600.0
@@ -259,7 +259,7 @@ def _interlaced(series: FrameSeries) -> Iterator[Remark]:
 
 
 def _gaps(series: FrameSeries) -> Iterator[Remark]:
-    """Images that the camera dropped, by its clock: gaps, or intervals that are not whole frames."""
+    """Remark on images that a camera dropped, by its clock: gaps, or intervals of fractions of a frame."""
     if series.times is None:
         return
     there = np.flatnonzero(np.isfinite(series.times))
@@ -297,7 +297,7 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
 
 
 def _drifts(series: Mapping[str, FrameSeries], rate: float) -> Iterator[Remark]:
-    """Cameras whose clocks drift away from that of the first."""
+    """Remark on cameras whose clocks drift relative to the first camera."""
     timed = {name: one.times for name, one in series.items() if one.times is not None}
     if len(timed) < 2:
         return
@@ -354,13 +354,13 @@ def _inner(mask: Mask) -> Mask:
 
 @dataclass(frozen=True)
 class RiseRatios:
-    """w over the rise between the steps before and after, per step (n,), NaN where unknown."""
+    """Ratio of w to the rise between the steps before and after, per step (n,); NaN where unknown."""
 
     ratio: Array
     variance: Array  # of the ratio, from the parts of the field
 
     def without(self, steps: NDArray[np.intp]) -> "RiseRatios":
-        """Without what is known of some steps."""
+        """The ratios without some steps."""
         ratio = self.ratio.copy()
         ratio[steps] = np.nan
         return RiseRatios(ratio, self.variance)
@@ -444,7 +444,7 @@ def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
 
 
 def _patches(values: Array) -> Array:
-    """Sums over adjacent squares of nodes."""
+    """Sums over square patches of nodes."""
     side = max(min(values.shape) // PATCHES, 1)
     ny, nx = (n // side for n in values.shape)
     return np.asarray(values[: ny * side, : nx * side].reshape(ny, side, nx, side).sum(axis=(1, 3)))

@@ -70,7 +70,7 @@ def distributions(run: Run) -> ReportSection:
 
 
 def coverage(run: Run) -> ReportSection:
-    """Where and when the surface was measured, and which steps have faults."""
+    """Section on where and when the surface was measured, and on faulty steps."""
     cube = run.cube
     step_status = cube.frame_status.values
     faulty = np.flatnonzero(step_status != int(FrameStatus.DONE))

@@ -163,7 +163,7 @@ def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str
 
 
 def recipe(run: Run) -> ReportSection:
-    """How the cube was made."""
+    """Section of the report on how the cube was made."""
     folder = str(run.experiment.path.absolute().parent) if run.experiment else ""
     attrs = {k: v for k, v in run.cube.attrs.items() if k not in ("recipe", "fingerprints")}
     rows = [

@@ -1,4 +1,4 @@
-"""Polygons that were drawn, written into an experiment file; all else in it stays as it was typed."""
+"""Write drawn polygons into an experiment file without changing its other text."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, cast

@@ -12,7 +12,7 @@ from wavefield.variables import Quality
 
 @xr.register_dataset_accessor("wavefield")
 class CubeAccessor:
-    """What a cube states beside its fields, as ``cube.wavefield``.
+    """Properties of a cube other than its fields, as ``cube.wavefield``.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def update_metadata(
 
 
 def seal_metadata(path: Path) -> None:
-    """Add the checksum to the metadata of a new cube, which Zarr has consolidated."""
+    """Add the checksum to the consolidated metadata of a new cube."""
     _write_sealed(path, json.loads((path / "zarr.json").read_bytes()))
 
 

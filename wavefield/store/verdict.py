@@ -63,7 +63,7 @@ class Verdict:
 
     @property
     def weight(self) -> Weight:
-        """That of the gravest remark."""
+        """Weight of the gravest remark."""
         return self.remarks[0].weight if self.remarks else "note"
 
     @property

@@ -17,8 +17,8 @@ REMEMBERED_FRAMES = 8  # before the latest one
 
 
 class FrameHistory(Generic[T]):
-    """The state at any frame, advanced from the last one before it; the first and the latest are remembered.
-    `advance(state, frame)` gives the state of the frame after one.
+    """The state at any frame, computed from the last earlier one; the first and the latest are kept.
+    `advance(state, frame)` returns the state of the next frame.
     """
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:
@@ -99,8 +99,8 @@ class BeadField:
 
 
 class Population:
-    """Beads on a rectangle of water, larger than the cameras' view, frame after frame.
-    A bead that leaves it comes back on the other side; each second a small share is laid anew somewhere.
+    """Beads on a rectangle of water larger than the cameras' view, frame after frame.
+    Beads that leave it return on the other side; each second a small fraction is placed anew.
     """
 
     def __init__(

@@ -180,7 +180,7 @@ class Sea:
 
     @property
     def reach(self) -> float:
-        """Bound on the elevation that is hardly ever passed (4.5 standard deviations), metres."""
+        """Elevation that is hardly ever exceeded (4.5 standard deviations), metres."""
         height = np.abs(self.amplitude)
         return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 
@@ -246,7 +246,7 @@ class Sea:
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """The named fields, with the current and w = z_t + u z_x + v z_y."""
+        """The named fields, with the current added and w = z_t + u z_x + v z_y."""
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed

@@ -83,7 +83,7 @@ ROUGHNESS = 0.15  # rms of slopes too fine to be drawn: they keep the far sea da
 
 @dataclass(frozen=True)
 class Seen:
-    """What the sight line of each pixel meets, (row, column); NaN where it is the sky or beyond the waves."""
+    """What each pixel's sight line meets, (row, column); NaN for sky and beyond the waves."""
 
     x: Array  # m
     y: Array
@@ -160,7 +160,7 @@ def light(camera: Camera, seen: Seen, settings: SeaSurface, foam: Image, ripples
 
 
 def _radiance(upward: Array) -> Array:
-    """Of the sky over that at the horizon, by the sine of the angle above it."""
+    """Radiance of the sky relative to the horizon, by the sine of the elevation angle."""
     out: Array = 0.45 + 0.55 * (1.0 - np.clip(upward, 0.0, 1.0)) ** 3
     return out
 

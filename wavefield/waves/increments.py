@@ -1,4 +1,4 @@
-"""Intermittency: moments of the differences of a field over steps in time and space, with their errors."""
+"""Structure functions: moments of the increments of a field in time and space, with their errors."""
 
 from typing import Any
 

@@ -464,7 +464,9 @@ def windowed_sums(
 
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
-    """Add waves to a spectrum (lines, ny, nx): weights (3, waves, near) from cells ``first`` (3, waves)."""
+    """Add waves to a spectrum (lines, ny, nx), each over neighbouring cells.
+    Cells start at ``first`` (3, waves); weights (3, waves, near) are per axis.
+    """
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

@@ -102,7 +102,7 @@ class Video:
         raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
 
     def _key(self, stamp: int) -> int:
-        """Time of the last frame at or before a time that is coded without others."""
+        """Time of the last key frame (coded without others) at or before a time."""
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
