@@ -203,9 +203,9 @@ def verify(context: click.Context, source: campaign_commands.CommandSource) -> N
 def init(folder: Path, output: Path | None) -> None:
     """Propose an experiment file for a folder of images.
 
-    Every guess has a comment. Finds the numbered images of each camera, target images, a still-water record
-    and probes by their names. What cannot be found in a folder (frame rate, target, depth) is marked TO FILL
-    IN. Never overwrites a file.
+    Finds the numbered images of each camera, with a comment on each. What cannot be found in a folder (frame
+    rate, depth) is marked TO FILL IN; calibration, rest and probes are lines to complete. Never overwrites a
+    file.
     """
     from wavefield.atomic_write import write_text
     from wavefield.errors import ExperimentError
@@ -218,8 +218,7 @@ def init(folder: Path, output: Path | None) -> None:
     write_text(output, text)
     click.echo(text)
     click.echo(f"Wrote {output}.")
-    command = "calibrate" if "\ncalibration:" in text else "check"
-    print_next(command, output, first="fill in what is marked TO FILL IN")
+    print_next("check", output, first="fill in what is marked TO FILL IN")
 
 
 _KEY = 'background: "background/{camera}.tif"'

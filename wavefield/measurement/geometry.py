@@ -153,7 +153,8 @@ def fit_plane(
         width, height = 1e3 * (hi - lo)
         raise RigError(
             f"the grid is too small: two cameras see {width:.3g} mm by {height:.3g} mm of it, and matching "
-            f"needs {1e3 * _MIN_BLOCKS * BLOCK * pixel:.3g} mm along each side; enlarge `grid`, or leave it out"
+            f"needs {1e3 * _MIN_BLOCKS * BLOCK * pixel:.3g} mm along each side; enlarge `grid`, or "
+            "leave it out"
         )
     nx, ny = (int(scipy.fft.next_fast_len(int(n) + 2 * _MARGIN_BLOCKS)) for n in blocks)
     x0, y0 = 0.5 * (lo + hi) - 0.5 * pixel * (np.array([nx, ny]) * BLOCK - 1)

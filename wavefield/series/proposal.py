@@ -7,25 +7,39 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from wavefield.errors import ExperimentError, RigError
-from wavefield.rig.formats import load_rig
-from wavefield.series.probes import read_probes
+from wavefield.errors import ExperimentError
 
 MIN_IMAGES = 3  # of a record
-_TARGETS = re.compile(
-    r"calib|kalib|(?<![a-z])cal(?![a-z])|target|board|checker|charuco|tilt|plate|grid|mire|eich",
+# words in names of images that are not of waves: targets, and still water
+_NO_WAVES = re.compile(
+    r"calib|kalib|(?<![a-z])cal(?![a-z])|target|board|checker|charuco|tilt|plate|grid|mire|eich"
+    r"|rest|still|repos|ruhe|(?<![a-z])(flat|level|plan|flach)(?![a-z])",
     re.IGNORECASE,
 )
-_REST = re.compile(r"rest|still|flat_water|repos|ruhe", re.IGNORECASE)
-_FLAT = re.compile(r"(?<![a-z])(flat|level|plan|flach)(?![a-z])", re.IGNORECASE)
-_PROBES = re.compile(r"probe|gau?ge|wg\d|elevation", re.IGNORECASE)
-_NO_PROBES = re.compile(r"time.?stamps?|times|read.?me|note|log", re.IGNORECASE)
 IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _OF_A_CAMERA = re.compile(r"(cam|camera|kamera|caméra|view)[_\-. ]?$", re.IGNORECASE)  # before a number
 _OF_A_FRAME = re.compile(r"frame[_\-. ]?$", re.IGNORECASE)
 _FRAME = re.compile(r"\{frame[^}]*\}")
 _BETWEEN_WORDS = re.compile(r"(?<!cam)(?<!camera)(?<!kamera)(?<!view)[_\-. ]", re.IGNORECASE)
 _YAML_WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
+
+
+_NOTE = """\
+# Proposed from the images in {folder}; check every line, then run `wavefield check`.
+name: {name}
+frame_rate:                   # TO FILL IN: Hz, such as 20.0; image files do not state it
+cameras:
+{cameras}
+{others}# calibration:                # images of a target, which `wavefield calibrate` turns into rig.yaml
+#   target: {{kind: chessboard, mesh: 0.03, shape: [9, 6]}}
+#   tilted: "calib/{{camera}}/tilt_*.tif"
+#   flat: "calib/{{camera}}/flat.tif"
+# rig: rig.yaml               # in place of a calibration: a rig that is known
+# rest: "rest/{{camera}}/img_{{frame:05d}}.tif"     # images of still, seeded water level the rig
+grid: auto                    # what all cameras see; or {{x: [..], y: [..], step: ..}} in metres
+water: {{depth: }}              # TO FILL IN: metres, such as 0.70; none in deep water
+# probes: probes.csv          # wave probes: a column `time`, s, and one per probe, m
+"""
 
 
 @dataclass(frozen=True)
@@ -40,11 +54,6 @@ class NumberedImages:
         """Usual difference of two numbers."""
         gaps = sorted(b - a for a, b in zip(self.numbers, self.numbers[1:]))
         return gaps[len(gaps) // 2] if gaps else 1
-
-    @property
-    def wildcard(self) -> str:
-        """The pattern with a star for the number."""
-        return _FRAME.sub("*", self.pattern)
 
 
 def files_below(folder: Path) -> Iterator[Path]:
@@ -139,26 +148,6 @@ def _as_name(words: str) -> str:
     return f"cam-{name}" if name.lower() in _YAML_WORDS or re.match(r"[0-9_]", name) else name
 
 
-def common_patterns(patterns: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """Patterns with ``{camera}`` that fit all of these names; empty if some do not fit.
-
-    Examples
-    --------
-    >>> common_patterns(["calib/left/t_*.tif", "calib/right/t_*.tif"], ["left", "right"])
-    ['calib/{camera}/t_*.tif']
-    """
-    of: dict[str, set[str]] = defaultdict(set)
-    for pattern in patterns:
-        for camera in sorted(cameras, key=len, reverse=True):
-            general = re.sub(rf"(?<![A-Za-z0-9]){re.escape(camera)}(?![A-Za-z0-9])", "{camera}", pattern)
-            if general != pattern:
-                of[general].add(camera)
-                break
-        else:
-            return []
-    return list(of) if all(found == set(cameras) for found in of.values()) else []
-
-
 def propose(folder: str | Path) -> str:
     """Propose an experiment file for a folder of images.
 
@@ -192,39 +181,26 @@ def propose(folder: str | Path) -> str:
     """
     folder = Path(folder).absolute()
     paths = image_paths(folder)
-    of_targets = [path for path in paths if _TARGETS.search(path) and not _REST.search(path)]
-    series = find_series([path for path in paths if path not in set(of_targets)])
-    records = [one for one in series if len(one.numbers) >= MIN_IMAGES]
-    rest = [one for one in records if _REST.search(one.pattern)]
-    waves = [one for one in records if one not in rest and not _FLAT.search(one.pattern)]
+    series = find_series([path for path in paths if not _NO_WAVES.search(path)])
+    waves = [one for one in series if len(one.numbers) >= MIN_IMAGES]
     if len(waves) < 2:
-        present = ", ".join(one.pattern for one in series[:4]) or "no numbered images"
+        present = ", ".join(one.pattern for one in find_series(paths)[:4]) or "no numbered images"
         raise ExperimentError(
             f"{folder}: numbered images of two cameras at least are needed, and there are {present}; name "
             "the folder that contains those of all cameras"
         )
-    names = camera_names([one.pattern for one in waves])
-    lines = [
-        *_head(folder),
-        *_cameras(dict(zip(names, waves))),
-        *_calibration(of_targets, [path for path in paths if path not in set(of_targets)], names),
-        *_rig(folder, names, bool(of_targets)),
-        *_rest(rest, names),
-        "grid: auto                    # what all cameras see; or {x: [..], y: [..], step: ..} in metres",
-        "water: {depth: }              # TO FILL IN: metres, such as 0.70; none in deep water",
-        *_probes(folder),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _head(folder: Path) -> Iterator[str]:
-    yield f"# Proposed from the images in {folder.name}; check every line, then run `wavefield check`."
-    yield f"name: {re.sub(r'[^A-Za-z0-9_.-]+', '-', folder.name) or 'experiment'}"
-    yield "frame_rate:                   # TO FILL IN: Hz, such as 20.0; image files do not state it"
+    records = dict(zip(camera_names([one.pattern for one in waves]), waves))
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", folder.name) or "experiment"
+    left_out = sum(bool(_NO_WAVES.search(path)) for path in paths)
+    return _NOTE.format(
+        folder=folder.name,
+        name=name,
+        cameras="\n".join(_cameras(records)),
+        others=f"# {left_out} images are not of waves, by their names.\n" if left_out else "",
+    )
 
 
 def _cameras(records: dict[str, NumberedImages]) -> Iterator[str]:
-    yield "cameras:"
     first = min(one.numbers[0] for one in records.values())
     for name, one in records.items():
         low, high, step = one.numbers[0], one.numbers[-1], one.step
@@ -238,88 +214,3 @@ def _cameras(records: dict[str, NumberedImages]) -> Iterator[str]:
         if low > first:
             remark += f"; begins {low - first} later than another: the same moment, or missing frames?"
         yield f'  {name}: {{images: "{one.pattern}"{more}}}    # {remark}'
-
-
-def _calibration(of_targets: list[str], others: list[str], cameras: Sequence[str]) -> Iterator[str]:
-    flat = [path for path in of_targets if _FLAT.search(path)]
-    flat += [path for path in others if _FLAT.search(Path(path).stem) and not _REST.search(path)]
-    tilted = find_series([path for path in of_targets if path not in set(flat)])
-    numbered = {one.wildcard for one in tilted}
-    tilted_names = sorted(numbered) or sorted({path for path in of_targets if path not in set(flat)})
-    if not tilted_names:
-        yield "# calibration: no target images were found; name them here, or a rig: `rig: rig.yaml`"
-        return
-    yield "calibration:"
-    yield "  target: {kind: , mesh: }    # TO FILL IN: such as chessboard, 0.03 (metres), shape: [9, 6]"
-    yield from _patterns("tilted", tilted_names, cameras)
-    if flat:
-        yield from _patterns("flat", flat, cameras)
-    else:
-        yield '  # flat: "..."              # the image of the target on z = 0, if there is one'
-
-
-def _rig(folder: Path, cameras: Sequence[str], targets: bool) -> Iterator[str]:
-    """A rig file of these cameras in the folder; lenses without positions mean a platform at sea."""
-    for path in sorted(folder.glob("*.yaml"), key=lambda path: (path.name != "rig.yaml", path)):
-        try:
-            rig = load_rig(path)
-        except RigError:
-            continue
-        if set(rig) != set(cameras):
-            continue
-        if targets:
-            yield f"# rig: {path.name}      # of these cameras; `calibrate` makes one of the target images"
-        elif rig.lenses_alone:
-            yield f"rig: {path.name}      # lenses alone: `wavefield rig level` places two at sea"
-            yield "settings: {preset: texture}    # natural texture; leave it out for floating beads"
-        else:
-            yield f"rig: {path.name}"
-        return
-
-
-def _patterns(key: str, names: Sequence[str], cameras: Sequence[str]) -> Iterator[str]:
-    """A line with patterns of target images, each with ``{camera}`` where its name contains the camera."""
-    patterns = common_patterns(names, cameras)
-    if len(patterns) == 1:
-        yield f'  {key}: "{patterns[0]}"      # from {names[0]} and others'
-    elif patterns and key == "tilted":
-        yield f"  {key}: [{_quoted(patterns)}]"
-    else:
-        comment = "  # " if key == "flat" else "  "
-        yield (
-            f"{comment}{key}: [{_quoted(names[:6])}]      # TO FILL IN: one pattern with {{camera}} where a "
-            f"name contains the camera ({', '.join(cameras)})"
-        )
-
-
-def _quoted(words: Sequence[str]) -> str:
-    return ", ".join(f'"{word}"' for word in words)
-
-
-def _rest(records: list[NumberedImages], cameras: Sequence[str]) -> Iterator[str]:
-    if not records:
-        yield '# rest: "rest/{camera}/img_{frame:05d}.tif"     # images of still, seeded water level the rig'
-        return
-    patterns = [one.pattern for one in records]
-    common = common_patterns(patterns, cameras)
-    if len(common) == 1:
-        yield f'rest: "{common[0]}"      # still water? `wavefield calibrate` levels the rig by it'
-        return
-    listed = ", ".join(f'{name}: "{pattern}"' for name, pattern in zip(cameras, patterns))
-    yield f"rest: {{{listed}}}      # perhaps still water; is each of its own camera?"
-
-
-def _probes(folder: Path) -> Iterator[str]:
-    """The file that is most likely of wave probes, by its name."""
-    tables = [path for path in files_below(folder) if path.suffix.lower() == ".csv"]
-    tables = [path for path in tables if not _NO_PROBES.search(path.stem)]
-    tables.sort(key=lambda path: (not _PROBES.search(path.stem), path))
-    for path in tables[:1]:
-        name = path.relative_to(folder).as_posix()
-        try:
-            names = [str(one) for one in read_probes(path).probe.values]
-        except ExperimentError as error:
-            yield f"# probes: {name}     # {error}"
-            return
-        places = ", ".join(f"{one}: [x, y]" for one in names)
-        yield f"probes: {name}     # {{file: {name}, unit: m, places: {{{places}}}}} states where they are, m"
