@@ -15,7 +15,14 @@ from wavefield.errors import CubeError
 from wavefield.variables import INSTANTANEOUS, annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.current import delayed_current
-from wavefield.waves.dof import accumulate, independent_samples, keep_product, ring_freedom, with_interval
+from wavefield.waves.dof import (
+    accumulate,
+    independent_samples,
+    keep_points,
+    keep_product,
+    ring_freedom,
+    with_interval,
+)
 from wavefield.waves.gains import correction, from_moving_frame, with_directions
 from wavefield.waves.gains import to_frame_time as frame_time_factor
 from wavefield.waves.inputs import a_cube, takes
@@ -24,6 +31,7 @@ from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.spectra import E_k, E_omega, finish
 from wavefield.waves.welch import (
+    NODES_PER_AXIS,
     Link,
     Reader,
     TimeTransform,
@@ -31,6 +39,7 @@ from wavefield.waves.welch import (
     k_coords,
     omega_coords,
     slabs,
+    some_nodes,
     sum_segments,
     transform_space,
 )
@@ -79,6 +88,7 @@ class _Advection:
         for i, mean in enumerate(welch.current, 2):
             velocity = self.fields[i]
             self.fields[i] = velocity - real(mean) if name == "nl" else np.full_like(velocity, mean)
+        self.points = np.empty((NODES_PER_AXIS**2, self.shape[0]), self.dtype)
         self.distances = real(slope), real(record.dt / 2), record.dy, record.dx
 
     def __getitem__(self, steps: slice) -> Array:
@@ -88,6 +98,7 @@ class _Advection:
         kernels.advection(*arguments)
         if self.name == "rise":
             out += self.fields[1][first:end]
+        self.points[:, first:end] = some_nodes(out)
         return out
 
 
@@ -104,11 +115,14 @@ def transforms(
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
     for name in advected:
-        out[name] = transform_space(_Advection(fields, welch, name), memory.get(name))
+        advection = _Advection(fields, welch, name)
+        out[name] = transform_space(advection, memory.get(name))
+        out[f"points {name}"] = advection.points
     requested = {*names} - {*advected} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)
         if name in requested:
+            out[f"points {name}"] = some_nodes(block)
             out[name] = transform_space(block, memory.get(name))
     return out
 
@@ -165,6 +179,7 @@ def add_segment(
             _add_products(sums, lines, pair, slab, table, quadrature)
     for name in names:
         accumulate(sums, name, powers[name], begin)
+        keep_points(sums, name, first[f"points {name}"], second[f"points {name}"], begin)
     for product, earlier in before.items():
         keep_product(sums, product, sums[product] - earlier, begin)
 
@@ -548,7 +563,7 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     for run in record.runs:
         for blocks in read.blocks(run, STEPS_AT_A_TIME):
             parts = transforms(dict(zip(fields, blocks)), COHERENCE_NAMES, welch)
-            precise = {n: part.astype(np.complex128) for n, part in parts.items()}
+            precise = {n: parts[n].astype(np.complex128) for n in COHERENCE_NAMES}
             for name, values in _plane_sums(precise).items():
                 sums[name] = sums[name] + values if name in sums else values
     steps = sum(b - a for a, b in record.runs)

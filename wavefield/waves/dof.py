@@ -12,13 +12,21 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import fft, ndimage
 
 from wavefield.variables import annotate
 from wavefield.water import dispersion, group_velocity
 from wavefield.waves import rings
 from wavefield.waves.products import WaveProduct, register
-from wavefield.waves.welch import CORRELATED_CELLS, LEAST_COUNT, Welch, hann_power, interval, richardson_lucy
+from wavefield.waves.welch import (
+    CORRELATED_CELLS,
+    LEAST_COUNT,
+    Welch,
+    hann,
+    hann_power,
+    interval,
+    richardson_lucy,
+)
 
 Array = NDArray[Any]
 
@@ -217,6 +225,43 @@ def accumulate(sums: dict[str, Array], name: str, powers: Array, first: int) -> 
     sums[f"{name} from {first:012d}"] = powers[0].astype(np.float32)
 
 
+def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, begin: int) -> None:
+    """Hold the Fourier lines (nodes, lines) of some nodes in a segment of two halves, from step ``begin``."""
+    series = np.concatenate([first, second], axis=1)
+    series = (series - series.mean(axis=1, keepdims=True)) * hann(series.shape[1])
+    sums[f"points {name} from {begin:012d}"] = fft.rfft(series, axis=1).astype(np.complex64)
+
+
+def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) -> Array:
+    """Number of independent segments of each line, (n,), from lines (segments, nodes, n) of some nodes.
+    K / (1 + 2 sum_L (1 - L / K) |r_L|^2), r_L the correlation of segments L apart, over the whole record.
+    """
+    count, size = len(lines), int(place[-1]) + 1
+    padded = np.zeros((2 * size, *lines.shape[1:]), complex)
+    padded[place] = lines
+    there = np.zeros(2 * size)
+    there[place] = 1.0
+    product = fft.ifft((np.abs(fft.fft(padded, axis=0)) ** 2).sum(axis=1), axis=0)[:size]
+    pairs = fft.ifft(np.abs(fft.fft(there)) ** 2)[:size].real.round()
+    weight = np.where(pairs > 0, np.arange(size) > 0, False) * 2 * (1 - np.arange(size) / size)
+    squares = np.abs(product / np.maximum(pairs, 1)[:, None]) ** 2
+    found = count / (1 + (weight[:, None] * squares).sum(axis=0) / np.maximum(squares[0], 1e-300))
+    # chance adds 1 / (K - L) / modes to |r|^2, but nothing where a single wave keeps its phase
+    return np.asarray(found + 2 * (found - 1) / modes)
+
+
+def independent_nodes(lines: Array, number: Array) -> Array:
+    """Number of independent waves of each line, (n,), from lines (segments, nodes, n) of some nodes.
+    (tr C)^2 / |C|^2 of their covariance C, less what chance adds with so many independent segments.
+    """
+    total = (np.abs(lines) ** 2).sum(axis=(0, 1))
+    covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
+    rank = total**2 / np.maximum((np.abs(covariance) ** 2).sum(axis=(1, 2)), 1e-300)
+    alike = ((number - rank) / np.maximum(rank * number - 1, 1e-3)).clip(0, 1)
+    alike = ndimage.uniform_filter1d(alike, SUM_SIZE, mode="nearest") - 1 / lines.shape[1]
+    return np.asarray(1 / alike.clip(1e-6, 1))
+
+
 def keep_product(sums: dict[str, Array], pair: str, product: Array, first: int) -> None:
     """Keep the product (2, rings, lines) of two fields in the segment that starts at step ``first``."""
     sums[f"{pair} from {first:012d}"] = (product[0] + 1j * product[1]).astype(np.complex64)
@@ -273,7 +318,28 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: boo
         of_sum = _of_sum(series, starts, welch, expected, mean, gaussian)
         # lines and rings beyond the ends of a sea have what leaks into them
         out[axis] = of_leakage(series.sum(axis=0), of_sum)
-    return out
+    return limited_by_record(out, sums, name, cells, welch)
+
+
+def limited_by_record(
+    dof: dict[str, Array], sums: Mapping[str, Any], name: str, cells: Array, welch: Welch
+) -> dict[str, Array]:
+    """Degrees of freedom, at most twice the independent segments times the independent waves in each.
+
+    A peak narrower than the lines of the whole record keeps its level from segment to segment: no variance
+    between them shows that another record would have another level.
+    """
+    starts, lines = _series(sums, f"points {name}")
+    of_line = dof_of_all_nodes(freedom_of_sums(sums[name][0], cells, welch)["omega"], welch) / welch.dof
+    nodes = lines.shape[1]
+    number = independent_segments(lines, place_of(starts, welch), 1 / (1 / of_line + 1 / nodes))
+    of_cells = (cells / welch.dof * 2 * number).clip(1, None)
+    most = {
+        "both": of_cells,
+        "omega": 2 * number * np.minimum(of_line, independent_nodes(lines, number)),
+        "k": freedom_of_sums(sums[name][0], of_cells, welch)["k"],
+    }
+    return {axis: np.minimum(dof[axis], most[axis]).clip(1, None) for axis in dof}
 
 
 def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
@@ -438,7 +504,7 @@ def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array
     mean = powers.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         deviation = np.where(mean > 0, powers / mean - 1, 0.0)
-    place = (starts - starts[0]) // welch.half
+    place = place_of(starts, welch)
     independent = (deviation**2).mean(axis=0)
     actual, terms = independent, 1.0
     for lag in range(1, min(max(1, count // 4), MAX_LAG) + 1):
@@ -448,6 +514,11 @@ def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array
             actual = actual + weight * (deviation[pairs + lag] * deviation[pairs]).mean(axis=0)
             terms += weight
     return independent / (count - 1), actual / (count - terms)
+
+
+def place_of(starts: Array, welch: Welch) -> NDArray[np.intp]:
+    """Place of each segment in the record, in halves of a segment."""
+    return np.asarray((starts - starts[0]) // welch.half)
 
 
 def _smooth(values: Array, size: int | tuple[int, int]) -> Array:

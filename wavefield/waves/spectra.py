@@ -27,6 +27,7 @@ from wavefield.waves.dof import (
     cell_freedom,
     independent_cells,
     keep_lines,
+    keep_points,
     ring_freedom,
     samples_in_time,
     with_interval,
@@ -54,6 +55,7 @@ from wavefield.waves.welch import (
     k_coords,
     omega_coords,
     slabs,
+    some_nodes,
     sum_segments,
     transform_space,
 )
@@ -212,12 +214,18 @@ def total(density: xr.DataArray) -> xr.DataArray:
     return out
 
 
+def _transform_and_points(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
+    """The transform in space, and the values of some nodes, (nodes, steps)."""
+    points = some_nodes(blocks[0])
+    return {"f": transform_space(blocks.pop(), memory.get("f")), "points": points}
+
+
 def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
     """The spatial transform, and the node values with two nodes as one complex number, (pairs, steps)."""
     flat = blocks[0].reshape(blocks[0].shape[0], -1)
     pairs = np.ascontiguousarray(flat[:, : flat.shape[1] // 2 * 2])  # an odd node is left out
     nodes = pairs.view(np.result_type(pairs.dtype, np.complex64)).T
-    return {"f": transform_space(blocks.pop(), memory.get("f")), "nodes": nodes}
+    return _transform_and_points(blocks, link, memory) | {"nodes": nodes}
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
@@ -243,6 +251,7 @@ def _add_ring_powers(
         kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
     sums.setdefault("f", np.zeros_like(power))
     accumulate(sums, "f", power, begin)
+    keep_points(sums, "f", first["points"], second["points"], begin)
     if "nodes" in first:
         sums[f"nodes from {begin:012d}"] = _powers_of_nodes(first["nodes"], second["nodes"])
 
@@ -309,7 +318,7 @@ def komega(
     table = welch.table
     add_powers = partial(_add_ring_powers, table)
     # nodes are filled less well at the edges, where the window in space has little weight
-    transform = _transform if welch.record.holes else _transform_and_nodes
+    transform = _transform_and_points if welch.record.holes else _transform_and_nodes
     summed = sum_segments([field], welch.record, welch.segment, transform, add_powers)
     found = dask.delayed(_estimates, pure=False)(summed, welch)
     parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)

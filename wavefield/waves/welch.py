@@ -260,6 +260,16 @@ def window_energy(segment: int, ny: int, nx: int) -> float:
     return float((hann(segment) ** 2).sum() * (hann(ny) ** 2).sum() * (hann(nx) ** 2).sum())
 
 
+NODES_PER_AXIS = 4  # nodes whose lines of single segments are held: more are alike in most fields
+
+
+def some_nodes(block: np.ndarray) -> np.ndarray:
+    """Values of 4 x 4 nodes, evenly spread, of a block (steps, ny, nx): (nodes, steps)."""
+    middle = (np.arange(NODES_PER_AXIS) + 0.5) / NODES_PER_AXIS
+    rows, columns = ((middle * n).astype(int) for n in block.shape[1:])
+    return block[:, rows[:, None], columns].reshape(len(block), -1).T
+
+
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
     """Windowed transform of each step (ny, nx) in space, (cells, steps), cells being ky x kx with kx >= 0."""
     steps, ny, nx = block.shape
