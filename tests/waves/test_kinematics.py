@@ -6,7 +6,7 @@ from waves_cases import Waves, axes, cube, linear_cube, random_waves, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.motion import finite_residual_on_grid, slopes
+from wavefield.waves.motion import slopes
 
 
 def displaced(waves, now, dt, gx, gy, rounds=8):
@@ -71,34 +71,6 @@ def test_the_residual_of_an_exact_sea_is_small_and_a_start_anchored_one_is_not()
     assert share["start"] > 0.5
 
 
-def test_the_finite_displacement_form_is_exact():
-    # long smooth waves: the interpolation between nodes must not show either
-    waves = random_waves(seed=3, n=30, lowest=0.5, highest=0.8, sigma=0.02)
-    dt, now, step = 0.05, 0.7, 0.01
-    x, y = np.arange(12) * step, np.arange(11) * step
-    gx, gy = np.meshgrid(x, y)
-    inner = (slice(4, 6), slice(4, 6))
-    x0, y0, x1, y1 = displaced(waves, now, dt, gx[inner].ravel(), gy[inner].ravel(), 20)
-    u, v, w = (np.zeros(gx.shape) for _ in range(3))
-    u[inner] = ((x1 - x0) / dt).reshape(2, 2)
-    v[inner] = ((y1 - y0) / dt).reshape(2, 2)
-    rise = waves.at(x1, y1, now + dt / 2)[0] - waves.at(x0, y0, now - dt / 2)[0]
-    w[inner] = (rise / dt).reshape(2, 2)
-    ends = [waves.at(gx, gy, now + sign * dt / 2)[0] for sign in (-1, 1)]
-    residual = finite_residual_on_grid(*ends, u, v, w, dt, step, step)
-    assert np.abs(residual[inner]).max() < 1e-10 * np.abs(w[inner]).max()
-
-
-def test_the_finite_displacement_residual_is_far_below_the_eulerian(exact):
-    cube = exact
-    finite = wv.finite_residual(cube)
-    eulerian = wv.kinematics(cube).residual
-    assert finite.dims == ("time", "y", "x")
-    assert np.isnan(finite[0]).all()
-    assert np.isnan(finite[-1]).all()
-    assert rms(finite[1:-1]) < 0.1 * rms(eulerian.where(np.isfinite(finite)))
-
-
 def test_slopes_are_of_sixth_order_inside_and_right_at_the_edges():
     errors = []
     for step in (0.02, 0.01):
@@ -122,11 +94,10 @@ def test_vorticity_and_divergence_of_a_known_flow():
     np.testing.assert_allclose(out.divergence, 0.8, rtol=1e-9)
 
 
-@pytest.mark.parametrize("take", [wv.kinematics, wv.finite_residual])
-def test_a_lazy_cube_gives_lazy_kinematics(exact, take):
-    out = take(exact.chunk({"time": 2, "y": 20}))
+def test_a_lazy_cube_gives_lazy_kinematics(exact):
+    out = wv.kinematics(exact.chunk({"time": 2, "y": 20}))
     assert dask.is_dask_collection(out)
-    xr.testing.assert_allclose(out.compute(), take(exact), rtol=1e-12)
+    xr.testing.assert_allclose(out.compute(), wv.kinematics(exact), rtol=1e-12)
 
 
 def test_a_missing_field_is_named(exact):

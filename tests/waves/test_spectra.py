@@ -51,7 +51,11 @@ def test_odd_and_even_sizes_keep_the_energy_and_the_direction(ny, nx):
     peak = E.isel(E.argmax(...))
     assert float(peak.kx) < 0 < float(peak.ky)
     assert float(wv.total(E)) == pytest.approx(5e-5, rel=1e-3)
-    np.testing.assert_allclose(wv.angular_integral(E), wv.komega(wave, segment=128).E, rtol=1e-9, atol=1e-18)
+    table = rings.rings(ny, nx, 0.03, 0.03)
+    plane = np.fft.ifftshift(E.values, axes=(1, 2)).reshape(E.sizes["omega"], -1)
+    cell = float((E.ky[1] - E.ky[0]) * (E.kx[1] - E.kx[0]))
+    integral = plane @ table.shares * cell / table.dk
+    np.testing.assert_allclose(integral, wv.komega(wave, segment=128).E, rtol=1e-9, atol=1e-18)
 
 
 def test_the_sum_is_the_windowed_variance_in_single_precision():
@@ -71,22 +75,15 @@ def test_the_sum_is_the_windowed_variance_in_single_precision():
     assert float(wv.total(wv.komega(field(values), segment=64).E)) == pytest.approx(np.mean(power), rel=1e-6)
 
 
-def test_the_angular_integral_conserves_energy_and_the_lattice_hardly_shows():
+def test_rings_share_all_cells_and_the_lattice_hardly_shows():
     ny, nx, step = 150, 200, 0.01
-    ky, kx = (np.sort(rings.wavenumbers(n, step)) for n in (ny, nx))
-    rng = np.random.default_rng(0)
-    density = xr.DataArray(rng.random((3, ny, nx)), {"ky": ky, "kx": kx}, ("omega", "ky", "kx"))
-    cell = (ky[1] - ky[0]) * (kx[1] - kx[0])
-    E = wv.angular_integral(density)
-    np.testing.assert_allclose(
-        E.sum("k") * float(E.k[1] - E.k[0]), density.sum(("ky", "kx")) * cell, rtol=1e-12
-    )
-    flat = wv.angular_integral(xr.ones_like(density[0]))
-    inside = (flat.k > 3 * flat.k[0]) & (flat.k < 0.95 * np.pi / step)
-    ratio = (flat / (2 * np.pi * flat.k)).values[inside]
-    assert np.sqrt(np.mean((ratio - 1) ** 2)) < 0.005
     table = rings.rings(ny, nx, step, step)
-    np.testing.assert_allclose(table.coverage[inside], ratio, rtol=0, atol=0.011)
+    np.testing.assert_allclose(table.shares.sum(axis=1), 1, rtol=1e-12)
+    cell = (2 * np.pi / step) ** 2 / (ny * nx)
+    ratio = table.shares.sum(axis=0) * cell / (2 * np.pi * table.k * table.dk)
+    inside = (table.k > 3 * table.k[0]) & (table.k < 0.95 * np.pi / step)
+    assert np.sqrt(np.mean((ratio[inside] - 1) ** 2)) < 0.005
+    np.testing.assert_allclose(table.coverage[inside], ratio[inside], rtol=0, atol=0.011)
     assert table.coverage[-1] < 0.1  # the corner
 
 

@@ -81,20 +81,6 @@ def test_chunks_do_not_matter(gaussian):
     xr.testing.assert_equal(wv.statistics(gaussian.chunk({"time": 37, "y": 9})), wv.statistics(gaussian))
 
 
-def test_errors_are_summarised_without_their_gaps(gaussian):
-    rng = np.random.default_rng(2)
-    values = 0.0005 * rng.standard_normal(gaussian.z.shape)
-    values[:, 3, 4] = np.nan
-    piv = np.abs(0.3 * rng.standard_normal(gaussian.z.shape))
-    with_errors = gaussian.assign(eps_y=(gaussian.z.dims, values), eps_piv=(gaussian.z.dims, piv))
-    out = statistics_module.error_statistics(with_errors, wv.find_record(gaussian))
-    assert float(out.eps_y_std) == pytest.approx(np.nanstd(values), rel=1e-6)
-    assert float(out.eps_piv_rms) == pytest.approx(np.sqrt(np.mean(piv**2)), rel=1e-6)
-    width = float(out.eps_bin[1] - out.eps_bin[0])
-    np.testing.assert_allclose(out.eps_pdf.sum("eps_bin") * width, 1, rtol=1e-3)
-    assert not statistics_module.error_statistics(gaussian, wv.find_record(gaussian)).data_vars
-
-
 def test_a_constant_field_does_not_break_them():
     t, y, x = axes(32, 12, 16)
     out = wv.statistics(cube({"z": np.zeros((32, 12, 16))}, t, y, x))

@@ -160,7 +160,6 @@ def balance_history(kinematics: xr.Dataset) -> Figure:
         "w_rms": "w",
         "nonlinear_rms": "u·∇z",
         "residual_rms": "residual z_t − w + u·∇z",
-        "finite_residual_rms": "residual along finite displacements",
     }
     stored = {name: label for name, label in labels.items() if name in kinematics}
     curves = {label: 100 * kinematics[name].values for name, label in stored.items()}

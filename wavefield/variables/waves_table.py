@@ -63,7 +63,6 @@ rows("", ("theta",), ("theta", "rad", "direction of propagation, from x towards 
 rows("", ("step",), ("step", "1", "step of the cube"), dtype="int64")
 rows("", ("band",), ("band_frequency", "Hz", "middle of the band"))
 rows("", ("bin",), ("bin", "1", "(value - mean) / standard deviation"))
-rows("", ("eps_bin",), ("eps_bin", "1", "(value - mean) / standard deviation"))
 rows("", ("quantity",), ("quantity", "", "elevation, and displacement over one time step"), dtype="str")
 rows("", ("source",), ("source", "", "method that gives the elevation"), dtype="str")
 

@@ -17,14 +17,13 @@ from wavefield.waves.gains import (
 from wavefield.waves.increments import structure_functions
 from wavefield.waves.inputs import cube
 from wavefield.waves.moments import statistics
-from wavefield.waves.motion import finite_residual, kinematics, kinematics_at
+from wavefield.waves.motion import kinematics, kinematics_at
 from wavefield.waves.phases import phase_average
 from wavefield.waves.probes import probe_spectra
 from wavefield.waves.record import Record, find_record, whole_record
 from wavefield.waves.spectra import (
     E_k,
     E_omega,
-    angular_integral,
     komega,
     spectrum,
     total,
@@ -37,7 +36,6 @@ __all__ = [
     "HigherOrderSettings",
     "Record",
     "analyze",
-    "angular_integral",
     "coherence",
     "crest_statistics",
     "cross_spectra",
@@ -46,7 +44,6 @@ __all__ = [
     "dispersion",
     "elevation_from_w",
     "find_record",
-    "finite_residual",
     "fit_dispersion",
     "fused_spectra",
     "gain_displacement",

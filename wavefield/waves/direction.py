@@ -26,6 +26,9 @@ Array = NDArray[Any]
 
 LINES_AROUND = 6  # to either side of a band, from which waves leak into it
 _HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
+# what chance adds to the product of the energies of correlated cells or lines, in squares of their mean over
+# the degrees of freedom, on average over these: 2 of a cell with itself
+_CHANCE = 2 * float((_HANN**2).sum() / _HANN.sum()) ** 3
 _HANN_VARIANCE = 4 / 7  # of these five, cells squared
 _LINE_VARIANCE = 1 / 3  # of the power that a Hann window leaves of one wave, cells squared
 
@@ -70,7 +73,7 @@ def sector_covariances(
     line = expected_segment_correlation((around.reshape(len(around), -1) @ ring)[None], round(count))[0]
     share = weight.sum(axis=1) ** 2
     kept = (line[inside] * share).sum() / max(share.sum(), 1e-300) / _white(count)
-    dof_of_sum = (dof + 2) / (_correlation_across(weight, off) * kept)
+    dof_of_sum = (dof + _CHANCE) / (_correlation_across(weight, off) * kept)
     return _covariances(shares, energy * np.sqrt(packets), dof_of_sum)
 
 

@@ -388,57 +388,6 @@ def moments(values: Array, mean: float, sums: Array) -> None:
         sums[4] += s4
 
 
-@_fast
-def _lagrange(fraction: float, scale: Array, weights: Array) -> None:
-    """Weights of the nodes -(m/2 - 1) .. m/2 for a point at `fraction` in [0, 1)."""
-    m = weights.size
-    first = -(m // 2 - 1)
-    product = 1.0
-    for i in range(m):  # what lies before each node, then what lies behind
-        weights[i] = product * scale[i]
-        product *= fraction - (first + i)
-    product = 1.0
-    for i in range(m - 1, -1, -1):
-        weights[i] *= product
-        product *= fraction - (first + i)
-
-
-@_fast
-def _denominators(m: int) -> Array:
-    scale = np.ones(m)
-    for i in range(m):
-        for j in range(m):
-            if j != i:
-                scale[i] /= i - j
-    return scale
-
-
-@_loose
-def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> None:
-    """Field (y, x) at rows and columns (n,) by Lagrange polynomials; NaN near the edges."""
-    ny, nx = field.shape
-    wy = np.empty(points)
-    wx = np.empty(points)
-    scale = _denominators(points)
-    back = points // 2 - 1
-    for p in range(row.size):
-        i0 = int(np.floor(row[p]))
-        j0 = int(np.floor(column[p]))
-        if i0 - back < 0 or j0 - back < 0 or i0 + points - back > ny or j0 + points - back > nx:
-            out[p] = np.nan
-            continue
-        _lagrange(row[p] - i0, scale, wy)
-        _lagrange(column[p] - j0, scale, wx)
-        total = 0.0
-        for a in range(points):
-            line = 0.0
-            nodes = field[i0 - back + a, j0 - back : j0 - back + points]
-            for b in range(points):
-                line += wx[b] * nodes[b]
-            total += wy[a] * line
-        out[p] = total
-
-
 @_loose
 def windowed_sums(
     energy: Array, noise: Array, cells: Array, k: Array, heading: Array, first: Array, last: Array, out: Array

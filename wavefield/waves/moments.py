@@ -1,10 +1,7 @@
-"""Distributions and moments of the surface, and the internal errors of the measurement."""
+"""Distributions and moments of the surface."""
 
-import functools
-import itertools
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import dask
@@ -21,7 +18,7 @@ from wavefield.waves import kernels, rings
 from wavefield.waves.dof import dof_of_all_nodes, hann_correlation, sum_freedom
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Noted, WaveProduct, register
-from wavefield.waves.record import Each, Record, find_record, piece
+from wavefield.waves.record import Record, find_record, piece
 from wavefield.waves.spectra import E_omega, komega
 from wavefield.waves.welch import Reader, Welch, add_sums, spatial_window
 
@@ -185,7 +182,6 @@ QUANTITIES = {"z": "z", "dx": "u", "dy": "v", "dz": "w"}  # displacements are ve
 REACH, BINS = 6.0, 120  # of the distributions, in standard deviations
 SAMPLED_STEPS = 8  # that fix the bins
 STEPS_AT_A_TIME = 256
-ERRORS = ("eps_y", "eps_piv")
 Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation of each field
 
 
@@ -392,56 +388,6 @@ def statistics(
     return annotate(with_stds(out, stds), "statistics")
 
 
-@dataclass(frozen=True)
-class _ErrorSurvey:
-    """The survey of some steps of a field of errors; a class, so that it can be sent to other processes."""
-
-    fields: Mapping[str, xr.DataArray]
-    scales: Scales
-    record: Record
-
-    def read(self, name: str, steps: tuple[int, int]) -> Any:
-        return piece(self.fields[name], slice(*steps), slice(*self.record.y), slice(*self.record.x))
-
-    def __call__(self, item: tuple[str, tuple[int, int]]) -> dict[str, Array]:
-        return _survey_errors(self.read(*item), self.scales[item[0]])
-
-
-def _survey_errors(block: object, scale: tuple[float, float]) -> dict[str, Array]:
-    values = np.asarray(block).ravel()
-    return survey({"e": values[np.isfinite(values)][None, None]}, {"e": scale})
-
-
-def error_statistics(cube: xr.Dataset, record: Record, each: Each | None = None) -> xr.Dataset:
-    """Distributions and moments of the internal errors ``eps_y`` and ``eps_piv``, where the cube has them."""
-    names = [name for name in ERRORS if name in cube]
-    if not names:
-        return xr.Dataset()
-    cube = validate(cube, *names)
-    scales = rough_scales(cube, record, names)
-    work = _ErrorSurvey({name: cube[name] for name in names}, scales, record)
-    steps = [(i, min(i + STEPS_AT_A_TIME, b)) for a, b in record.runs for i in range(a, b, STEPS_AT_A_TIME)]
-    out: dict[str, Any] = {}
-    densities = []
-    for name, sums in zip(names, _error_sums(work, names, steps, each)):
-        moments = _central_moments(sums["sums e"], scales[name][0])
-        out[f"{name}_mean"], out[f"{name}_std"] = ((), moments["mean"]), ((), moments["std"])
-        out[f"{name}_rms"] = ((), float(np.hypot(moments["mean"], moments["std"])))
-        densities.append(_rebin(sums["counts e"], scales[name], moments))
-    out["eps_pdf"] = (("error", "eps_bin"), np.array(densities))
-    coords = {"error": ("error", names), "eps_bin": ("eps_bin", _bin_centres())}
-    return annotate(xr.Dataset(out, coords), "statistics")
-
-
-def _error_sums(
-    work: _ErrorSurvey, names: Sequence[str], steps: Sequence[tuple[int, int]], each: Each | None
-) -> Iterator[dict[str, Array]]:
-    """Sums over the record for each name."""
-    parts = iter((each or map)(work, [(name, some) for name in names for some in steps]))
-    for _ in names:
-        yield functools.reduce(add_sums, itertools.islice(parts, len(steps)))
-
-
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
     """Add the spectral peak, between the lines, and the steepness."""
     method, valid = "cross", fused["valid_cross"].values
@@ -469,13 +415,8 @@ def _moments(
     return label(sums, scales, record.dt, pixel_size, gain_of_slopes)
 
 
-def _error_group(cube: xr.Dataset, welch: Welch, each: Each | None) -> xr.Dataset:
-    return error_statistics(cube, welch.record, each)
-
-
 def _statistics_group(
     moments: xr.Dataset,
-    errors: xr.Dataset,
     fused: xr.Dataset,
     spectra: xr.Dataset,
     welch: Welch,
@@ -491,17 +432,16 @@ def _statistics_group(
             " spectra: check them before you use spectra decades below the peak."
         )
     stds = moment_stds(spectra["E_komega_z"], dof_of_all_nodes(spectra["dof_E_z"].values, welch), welch)
-    out = spectral_peak(with_stds(moments, stds).assign(errors.data_vars), fused, depth, gamma)
+    out = spectral_peak(with_stds(moments, stds), fused, depth, gamma)
     limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)
     return Noted(limited.value, [*notes, *limited.notes])
 
 
 register(
     WaveProduct("moments", ("survey_sums", "scale", "welch", "pixel_size", "density_z"), _moments),
-    WaveProduct("error_statistics", ("complete_cube", "welch", "each"), _error_group),
     WaveProduct(
         "statistics",
-        ("moments", "error_statistics", "fused", "spectra", "welch", "depth", "gamma"),
+        ("moments", "fused", "spectra", "welch", "depth", "gamma"),
         _statistics_group,
         group="statistics",
     ),

@@ -23,7 +23,6 @@ Array = NDArray[Any]
 FIELDS = ("z", "z_t", "u", "v", "w")
 OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
 CHANCE = 0.05  # outside the interval
-STENCIL = 8  # nodes along each axis of the interpolation between nodes
 
 
 def _checked(cube: xr.Dataset) -> xr.Dataset:
@@ -195,85 +194,6 @@ def _mean_of_frames(z: xr.DataArray, z_t: xr.DataArray, dt: float) -> xr.DataArr
     return mean.fillna(mean.shift(time=1) + (dt / 2) * (z_t + before)).fillna(z)
 
 
-def frame_elevations(
-    z: xr.DataArray, z_t_before: xr.DataArray, z_t_after: xr.DataArray, z_t: xr.DataArray, dt: float
-) -> tuple[Any, Any]:
-    """Elevations of the two frames of a step, exact, from z and z_t of the step and its neighbours' z_t.
-    z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before).
-    """
-    mean = z + (dt / 16) * (z_t_after - z_t_before)
-    return mean - (dt / 2) * z_t, mean + (dt / 2) * z_t
-
-
-def finite_residual_on_grid(
-    start: Array, end: Array, u: Array, v: Array, w: Array, dt: float, dy: float, dx: float
-) -> Array:
-    """(z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w of one step, (ny, nx), m/s, d = (u, v) dt."""
-    ny, nx = start.shape
-    row, column = np.meshgrid(np.arange(ny, dtype=float), np.arange(nx, dtype=float), indexing="ij")
-    shift_y, shift_x = v * (dt / (2 * dy)), u * (dt / (2 * dx))
-    ends = []
-    for field, sign in ((end, 1), (start, -1)):
-        out = np.empty(ny * nx)
-        places = (row + sign * shift_y).ravel(), (column + sign * shift_x).ravel()
-        kernels.sample(np.ascontiguousarray(field), *places, out, STENCIL)
-        ends.append(out.reshape(ny, nx))
-    return (ends[0] - ends[1]) / dt - w
-
-
-@takes(a_cube)
-def finite_residual(cube: xr.Dataset) -> xr.DataArray:
-    """Kinematic residual in its exact form for finite displacements.
-
-    Parameters
-    ----------
-    cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s. Lazy input gives a lazy result.
-
-    Returns
-    -------
-    DataArray, (time, y, x)
-        (z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w with d = (u, v) dt, m/s. NaN at the first and last step,
-        which have no neighbour, and at the edges, where the stencil exceeds the field.
-
-    Raises
-    ------
-    CubeError
-        If a variable is missing, the axes are uneven, or the velocities are no displacements over one step.
-
-    Notes
-    -----
-    A particle stays on the surface, so on exact data this vanishes whatever the size of the displacements,
-    while the Eulerian form z_t - w + u . grad z keeps an error of third order in dt. z between nodes by
-    Lagrange polynomials through 8 x 8 nodes.
-    """
-    cube = _checked(cube)
-    dt, dy, dx = check_axes(cube)
-    if along_paths(cube):
-        raise CubeError(
-            "the cube's velocities are those at mid-time and hold no displacements: use the residual of"
-            " wavefield.waves.kinematics, which is as exact"
-        )
-    z_t = cube["z_t"]
-    start, end = frame_elevations(cube["z"], z_t.shift(time=1), z_t.shift(time=-1), z_t, dt)
-
-    def compute(*fields: Array) -> Array:
-        steps = [field.reshape(-1, *field.shape[-2:]) for field in fields]
-        out = [finite_residual_on_grid(a, b, u, v, w, dt, dy, dx) for a, b, u, v, w in zip(*steps)]
-        return np.asarray(out).reshape(fields[0].shape)
-
-    out = xr.apply_ufunc(
-        compute,
-        *(array.transpose("time", "y", "x") for array in (start, end, cube["u"], cube["v"], cube["w"])),
-        input_core_dims=[["y", "x"]] * 5,
-        output_core_dims=[["y", "x"]],
-        dask="parallelized",
-        output_dtypes=[np.float64],
-        dask_gufunc_kwargs={"allow_rechunk": True},
-    )
-    return annotate(out.to_dataset(name="finite_residual"))["finite_residual"]
-
-
 def balance(
     fields: Mapping[str, Array],
     i: int,
@@ -286,23 +206,20 @@ def balance(
     """Rms, m/s and s-1, of the terms of the kinematic condition at step i."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     if frames == 2:
-        before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
-        start, end = frame_elevations(step["z"], before, after, step["z_t"], dt)
-        finite = finite_residual_on_grid(start, end, step["u"], step["v"], step["w"], dt, dy, dx)
-        finite, mean = finite[np.isfinite(finite)], (start + end) / 2
+        before, after = (fields["z_t"][at].astype(float) for at in (i - 1, i + 1))
+        mean = step["z"] + (dt / 16) * (after - before)  # of the two frames, as in `_mean_of_frames`
     else:
-        finite, mean = np.empty(0), step["z"]
+        mean = step["z"]
     parts = terms(step | {"mean": mean}, dy, dx, current)
     values = {
         "w_rms": step["w"],
         "z_t_rms": step["z_t"],
         "nonlinear_rms": parts["nonlinear"],
         "residual_rms": parts["residual"],
-        "finite_residual_rms": finite,
         "vorticity_rms": parts["vorticity"],
         "divergence_rms": parts["divergence"],
     }
-    return {name: float(np.sqrt(np.mean(np.square(v)))) if v.size else np.nan for name, v in values.items()}
+    return {name: float(np.sqrt(np.mean(np.square(v)))) for name, v in values.items()}
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
@@ -318,7 +235,6 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
     for fraction, part, reference in (
         ("nonlinear_fraction", "nonlinear_rms", "w_rms"),
         ("residual_fraction", "residual_rms", "nonlinear_rms"),
-        ("finite_residual_fraction", "finite_residual_rms", "nonlinear_rms"),
     ):
         out[fraction] = ((), mean[part] / mean[reference] if mean.get(reference, 0) > 0 else np.nan)
     return annotate(out, "kinematics")

@@ -343,45 +343,6 @@ def komega(
     return finish(keep_water(out, field), field)
 
 
-def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataArray:
-    """Integrate a density over the plane (ky, kx) along rings of |k|.
-
-    Parameters
-    ----------
-    density : DataArray, (..., ky, kx)
-        A density in rad/m and rad/m, such as ``spectrum(...).E``.
-    dk : float, optional
-        Width of the rings, rad/m; by default the larger side of a cell.
-
-    Returns
-    -------
-    DataArray, (..., k)
-        Density in rad/m; its sum times dk is the sum of the input times the cell, to rounding.
-    """
-    ny, nx = density.sizes["ky"], density.sizes["kx"]
-    cell_y, cell_x = (float(density[name][1] - density[name][0]) for name in ("ky", "kx"))
-    table = rings.rings(ny, nx, 2 * np.pi / (ny * cell_y), 2 * np.pi / (nx * cell_x), dk)
-
-    def integrate(values: Array) -> Array:
-        flat = np.fft.ifftshift(values, axes=(-2, -1)).reshape(-1, ny * nx).astype(np.float64)
-        out = (table.shares.T @ flat.T).T * (cell_y * cell_x / table.dk)
-        result: Array = out.reshape(*values.shape[:-2], table.k.size)
-        return result
-
-    out = xr.apply_ufunc(
-        integrate,
-        density,
-        input_core_dims=[["ky", "kx"]],
-        output_core_dims=[["k"]],
-        dask="parallelized",
-        output_dtypes=[np.float64],
-        dask_gufunc_kwargs={"output_sizes": {"k": table.k.size}, "allow_rechunk": True},
-    )
-    out = annotate(out.assign_coords(k_coords(table.k)).to_dataset(name="E"))["E"].rename(None)
-    out.attrs = density.attrs | {"units": product((density.attrs.get("units", "1"), 1), (K_UNITS, 1))}
-    return out
-
-
 def _of_what(komega: xr.DataArray | xr.Dataset) -> str:
     return str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
 
