@@ -29,32 +29,51 @@ def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], obje
     return folder
 
 
-LEARNED = {}  # what was computed from the same frames, by its inputs
+LEARNED = {}  # what was computed from the same inputs
 
 
 def _remembered(compute):
     """The same function, which computes once what it is asked for twice."""
 
     @functools.wraps(compute)
-    def remembered(frames, geometry, *rest, **named):
-        place = geometry.rig, geometry.grid, geometry.settings, geometry.covered
-        key = hashlib.sha256(pickle.dumps((compute.__name__, frames, place, rest, named))).digest()
+    def remembered(*given, **named):
+        inputs = compute.__name__, *map(_input, given), *named.items()
+        # each on its own: a pickle of all would depend on which objects they share
+        key = hashlib.sha256(b"".join(map(pickle.dumps, inputs))).digest()
         if key not in LEARNED:
-            LEARNED[key] = compute(frames, geometry, *rest, **named)
+            LEARNED[key] = compute(*given, **named)
         return LEARNED[key]
 
     return remembered
 
 
-@pytest.fixture(scope="package", autouse=True)
+def _input(one):
+    """What an input is made of: geometries and models also keep what they have computed so far."""
+    from wavefield.measurement import GridGeometry, Model
+
+    if isinstance(one, Model):
+        return one.record
+    if isinstance(one, GridGeometry):
+        return one.rig, one.grid, one.settings, one.covered
+    return one
+
+
+@pytest.fixture(scope="session", autouse=True)
 def learned_once():
-    """Spectra, noise and errors of pairs of the same frames are computed once for all runs: 40 % of a run."""
+    """Spectra, noise and errors of pairs of the same frames are computed once for all runs: half of a run."""
     import wavefield.measurement
-    import wavefield.pipeline.assess as pairs
+    import wavefield.pipeline.assess
+    from wavefield.matching import map_variance
+    from wavefield.measurement import search_range
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wavefield.measurement, "learn", _remembered(wavefield.measurement.learn))
-        patch.setattr(pairs, "diagnose", _remembered(pairs.diagnose))
+        for module, name in (
+            (wavefield.measurement, "learn"),
+            (wavefield.pipeline.assess, "diagnose"),
+            (map_variance, "hole_variance"),
+            (search_range, "shifts"),
+        ):
+            patch.setattr(module, name, _remembered(getattr(module, name)))
         yield
 
 

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 import xarray as xr
-from cube_fixtures import learned_once
 
 from wavefield.variables import CUBE_DIMS, FrameStatus, Quality, annotate
-
-__all__ = ["learned_once"]
 
 
 def make_cube(

@@ -11,7 +11,7 @@ from wavefield.measurement import GridGeometry, Model, learn, measure
 from wavefield.tank import Scene, Tank
 from wavefield.variables import Quality
 
-DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "8"))
+DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "4"))
 FRAMES = 6  # of one step
 GRID = {"x": (-0.10, 0.10), "y": (-0.08, 0.08), "step": 0.01}
 

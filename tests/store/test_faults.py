@@ -100,6 +100,7 @@ def test_comments_in_a_catalog_stay(lab, capsys):
     assert "# camera 2 moved before run 3\nuser_parameters:" in (lab / CATALOG).read_text()
 
 
+@pytest.mark.slow
 def test_runs_that_are_added_at_once_are_all_registered(lab):
     text = (lab / "experiment.yaml").read_text()
     names = [f"run{number}" for number in range(8)]
@@ -181,6 +182,7 @@ with atomic(sys.argv[1]) as draft:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL])
 def test_a_killed_writer_leaves_nothing_after_the_next_command(lab, number):
     writer = subprocess.Popen([sys.executable, "-c", WRITER, "x.nc"], cwd=lab, stdout=subprocess.PIPE)
@@ -218,6 +220,7 @@ def test_a_signal_while_a_draft_is_removed_leaves_nothing_and_still_stops(
     assert not list(tmp_path.glob(".wavefield-*"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_command_that_is_ended_by_a_signal_removes_what_it_began(lab, name):
     line = [sys.executable, "-m", "wavefield", "-q", "smooth", "cube.zarr"]

@@ -192,7 +192,7 @@ def test_intervals_hold_the_error_of_a_predicted_gain():
     assert share["given"] < 0.8, share
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_w_is_not_valid_where_z_contradicts_it(seed):
     rng = np.random.default_rng(seed)
     wrong = np.exp(rng.choice([-1, 1]) * rng.uniform(0.4, 1.0))

@@ -180,7 +180,7 @@ def _blobs(rng, shape, share, size):
     return hole
 
 
-@pytest.mark.parametrize(("dx", "highest", "noise"), [(0.01, 4.0, 0.0), (0.02, 3.5, 5e-5), (0.02, 7.0, 0.0)])
+@pytest.mark.parametrize(("dx", "highest", "noise"), [(0.01, 4.0, 0.0), (0.02, 3.5, 5e-5)])
 def test_holes_leave_the_floor_as_it_is(dx, highest, noise):
     seed = 70200 + int(1e3 * dx + highest)
     sea = Sea(
@@ -207,7 +207,7 @@ def test_filled_values_do_not_depend_on_the_block_they_are_read_in():
         np.testing.assert_array_equal(read(a, b, (0, 64))[0], whole[a:b])
 
 
-@pytest.mark.parametrize("size", [2, 4, 9])
+@pytest.mark.parametrize("size", [2, 9])
 def test_the_stated_error_of_filled_nodes_is_their_error(size):
     sea = Sea(seed=70400 + size, shape=(120, 48, 64), waves=200, noise=1e-4)
     whole = sea.cube(("z",)).z
@@ -220,8 +220,8 @@ def test_the_stated_error_of_filled_nodes_is_their_error(size):
     assert 0.7 < stated / error < 1.4
 
 
-@pytest.mark.parametrize(("fraction", "noise"), [(0.05, 0.0), (0.1, 5e-5), (0.2, 0.0)])
-def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum(fraction, noise):
+def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum():
+    fraction, noise = 0.1, 5e-5
     seed = 70500 + int(100 * fraction)
     sea = Sea(seed=seed, highest=3.5, noise=noise, shape=(160, 48, 64), waves=250, depth=0.7, slope=6)
     whole = sea.cube(("z",)).z
@@ -239,6 +239,7 @@ def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum(fraction, n
     assert bool(spectra[1].valid.where(waves, True).all())
 
 
+@pytest.mark.slow
 def test_lines_in_which_large_moving_holes_may_show_are_not_valid():
     sea = Sea(seed=70600, highest=3.5, shape=(160, 70, 90), waves=200, depth=0.7, slope=6)
     cube, missing = sea.cube(("z", "z_t", "u", "v", "w")), np.zeros(sea.shape, bool)

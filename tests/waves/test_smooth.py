@@ -49,7 +49,7 @@ def judge(found, cube, truth, where=True):
     return out
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_seas_of_any_depth_and_current_are_better_and_the_uncertainties_true(seed):
     rng = np.random.default_rng([41, seed])
     current = tuple(rng.uniform(-0.3, 0.3, 2))

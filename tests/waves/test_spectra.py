@@ -26,7 +26,7 @@ def plane_wave(k, angle, omega, steps=256, ny=48, nx=64, a=0.01, phase=0.4):
     return field(a * np.cos(kx * x + ky * y[:, None] - omega * t[:, None, None] + phase))
 
 
-@settings(max_examples=10, phases=[Phase.generate])
+@settings(max_examples=5, phases=[Phase.generate])
 @given(st.floats(20, 80), st.floats(0, 2 * np.pi), st.floats(9, 50))
 def test_a_plane_wave_holds_half_its_amplitude_squared(k, angle, omega):
     wave = plane_wave(k, angle, omega, steps=128, ny=32, nx=40)
@@ -34,7 +34,7 @@ def test_a_plane_wave_holds_half_its_amplitude_squared(k, angle, omega):
         assert float(wv.total(result)) == pytest.approx(0.01**2 / 2, rel=1e-3)
 
 
-@settings(max_examples=8, phases=[Phase.generate])
+@settings(max_examples=5, phases=[Phase.generate])
 @given(st.floats(20, 80), st.floats(0, 2 * np.pi), st.floats(8, 50))
 def test_k_points_where_the_wave_goes(k, angle, omega):
     E = wv.spectrum(plane_wave(k, angle, omega), segment=128).E
@@ -44,7 +44,7 @@ def test_k_points_where_the_wave_goes(k, angle, omega):
     assert float(peak.omega) == pytest.approx(omega, abs=0.6 * float(E.omega[1]))
 
 
-@pytest.mark.parametrize(("ny", "nx"), [(48, 64), (47, 64), (48, 63), (45, 51)])
+@pytest.mark.parametrize(("ny", "nx"), [(48, 64), (45, 51)])
 def test_odd_and_even_sizes_keep_the_energy_and_the_direction(ny, nx):
     wave = plane_wave(40.0, 2.0, 12.0, ny=ny, nx=nx)
     E = wv.spectrum(wave, segment=128).E
@@ -90,7 +90,7 @@ def test_rings_share_all_cells_and_the_lattice_hardly_shows():
 def test_white_noise_is_even_over_the_k_plane_and_its_interval_holds():
     rng = np.random.default_rng(2)
     hits, ratios, cells = [], [], []
-    for _ in range(24):
+    for _ in range(12):
         E = wv.komega(field(rng.standard_normal((320, 30, 40), dtype="f4"), dx=0.05), segment=64)
         truth = 2 * np.pi * E.k * E.coverage / ((2 * np.pi / 0.05) ** 2 * (np.pi / 0.05))
         use = E.valid & (E.omega < 0.95 * E.omega[-1])
@@ -117,7 +117,7 @@ def views(sea, ny=38, nx=50):
 FREE_SEAS = {"narrow": {"directions": ((0.4, 20.0, 1.0),)}, "on a current": {"current": (0.2, 0.15)}}
 
 
-@pytest.fixture(scope="module", params=FREE_SEAS)
+@pytest.fixture(scope="module", params=["narrow", pytest.param("on a current", marks=pytest.mark.slow)])
 def free_sea(request):
     """Draws of a sea of exact free waves, and their spectra."""
     sea = LatticeSea(side=180, shape=(320, 24, 30), **FREE_SEAS[request.param])
@@ -186,9 +186,9 @@ def test_turning_the_sea_changes_the_spectrum_within_its_interval():
     assert np.mean(np.concatenate(inside)) > 0.93
 
 
-@pytest.mark.parametrize("depth", [0.7, 0.15])
-def test_velocity_and_elevation_shares_follow_linear_theory(depth):
+def test_velocity_and_elevation_shares_follow_linear_theory():
     """u and v apart within 2 %, not 1: of 800 waves neighbours interfere."""
+    depth = 0.15
     waves = random_waves(seed=4, n=800, lowest=1.3, highest=3.5, power=1.01, depth=depth)
     # even over the angle, whatever the wavenumber
     k, angle = np.sort(waves.k), np.pi * (1 + 5**0.5) * np.arange(800)
