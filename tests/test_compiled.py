@@ -96,6 +96,7 @@ def kept(folder):
 EXPECTED = {"c": "6.0", "s": "12.0", "f": "6.0", "i": "6.0"}
 
 
+@pytest.mark.slow
 def test_first_processes_at_once_keep_the_code_of_each_kind_apart(folder):
     orders = ("csfi", "ifsc")
     for process, kinds in [(started(folder, kinds), kinds) for kinds in orders]:
@@ -113,14 +114,19 @@ def test_kept_code_is_of_the_sources_as_they_are_now(folder):
     assert len(kept(folder)) == 1  # that of the sources of before is gone
 
 
-def test_damaged_code_is_compiled_again(folder):
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "damaged",
+    [lambda whole: b"", lambda whole: whole[:-100], lambda whole: whole[:2000] + b"\0" + whole[2001:]],
+    ids=["empty", "cut off", "changed"],
+)
+def test_damaged_code_is_compiled_again(folder, damaged):
     assert answers(started(folder, "c")) == ["6.0"]
     (path,) = kept(folder)
     whole = path.read_bytes()
-    for damaged in (b"", whole[:-100], whole[:2000] + b"\0" + whole[2001:]):
-        path.write_bytes(damaged)
-        assert answers(started(folder, "c")) == ["6.0"]
-        assert path.read_bytes()[-100:] == whole[-100:]
+    path.write_bytes(damaged(whole))
+    assert answers(started(folder, "c")) == ["6.0"]
+    assert path.read_bytes()[-100:] == whole[-100:]
 
 
 def test_clearing_removes_compiled_code_and_nothing_else(tmp_path, monkeypatch):

@@ -353,9 +353,10 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
     value = problem.get("input")
     if value is None:
         return "is empty; fill it in"
+    found = f", not {value!r}" if len(repr(value)) < 60 else ""
     if sort in ("float_parsing", "int_parsing"):
-        return f"should be a number, not {value!r}"
-    return message.replace("Input should", "should") + (f", not {value!r}" if len(repr(value)) < 60 else "")
+        return f"should be a number{found}"
+    return message.replace("Input should", "should") + found
 
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:

@@ -8,66 +8,32 @@ _VALUES = (
     *("../../..", "/dev/zero", "C:\\\\x", "cam1", "é\u0000", "\ufeff", "12:30:00", "2020-01-01", "{frame}"),
     *("*", "**/*", "-", "|", ">", "%", "@", "`", "<<: *x", "9" * 400, "a" * 3000, "{frame:99999d}"),
 )
+_LETTERS = "abz09:;,.{}[]\"'#&*!|>%@`\t -_\u00e9\u2028"
 
 
 def spoil_text(text: str, chance: random.Random) -> bytes:
     """One to four mistakes in a text of lines ``key: value``."""
     lines = text.splitlines()
     for _ in range(chance.choice([1, 1, 2, 4])):
-        chance.choice(_KINDS)(lines, chance)
+        k = chance.randrange(len(lines))
+        line, at = lines[k], chance.randrange(len(lines[k]) + 1)
+        before, colon, _ = line.partition(":")
+        words = line.replace(",", " , ").replace("}", " }").replace("]", " ]").split(" ")
+        words[chance.randrange(len(words))] = chance.choice(_VALUES)
+        lines[k : k + 1] = chance.choice(
+            [
+                [],  # dropped
+                [line, chance.choice(lines)],  # another one again
+                [f"{before}{colon or ','} {chance.choice(_VALUES)}"],
+                [" ".join(words)],  # another number or word inside
+                [line[:at] + chance.choice(_LETTERS) + line[at + 1 :]],
+                [chance.choice(["", " ", "    ", "\t"]) + line.lstrip()],
+                [line[:at]],
+            ]
+        )
+        lines = lines or [""]
     out = "\n".join(lines).encode("utf-8", "surrogatepass") + b"\n"
     return spoil_bytes(out, chance) if chance.random() < 0.1 else out
-
-
-def _drop(lines, chance):
-    if len(lines) > 1:
-        del lines[chance.randrange(len(lines))]
-
-
-def _double(lines, chance):
-    k = chance.randrange(len(lines))
-    lines.insert(chance.randrange(len(lines)), lines[k])
-
-
-def _value(lines, chance):
-    k = chance.randrange(len(lines))
-    before, colon, _ = lines[k].partition(":")
-    lines[k] = before + (colon or ",") + " " + chance.choice(_VALUES)
-
-
-def _inside(lines, chance):
-    """Another number or word somewhere inside a line."""
-    k = chance.randrange(len(lines))
-    words = lines[k].replace(",", " , ").replace("}", " }").replace("]", " ]").split(" ")
-    words[chance.randrange(len(words))] = chance.choice(_VALUES)
-    lines[k] = " ".join(words)
-
-
-def _letter(lines, chance):
-    k = chance.randrange(len(lines))
-    at = chance.randrange(len(lines[k]) + 1)
-    lines[k] = (
-        lines[k][:at] + chance.choice("abz09:;,.{}[]\"'#&*!|>%@`\t -_\u00e9\u2028") + lines[k][at + 1 :]
-    )
-
-
-def _indent(lines, chance):
-    k = chance.randrange(len(lines))
-    lines[k] = chance.choice(["", " ", "    ", "\t"]) + lines[k].lstrip()
-
-
-def _swap(lines, chance):
-    a, b = chance.randrange(len(lines)), chance.randrange(len(lines))
-    lines[a], lines[b] = lines[b], lines[a]
-
-
-def _cut(lines, chance):
-    k = chance.randrange(len(lines))
-    lines[k] = lines[k][: chance.randrange(len(lines[k]) + 1)]
-    del lines[k + 1 + chance.randrange(len(lines) - k) :]
-
-
-_KINDS = (_drop, _double, _value, _value, _inside, _inside, _letter, _letter, _indent, _swap, _cut)
 
 
 def spoil_bytes(data: bytes, chance: random.Random) -> bytes:

@@ -34,11 +34,6 @@ def cube_folder(folder: Path) -> Path:
     return folder / "cube.zarr"
 
 
-def test_the_house_has_every_command():
-    expected = {"demo", "simulate", "check", "calibrate", "run", "status", "analyze", "report", "export"}
-    assert expected | {"refine", "verify", "catalog add", "rig convert", "rig level"} <= set(COMMANDS)
-
-
 INPUTS = (
     *("experiment.yaml", "sea/experiment.yaml", "rest/experiment.yaml", "piv/experiment.yaml"),
     *("run07/experiment.yaml", "campaign.yaml", "tank.yaml", "rig.yaml", "stereo.yaml", "target.yaml"),

@@ -295,17 +295,6 @@ def _spread_norm(s):
     return 1 / (np.cos(angle / 2) ** (2 * s)).mean()
 
 
-REFEREE_SEAS = {
-    "isotropic": LatticeSea(),
-    "s 5": LatticeSea(directions=((0.4, 5.0, 1.0),)),
-    "s 20": LatticeSea(directions=((0.4, 20.0, 1.0),)),
-    "s 50": LatticeSea(directions=((0.4, 50.0, 1.0),)),
-    "bimodal, U 0.25": LatticeSea(directions=((0.4, 10.0, 0.6), (2.4, 10.0, 0.4)), current=(0.2, 0.15)),
-    "isotropic, U 0.25": LatticeSea(current=(0.2, 0.15)),
-    "h 0.05 m": LatticeSea(directions=((0.4, 2.0, 1.0),), depth=0.05),
-}
-
-
 def random_lattice_sea(seed):
     """A Gaussian sea drawn at random, and the families that it belongs to."""
     rng = np.random.default_rng([seed, 77])
@@ -342,23 +331,3 @@ def random_lattice_sea(seed):
         "gap": gap,
     }
     return sea, [name for name, there in families.items() if there] or ["plain"]
-
-
-def sharma_dean(x, y, depth, sign):
-    """Kernel of elevation (n, n) at sums (sign 1) or differences (-1) of gravity waves (kx, ky).
-
-    Elevation = sum over i, j of a_i a_j K_ij cos(psi_i + sign psi_j) / 4 (Sharma and Dean 1981).
-    """
-    k = np.hypot(x, y)
-    R = k * np.tanh(k * depth)
-    r, dot, product = np.sqrt(R), np.outer(x, x) + np.outer(y, y), np.outer(R, R)
-    kappa = np.hypot(x[:, None] + sign * x, y[:, None] + sign * y)
-    f = r[:, None] + sign * r
-    slow = kappa * np.tanh(kappa * depth)
-    below = f**2 - slow
-    with np.errstate(all="ignore"):
-        D = f * (r * (k**2 - R**2)[:, None] + sign * r[:, None] * (k**2 - R**2))
-        D = (D + 2 * f**2 * (dot - sign * product)) / below
-        K = (D - (dot - sign * product)) / np.sqrt(product) + R[:, None] + R
-    near = np.abs(below) < 0.1 * slow + 1e-12
-    return np.where(np.isfinite(K) & (kappa > 1e-9) & ~near, K, 0.0)

@@ -34,10 +34,6 @@ class Waves:
     def omega(self):
         return self.sigma + self.kx * self.current[0] + self.ky * self.current[1]
 
-    def rotated(self):
-        """The same sea, turned by 90 degrees."""
-        return Waves(-self.ky, self.kx, self.a, self.depth, self.current)
-
     def on_grid(self, t, y, x, *names):
         """Fields on a grid, each (time, y, x): z, z_t, z_x, z_y, u, v."""
         ex = np.exp(1j * np.outer(x, self.kx))
