@@ -7,8 +7,7 @@ import pytest
 from benchmarks.faults import FAULTS, SOUND, free_bytes, outcome, write_experiment
 
 REFUSED = {
-    "grid in centimetres": "did you mean {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}?",
-    "grid in centimetres, its step in metres": "did you mean {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}?",
+    "grid in centimetres": "`grid` is in metres: the cameras see {x: [",
     "grid in inches": "% of the grid in common view",
     "bead_height in millimetres": "bead_height of 0.4 m does not fit below cameras",
     "density in g cm-3": "water.density should be greater than or equal to 400",

@@ -187,7 +187,7 @@ def smooth(store: Path, output: Path | None) -> None:
     Writes a Zarr store of the same variables with their standard uncertainties; `xarray.open_zarr` reads it.
     Spectra are made of the cube itself.
     """
-    from wavefield.pipeline.smoothing import write_smoothed
+    from wavefield.pipeline.analysis import write_smoothed
 
     with Progress(f"Smoothing {short_path(store)}", "steps") as progress:
         output = write_smoothed(store, output, progress)

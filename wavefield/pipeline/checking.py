@@ -11,7 +11,7 @@ import numcodecs
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.errors import ExperimentError, RigError, WavefieldError
+from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.cluster import count_workers
 from wavefield.execution.process import one_thread, peak_memory
 from wavefield.execution.workflow import Workflow
@@ -19,7 +19,6 @@ from wavefield.grid import Grid
 from wavefield.pipeline.assess import clocks, compare_cameras, fraction_measured, record_span
 from wavefield.pipeline.chunk import Measured, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
-from wavefield.pipeline.opened_run import load_experiment
 from wavefield.pipeline.prepare import (
     PreparedRun,
     expected_coverage,
@@ -38,10 +37,8 @@ from wavefield.quality.record import (
     sample_frames,
 )
 from wavefield.quality.remarks import (
-    compare_probes,
     remark_on_coverage,
     remark_on_eps_piv,
-    remark_on_fits,
     remark_on_holes,
     remark_on_probe_file,
     remark_on_rest,
@@ -49,7 +46,6 @@ from wavefield.quality.remarks import (
 from wavefield.rig import Rig
 from wavefield.series import Experiment, Frame, FrameSeries
 from wavefield.store.layout import COMPRESSION
-from wavefield.store.read import open_cube, open_group
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import short_path, spell_ranges, spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus
@@ -162,26 +158,7 @@ def check_probes(experiment: Experiment, span: tuple[float, float]) -> tuple[lis
     )
     if not np.isfinite(probes["probe_x"].values).all():
         sentence += "; state where they are (`places: {name: [x, y]}` in `probes:`) to compare them with z"
-    cube = _own_cube(experiment)
-    if cube is not None and not remarks:
-        fits, dt = compare_probes(experiment, open_cube(cube))
-        remarks += remark_on_fits(fits, dt)
-        if fits:
-            correlations = ", ".join(f"{fit.name} {fit.best:.2f}" for fit in fits)
-            sentence += f"; correlation with z of {cube.name}: {correlations}"
     return remarks, sentence
-
-
-def _own_cube(experiment: Experiment) -> Path | None:
-    """The cube next to an experiment, if it is of this experiment."""
-    cube = experiment.resolve("cube.zarr")
-    if not cube.is_dir():
-        return None
-    try:
-        own = load_experiment(cube, open_group(cube).attrs)
-    except WavefieldError:
-        return None
-    return cube if own.path.samefile(experiment.path) else None
 
 
 MIN_SIZE_DEVIATION = 0.005  # of the median size of a camera's files
@@ -263,8 +240,7 @@ class Check:
         On the cameras' images; None if they could not be compared.
     motion, heights, clocks, probes : str
         Sentences on the motion of the water from frame to frame, the elevations that it reaches, the delays
-        between cameras, and the times of the probes with their correlation with z of the cube next to the
-        experiment; empty if unknown.
+        between cameras, and the times of the probes; empty if unknown.
     """
 
     experiment: str

@@ -28,7 +28,7 @@ from wavefield.measurement.search_range import (
 )
 from wavefield.pipeline.opened_run import image_names
 from wavefield.quality.camera_motion import refuse_unless_in_a_row
-from wavefield.quality.remarks import MIN_COVERAGE, MIN_USEFUL_COVERAGE
+from wavefield.quality.remarks import MIN_USEFUL_COVERAGE
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import common_field, pixel_sides, pixel_size
 from wavefield.sampling import evenly_spaced
@@ -133,24 +133,17 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
         who = f"the cameras have {100 * share:.2g} % of the grid in common view"
     raise ExperimentError(
         f"{experiment.path}: {who} (x {grid.x[0]:g} to {grid.x[1]:g} m, y {grid.y[0]:g} to {grid.y[1]:g} m); "
-        f"{_suggested_grid(rig, grid)}"
+        f"{_suggested_grid(rig)}"
     )
 
 
-def _suggested_grid(rig: Rig, grid: Grid) -> str:
-    """The grid in centimetres or millimetres if most of it is in view then, else what all cameras see."""
-    pixel = min(_pixels(rig))
-    for factor in (0.01, 0.001):
-        (x0, x1), (y0, y1) = ((factor * low, factor * high) for low, high in (grid.x, grid.y))
-        for step in (factor * grid.step, grid.step):
-            fits = step <= min(x1 - x0, y1 - y0) and step >= pixel
-            if fits and expected_coverage(rig, meant := Grid((x0, x1), (y0, y1), step)) >= MIN_COVERAGE:
-                return f"`grid` is in metres: did you mean {_spelled(meant)}?"
+def _suggested_grid(rig: Rig) -> str:
+    """What all cameras see, as a grid."""
     try:
         field = _spelled(common_field(rig.cameras.values()))
     except RigError as error:
         return f"correct `grid`, which is in metres, or the rig: {error}"
-    return f"correct `grid`, which is in metres: the cameras see {field}; or leave it out to have it chosen"
+    return f"`grid` is in metres: the cameras see {field}; or leave it out to have it chosen"
 
 
 def _spelled(grid: Grid) -> str:

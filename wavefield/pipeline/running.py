@@ -173,7 +173,7 @@ def process(
         if not open_group(path).attrs.get(FINISHED):
             update_metadata(path, {FINISHED: True})
         if prepared.experiment.smooth and (todo or not beside(path, "smooth", ".zarr").exists()):
-            from wavefield.pipeline.smoothing import write_smoothed
+            from wavefield.pipeline.analysis import write_smoothed
 
             log.info("wrote %s", write_smoothed(path))
     return status(path)
