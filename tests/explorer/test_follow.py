@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-import xarray as xr
 from bokeh.document import Document
 
 from wavefield.errors import ExperimentError
@@ -16,7 +15,6 @@ from wavefield.explorer import live
 from wavefield.explorer.follow import FollowPage
 from wavefield.explorer.lights import (
     arrival_lights,
-    bead_size,
     frame_features,
     red_lights,
     step_lights,
@@ -248,34 +246,13 @@ def test_following_leaves_no_trace(followed):
     assert names == frames | {"experiment.yaml", "rig.yaml"}
 
 
-def test_a_run_after_following_was_interrupted_is_the_run_that_was_never_followed(small_tank, tmp_path):
-    from wavefield.pipeline import Workflow, run
-
-    rig, frames = small_tank
-    cubes = []
-    for name in ("plain", "followed"):
-        experiment = Experiment.load(record(tmp_path / name, rig))
-        follower = Follower(experiment)
-        for number, images in enumerate(frames[:5]):
-            write(tmp_path / name, number, images)
-            if name == "followed" and number < 3:  # then it is stopped
-                follower.poll()
-        out = tmp_path / name / "cube.zarr"
-        run(experiment.path, out=out, workflow=Workflow(cluster="none"))
-        cubes.append(xr.open_zarr(out, chunks=None, consolidated=False).load())
-    plain, followed = cubes
-    assert plain.attrs["recipe_hash"] == followed.attrs["recipe_hash"]
-    for name in plain.data_vars:
-        assert plain[name].values.tobytes() == followed[name].values.tobytes(), name
-
-
 @pytest.mark.parametrize("size", [0.8, 1.3, 2.4])
 def test_the_size_of_beads_is_found_in_noise(size):
     rng = np.random.default_rng(6)
     image = np.zeros((300, 300))
     image[rng.integers(0, 300, 900), rng.integers(0, 300, 900)] = 2000.0 * size**2
     image = cv2.GaussianBlur(image, (0, 0), size) + rng.normal(0, 8, image.shape)
-    assert bead_size(image) == pytest.approx(size, rel=0.12)
+    assert frame_features(image.astype(np.float32)).bead_size == pytest.approx(size, rel=0.12)
 
 
 def test_saturation_is_the_fraction_of_white_pixels():

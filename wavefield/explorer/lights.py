@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from typing import Any, Literal, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.quality.cameras import blur
 from wavefield.quality.record import kinematic_misfit
 from wavefield.quality.remarks import RECORD_LIMITS
 from wavefield.robust import PER_MEDIAN
@@ -19,7 +19,6 @@ Limits = tuple[float, float]  # for doubtful, for bad
 Array = NDArray[np.floating]
 _CELL_PX = 16  # every cell of this size should contain a bead
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)  # largest grey levels of 8, 10, 12, 14 and 16 bits
-_BACKGROUND_PX = 31  # wider structures are not beads
 _BEAD_SIZE_PX = 1024  # size of the part in which the beads are measured
 _MIN_CELLS = 0.02  # smallest fraction of cells with beads for which a bead size is found
 _BRIGHT = 5.5  # standard deviations of the noise above the background
@@ -105,23 +104,8 @@ def frame_features(image: Image) -> FrameFeatures:
     h, w = (n - n % _CELL_PX for n in image.shape)
     cells = image[:h, :w].reshape(h // _CELL_PX, _CELL_PX, w // _CELL_PX, _CELL_PX).max(axis=(1, 3))
     seeded = float(np.mean(cells.astype(np.float32) - background > _BRIGHT * noise))
-    size = bead_size(image) if seeded > _MIN_CELLS else np.nan
+    size = blur(image[:_BEAD_SIZE_PX, :_BEAD_SIZE_PX]) if seeded > _MIN_CELLS else np.nan
     return FrameFeatures(dark, background, peak, saturated, seeded, size)
-
-
-def bead_size(image: Image) -> float:
-    """Standard deviation of the images of beads in a frame (row, column), px, from its autocorrelation.
-    Gaussian beads correlate as r(d) ~ exp(-d^2 / (4 s^2)), so that s^2 = 3 / (4 ln(r(1) / r(2))).
-    """
-    part = image[: _BEAD_SIZE_PX + 1, : _BEAD_SIZE_PX + 1].astype(np.float32)
-    part = part - cv2.blur(part, (_BACKGROUND_PX, _BACKGROUND_PX))  # uneven light
-    sizes = []
-    for a in (part, part.T):
-        # the noise of pixels enters r(0) only
-        r1, r2 = float(np.mean(a[1:] * a[:-1])), float(np.mean(a[2:] * a[:-2]))
-        if r1 > r2 > 0:
-            sizes.append(np.sqrt(0.75 / np.log(r1 / r2)))
-    return float(np.mean(sizes)) if sizes else float("nan")
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ REACH = 40  # px: search radius of a patch
 WHOLE = SIDE + 2 * REACH
 MAX_PATCHES = 120
 MIN_CORRELATION = 0.5  # of patches that show the same water
+BACKGROUND_PX = 31  # wider structures are not details
 INCONSISTENT = ("mirrored", "swapped", "offset", "disagree")  # kinds of remark on cameras that match none
 FLIPS: dict[str, tuple[slice, ...]] = {
     "mirrored": np.s_[:, ::-1],
@@ -308,22 +309,21 @@ def score(found: Sequence[PairConsistency]) -> float:
 
 
 def blur(image: NDArray[np.generic] | None) -> float:
-    """Standard deviation of the finest details of an image, px, from the correlation of neighbouring pixels.
-    Unlike `bead_width`, also of images without beads and of any width.
+    """Standard deviation of the finest details of an image (row, column), px; NaN without any.
+
+    Gaussian beads of standard deviation s correlate as r(d) ~ exp(-d^2 / 4 s^2), so that
+    s^2 = 3 / (4 ln(r(1) / r(2))). Noise enters r(0) only.
     """
     if image is None:
         return float("nan")
     fine = np.asarray(image, np.float32)
-    fine = fine - cv2.blur(fine, (15, 15))
-    power = float((fine * fine).mean())
-    if power <= 0:
-        return float("nan")
-    one, two = (
-        [float((fine[k:] * fine[:-k]).mean()), float((fine[:, k:] * fine[:, :-k]).mean())] for k in (1, 2)
-    )
-    # two pixels apart over one: white noise has no part in either
-    ratio = np.clip(np.array(two) / np.maximum(one, 1e-6 * power), 1e-4, 0.9999)
-    return float(np.sqrt(-3 / (4 * np.log(np.sqrt(ratio.prod())))))
+    fine = fine - cv2.blur(fine, (BACKGROUND_PX, BACKGROUND_PX))  # uneven light
+    sizes = []
+    for a in (fine, fine.T):
+        one, two = float((a[1:] * a[:-1]).mean()), float((a[2:] * a[:-2]).mean())
+        if one > two > 0:
+            sizes.append(np.sqrt(0.75 / np.log(one / two)))
+    return float(np.mean(sizes)) if sizes else float("nan")
 
 
 def covered(table: ConsistencyTable, name: str) -> list[float]:

@@ -126,18 +126,14 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
     gist = f"displacements differ by {number(eps_piv, 'px', 2)} (rms)"
     if not in_light_sheet(run):
         gist = f"sight lines miss each other by {number(eps_y, 'mm', 2)}, {gist}"
-    rows = [("step status", numbers.step_status)]
+    rows = []
     if "path_frames" in cube:
         frames = int(cube.path_frames)
         stated = {1: "instantaneous", 2: "displacements over one step"}
         rows.append(("velocities", stated.get(frames, f"along paths of {frames_of_path(frames)} frames")))
-    if "z_level_std" in cube:
-        level = number(1e3 * float(cube.z_level_std), "mm")
-        rows.append(("uncertainty of z = 0, common to all nodes", level))
     misfit = f"{number(eps_piv, 'px')} (published for a similar rig: 0.34 to 0.37 px)"
     mismatch = f"{number(eps_y, 'mm')} (published for a similar rig: 0.4 to 0.8 mm)"
     rows += [
-        ("measured nodes in view", f"{100 * numbers.measured_in_view:.2f} %"),
         *without_cameras(numbers.part.quality, numbers.n_in_view, cube.attrs.get("cameras", ())),
         ("rms of z about its mean", number(100 * float(numbers.part.z.std()), "cm")),
         ("mismatch of sight lines (eps_y), rms", mismatch),
