@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.midtime import frames_used, rise_of_water, slope, z_by_orders
+from wavefield.measurement.midtime import frames_used, rise_of_water, slope, z_at_mid_time
 from wavefield.measurement.paths import elevation_gain
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
@@ -14,7 +14,7 @@ from wavefield.tank.sea import Basin
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 
 
-def everywhere(x, y):
+def everywhere(x, y, z):
     return np.ones(np.shape(x), bool)
 
 
@@ -36,7 +36,7 @@ AT = np.zeros((1, 1))
 
 
 def z_of(field, lost=(), speed=0.0):
-    return float(z_by_orders(surfaces(lambda x, t: field(t - x), lost), (speed, 0.0), AT, AT)[0][0, 0])
+    return float(z_at_mid_time(surfaces(lambda x, t: field(t - x), lost), (speed, 0.0), AT, AT)[0][0][0, 0])
 
 
 def test_six_frames_take_a_polynomial_of_fifth_degree_to_mid_time():
@@ -92,7 +92,7 @@ def test_surface_and_kinematics_are_exact_to_the_interpolation_on_any_current(cu
         Surface(x, x, x, x, 0.0, none, none > 0, lambda x, y, t=t: height(x, y, t), everywhere) for t in TIMES
     ]
     flow = float(np.median(chord[0])), float(np.median(chord[1]))
-    z, rise = z_by_orders(frames, flow, x, y)[0], rise_of_water(*frames[2:4], moved, flow, x, y)
+    z, rise = z_at_mid_time(frames, flow, x, y)[0][0], rise_of_water(*frames[2:4], moved, flow, x, y)
     inside = np.s_[3:-3, 3:-3]
     rms = lambda field: np.sqrt(np.mean(np.square(field[inside])))  # noqa: E731
     assert rms(z - exact["z"]) < 2e-5, "m"

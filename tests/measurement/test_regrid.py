@@ -41,7 +41,7 @@ def test_nodes_are_read_where_their_line_of_sight_meets_the_surface(lattice, cen
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 15), np.linspace(-0.3, 0.3, 13))
     values = read_surface(spline_of(z), lattice, centre, x, y)
     np.testing.assert_allclose(values, wave(x, y), atol=2e-6)
-    _, column = np.unravel_index(blocks_below(lattice, centre, x, y, values), lattice.shape)
+    _, column = np.unravel_index(blocks_below(lattice, centre, x, y, values)[0], lattice.shape)
     apparent = centre[0] + (x - centre[0]) / (1 - wave(x, y) / centre[2])
     assert np.abs(lattice.x[column] - apparent).max() <= 0.5 * lattice.step + 1e-5
 

@@ -16,7 +16,7 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel
 from wavefield.measurement.outliers import inconsistent_pairs, inconsistent_scores
 from wavefield.measurement.pair import PairMatch, match_pair, quarter_turn
-from wavefield.measurement.regrid import blocks_below, coefficients, on_lattice, push_pull, read_surface
+from wavefield.measurement.regrid import blocks_below, coefficients, push_pull, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -223,9 +223,9 @@ class Surface:
     epipolar: float  # rms of the smooth epipolar error as elevation, metres
     quality: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: measured or filled, and why it was rejected
     inconsistent: NDArray[np.bool_]  # (ny, nx): where pairs of cameras see different surfaces
-    # From places x, y (ny, nx), metres, one near each node, to z there, and to whether it was measured
+    # z at places x, y (ny, nx), metres, one near each node; whether it was measured at x, y, z
     read: Callable[[Float, Float], Float] = field(repr=False)
-    is_measured: Callable[[Float, Float], NDArray[np.bool_]] = field(repr=False)
+    is_measured: Callable[[Float, Float, Float], NDArray[np.bool_]] = field(repr=False)
 
 
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
@@ -254,15 +254,15 @@ def surface_of(
         return read_surface(spline, lattice, centre, x, y)
 
     z = read(geometry.x, geometry.y)
-    block = blocks_below(lattice, centre, geometry.x, geometry.y, z)
+    block, _ = blocks_below(lattice, centre, geometry.x, geometry.y, z)
     inconsistent = inconsistent_pairs(matches, geometry.pixel) | estimate.inconsistent
     quality = np.where(blocks.valid, np.uint16(Quality.MEASURED), np.uint16(Quality.FILLED))
     quality |= blocks.rejected
     measured = ((quality & Quality.MEASURED) > 0) & ~inconsistent
 
-    def is_measured(x: Float, y: Float) -> NDArray[np.bool_]:
-        place = lattice, centre, x, y, read(x, y)
-        return np.asarray(measured.ravel()[blocks_below(*place)] & on_lattice(*place))
+    def is_measured(x: Float, y: Float, z: Float) -> NDArray[np.bool_]:
+        below, inside = blocks_below(lattice, centre, x, y, z)
+        return np.asarray(measured.ravel()[below] & inside)
 
     return Surface(
         z,
@@ -282,7 +282,9 @@ def _sheet(shape: tuple[int, int]) -> Surface:
     z = np.zeros(shape, np.float32)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
     unknown = np.full_like(z, np.nan)
-    return Surface(z, unknown, z, z, 0.0, quality, inconsistent, lambda x, y: z, lambda x, y: ~inconsistent)
+    return Surface(
+        z, unknown, z, z, 0.0, quality, inconsistent, lambda x, y: z, lambda x, y, z: ~inconsistent
+    )
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
@@ -308,5 +310,5 @@ def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
         return np.full(geometry.grid.shape, np.nan, np.float32)
     spline, centre = coefficients(np.moveaxis(blocks.filled, 0, -1)), geometry.rig[matches[0].pair[0]].centre
     z = read_surface(spline, geometry.lattice, centre, geometry.x, geometry.y)
-    block = blocks_below(geometry.lattice, centre, geometry.x, geometry.y, z)
+    block, _ = blocks_below(geometry.lattice, centre, geometry.x, geometry.y, z)
     return np.where(blocks.valid.ravel()[block], z, np.float32(np.nan))

@@ -49,63 +49,7 @@ class StepEstimate:
         return first, second
 
 
-def z_by_orders(
-    surfaces: Surfaces,
-    flow: tuple[float, float],
-    x: Float,
-    y: Float,
-    times: Float = EVEN_TIMES,
-    late: Float | None = None,
-) -> tuple[Float, ...]:
-    """Elevation at mid-time at nodes x, y (ny, nx), metres, from all frames, from fewer, and from two.
-    Times of frames, and the delay of each node in them (late, ny, nx), are in frame intervals.
-    """
-    # a current carries short waves past a node faster than frames follow: in water that moves with it (U, the
-    # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
-    # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
-    # frames are missing; beads repeat their errors in all frames, so these do not average out
-    used = [FRAMES_OF_Z[n] for n in _numbers_of_frames(surfaces)]
-    if surfaces[4] is None:
-        used = [reversed_in_time(one) for one in used]
-    return _interpolated(used, surfaces, flow, x, y, times, late)
-
-
-def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
-    """The frames mirrored in time about mid-time."""
-    return tuple(5 - n for n in reversed(frames))
-
-
-def _interpolated(
-    used: Sequence[Sequence[int]],
-    surfaces: Surfaces,
-    flow: tuple[float, float],
-    x: Float,
-    y: Float,
-    times: Float,
-    late: Float | None,
-) -> tuple[Float, ...]:
-    """Polynomial interpolation to mid-time of surfaces, in a frame that moves with the mean flow."""
-    dx, dy = _per_interval(flow, times)
-    at: Float | float = 0.0 if late is None else -late
-    weights = [frame_weights(times, some, at=at)[0].astype(np.float32) for some in used]
-    out: list[Float] = [np.zeros(x.shape, np.float32) for _ in used]
-    for n, (t, surface) in enumerate(zip(times.tolist(), surfaces, strict=True)):
-        if surface is not None and any(n in some for some in used):
-            z = surface.read(x + (t - at) * dx, y + (t - at) * dy)
-            for total, one, some in zip(out, weights, used, strict=True):
-                if n in some:
-                    total += one[n] * z
-    return tuple(out)
-
-
-def _per_interval(flow: tuple[float, float], times: Float) -> tuple[float, float]:
-    """Displacement of the water per frame interval, metres, from that over the step."""
-    interval = float(times[AROUND + 1] - times[AROUND])
-    return flow[0] / interval, flow[1] / interval
-
-
-def where_measured(
-    orders: tuple[Float, ...],
+def z_at_mid_time(
     surfaces: Surfaces,
     flow: tuple[float, float],
     x: Float,
@@ -113,26 +57,46 @@ def where_measured(
     times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
-    """Best elevation at each node, the number of frames used, and where the nearest two measured it.
-    Fewer frames are used where others have not measured the node. Unmeasured nodes are filled, so z stays
-    smooth.
+    """Elevations at mid-time at nodes x, y (ny, nx), metres: by all frames, by fewer, by the nearest two.
+    Also the number of frames that have measured a node, and where the nearest two have; elsewhere all are
+    filled alike, and z stays smooth. The flow is the displacement of the water in the step, metres; times of
+    frames, and by how much later than at these each node is seen (late, ny, nx), are in intervals.
     """
-    dx, dy = _per_interval(flow, times)
-    # z comes from the others where a frame is absent
-    measured = [
-        np.ones(x.shape, np.bool_) if surface is None else surface.is_measured(x + t * dx, y + t * dy)
-        for t, surface in zip(times.tolist(), surfaces, strict=True)
-    ]
+    # a current carries short waves past a node faster than frames follow: in water that moves with it (U, the
+    # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
+    # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
+    # frames are missing; beads repeat their errors in all frames, so these do not average out
+    count = frames_used(surfaces)
+    numbers = [n for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
+    used = [FRAMES_OF_Z[n] if surfaces[4] is not None else reversed_in_time(FRAMES_OF_Z[n]) for n in numbers]
+    interval = float(times[AROUND + 1] - times[AROUND])
+    at: Float | float = 0.0 if late is None else -late
+    heights: list[Float | None] = [None] * 6
+    measured = [np.ones(x.shape, np.bool_)] * 6
+    for n in used[0]:
+        surface, ahead = surfaces[n], float(times[n]) - at
+        assert surface is not None
+        place = x + ahead * (flow[0] / interval), y + ahead * (flow[1] / interval)
+        heights[n] = z = surface.read(*place)
+        measured[n] = surface.is_measured(*place, z)
+
+    def by(some: Sequence[int]) -> Float:
+        """Polynomial through some of the frames at mid-time."""
+        weights = frame_weights(times, some, at=at)[0].astype(np.float32)
+        total = np.zeros(x.shape, np.float32)
+        for n in some:
+            total += weights[n] * heights[n]
+        return total
+
+    orders = [by(some) for some in used]
     nearest = measured[AROUND] & measured[AROUND + 1]
-    numbers = _numbers_of_frames(surfaces)
-    out, frames = [orders[-1]], np.full(x.shape, numbers[-1], np.uint8)
-    fewer = orders[-1]
+    fewer, frames = orders[-1], np.full(x.shape, numbers[-1], np.uint8)
+    out = [fewer]
     if numbers[0] >= 4:  # at the edge of the view a current leaves one of the neighbours
         before, after = (nearest & measured[n] & ~measured[5 - n] for n in (1, 4))
         if before.any() or after.any():
-            one_sided = reversed_in_time(FRAMES_OF_Z[3]), FRAMES_OF_Z[3]
-            by_sides = _interpolated(one_sided, surfaces, flow, x, y, times, late)
-            fewer = np.where(before, by_sides[0], np.where(after, by_sides[1], fewer))
+            earlier, later = by(reversed_in_time(FRAMES_OF_Z[3])), by(FRAMES_OF_Z[3])
+            fewer = np.where(before, earlier, np.where(after, later, fewer))
             frames = np.where(before | after, np.uint8(3), frames)
     for number, z in reversed(list(zip(numbers, orders))[:-1]):
         reach = (number + 1) // 2
@@ -141,6 +105,11 @@ def where_measured(
         frames = np.where(known, np.uint8(number), frames)
         out.insert(0, fewer)
     return tuple(out), frames, nearest
+
+
+def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
+    """The frames as far on the other side of mid-time."""
+    return tuple(5 - n for n in reversed(frames))
 
 
 def rise_of_water(
@@ -173,12 +142,6 @@ def slope(z: Float, step: float, axis: int) -> Float:
             scale = 2.0 * step * sum(n * weight for n, weight in enumerate(weights, 1))
             out[reach : reach + count] = total / scale
     return np.moveaxis(out, 0, axis)
-
-
-def _numbers_of_frames(surfaces: Surfaces) -> list[int]:
-    """Numbers of frames of the interpolations of z: all, fewer, two."""
-    count = frames_used(surfaces)
-    return [n for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
 
 
 def frames_used(surfaces: Surfaces) -> int:

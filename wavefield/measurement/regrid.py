@@ -236,31 +236,18 @@ def read_surface(
 
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
-) -> NDArray[np.intp]:
-    """Number of the block in which the camera sees each point x, y, z (ny, nx), metres, or of the nearest."""
-    row, column = (
-        np.clip(np.rint(at), 1, n - 2).astype(np.intp)
-        for at, n in zip(_places_below(lattice, centre, x, y, z), lattice.shape)
-    )
-    return np.asarray(row * lattice.shape[1] + column)
-
-
-def on_lattice(
-    lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
-) -> NDArray[np.bool_]:
-    """Whether the camera sees places x, y, z (ny, nx), metres, in blocks of the lattice."""
-    row, column = _places_below(lattice, centre, x, y, z)
-    ny, nx = lattice.shape
-    return np.asarray((row >= 0) & (row <= ny - 1) & (column >= 0) & (column <= nx - 1))
-
-
-def _places_below(
-    lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
-) -> tuple[Float, Float]:
-    """Row and column on the lattice at which the camera sees places x, y, z (ny, nx), metres."""
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Number of the block in which the camera sees each place x, y, z (ny, nx), metres, or of the nearest;
+    and whether it sees it in a block.
+    """
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (
         (c + (at - c) * shrink - first) / lattice.step
         for c, at, first in zip(centre[1::-1], (y, x), (lattice.y0, lattice.x0))
     )
-    return row, column
+    ny, nx = lattice.shape
+    inside = (row >= 0) & (row <= ny - 1) & (column >= 0) & (column <= nx - 1)
+    row, column = (
+        np.clip(np.rint(v), 1, n - 2).astype(np.intp) for v, n in zip((row, column), lattice.shape)
+    )
+    return np.asarray(row * nx + column), np.asarray(inside)

@@ -3,7 +3,7 @@
 images        remove the floor, compress, bin, rectify     `measure_instant`, images.py
 elevation     match the pairs, z of one instant            `surface`, pair.py and elevation.py
 displacement  match each camera in time                    `flows`, displacement.py
-mid-time      z from six instants, in moving water         `z_by_orders`, midtime.py
+mid-time      z from six instants, in moving water         `z_at_mid_time`, midtime.py
 paths         each camera's image velocity at the nodes    `displacements_at_nodes`, paths.py
 velocity      u, v, w by least squares over the cameras    `velocity`, velocity.py
 outliers      cameras that contradict the others           outliers.py, `estimate_step`
@@ -40,8 +40,7 @@ from wavefield.measurement.midtime import (
     Surfaces,
     rise_of_water,
     slope,
-    where_measured,
-    z_by_orders,
+    z_at_mid_time,
 )
 from wavefield.measurement.model import Model
 from wavefield.measurement.paths import EVEN_TIMES, common_lateness, elevation_errors
@@ -109,7 +108,7 @@ def measure(
     -----
     With a model, every step has the same values, to the bit, whatever chunk it is in. A step
     reads six frames: z at mid-time is from six surfaces, in a frame that moves with the mean flow
-    (`z_by_orders`), velocities are from four or six frames, as the record allows (`read_path`). Where a
+    (`z_at_mid_time`), velocities are from four or six frames, as the record allows (`read_path`). Where a
     neighbour is missing, ``quality`` has a bit for it. z_t is the surface's rise along the path less u . grad
     z, so that the residual z_t - w + u . grad z is the difference between surfaces and displacements,
     whatever the current.
@@ -361,8 +360,7 @@ def _estimate(
     flow, late = mean_flow(moves, near, geometry, path_frames, times), common_lateness(near, geometry)
     if flow is None:
         return None
-    orders = z_by_orders(surfaces, flow, geometry.x, geometry.y, times, late)
-    orders, frames, measured = where_measured(orders, surfaces, flow, geometry.x, geometry.y, times, late)
+    orders, frames, measured = z_at_mid_time(surfaces, flow, geometry.x, geometry.y, times, late)
     z = shown = orders[0]
     motion = velocity(moves, z, geometry, path_frames, regions, times)
     if late is not None and motion is not None:
@@ -420,5 +418,5 @@ def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surfa
         **parts,
         epipolar=max(surface.epipolar, other.epipolar),
         read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)),
-        is_measured=lambda x, y: np.where(where, other.is_measured(x, y), surface.is_measured(x, y)),
+        is_measured=lambda *at: np.where(where, other.is_measured(*at), surface.is_measured(*at)),
     )
