@@ -1,6 +1,3 @@
-import os
-import subprocess
-import sys
 import threading
 
 import numpy as np
@@ -175,31 +172,3 @@ def test_the_same_bits_every_time_and_in_every_thread():
     for found in results:
         np.testing.assert_array_equal(found.u, expected.u)
         np.testing.assert_array_equal(found.score, expected.score)
-
-
-_GENERIC = """
-import gc, sys
-gc.disable()  # it would look again and again through what the compiler has made
-import numpy as np
-from wavefield.matching import MatchSettings, match
-a, b = np.load(sys.argv[1])
-np.save(sys.argv[2], [match(a, b, s).u for s in (MatchSettings.piv(), MatchSettings.stereo())])
-"""
-
-
-@pytest.mark.slow
-def test_another_processor_gives_the_same_to_rounding(tmp_path):
-    a, b = particle_pair(wave(2.0, 200.0), shape=(150, 170))
-    np.save(tmp_path / "pair.npy", [a, b])
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": str(tmp_path),
-        "NUMBA_CPU_NAME": "generic",
-        "NUMBA_CPU_FEATURES": "",
-    }
-    command = [sys.executable, "-c", _GENERIC, tmp_path / "pair.npy", tmp_path / "u.npy"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for found, settings in zip(np.load(tmp_path / "u.npy"), (MatchSettings.piv(), MatchSettings.stereo())):
-        here = match(a, b, settings)
-        assert np.max(np.abs(found - here.u)[here.valid]) < 5e-4

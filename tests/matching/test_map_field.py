@@ -7,7 +7,7 @@ import pytest
 import scipy.fft
 
 from wavefield.matching import Prior
-from wavefield.matching.learned_spectrum import refined_prior, shrinkage
+from wavefield.matching.learned_spectrum import refined_prior
 from wavefield.matching.map_field import Modes, cosines
 from wavefield.matching.map_variance import PosteriorVariance, hole_variance
 from wavefield.matching.noise import noise_factor_near_holes, noise_of_scores
@@ -215,14 +215,6 @@ def test_noise_is_thought_larger_around_a_hole_only():
     assert factor[31, 28] > 2.5
     assert factor[31, 8] == pytest.approx(1.0, abs=1e-3)
     assert (np.diff(factor[31, 8:28]) >= -1e-6).all()
-
-
-def test_what_fields_have_not_in_common_is_no_wave():
-    spectrum, noise = 3.0, 1.0
-    assert shrinkage(noise + spectrum, noise, spectrum) == 1.0  # as much as the spectrum would bring
-    assert shrinkage(1.05 * noise, noise, spectrum) < 0.15  # noise alone
-    assert shrinkage(0.5 * noise, noise, spectrum) == 0.0
-    assert shrinkage(5.0 * noise, noise, 1e3) == 1.0  # few waves, far above the noise
 
 
 def test_what_is_missing_counts_as_far_as_the_spectrum_is_waves():

@@ -46,17 +46,11 @@ def test_wrong_cameras_are_named(rig, settings, message):
 
 
 def test_a_grid_that_no_two_cameras_see_is_refused(rig):
-    with pytest.raises(RigError, match="view"):
-        GridGeometry(rig, Grid(x=(5.0, 5.2), y=(-0.1, 0.1), step=0.01))
+    for x in (5.0, -1e6):
+        with pytest.raises(RigError, match="does the grid lie in"):
+            GridGeometry(rig, Grid(x=(x, x + 0.2), y=(-0.1, 0.1), step=0.01))
     with pytest.raises(RigError, match="at least two"):
         GridGeometry(Rig({"cam1": rig["cam1"]}), GRID)
-
-
-@pytest.mark.parametrize("place", [(2.0, 0.0), (50.0, 0.0), (20.0, 20.0), (0.0, 50.0), (-1e6, 1e6)])
-def test_a_grid_far_outside_the_view_is_refused_in_a_sentence(rig, place):
-    x, y = place
-    with pytest.raises(RigError, match="does the grid lie in"):
-        GridGeometry(rig, Grid(x=(x, x + 0.2), y=(y - 0.1, y + 0.1), step=0.01))
 
 
 def test_cameras_left_over_pair_up_when_the_reference_is_missing(rig):

@@ -38,6 +38,15 @@ def free(series, geometry, model):
     return measure(series.block(), geometry, RATE, model)
 
 
+def overdrawn(frames, masks):
+    """The same images with noise where they are masked."""
+    noise = np.random.default_rng(0)
+    return {
+        n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
+        for n, f in frames.items()
+    }
+
+
 def far(series, quality, metres):
     covered = (quality & MASKED) != 0
     return cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5) * series.grid.step > metres
@@ -107,28 +116,19 @@ def test_a_mask_in_one_camera_leaves_its_nodes_to_the_others(series, geometry, m
 def test_what_a_mask_covers_changes_no_bit(series, geometry, model, drawn):
     frames, masks = drawn
     one = measure(around(frames), geometry, RATE, model, around(masks))
-    noise = np.random.default_rng(0)
-    other = {
-        n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
-        for n, f in frames.items()
-    }
     copies = {n: [m.copy() for m in ms] for n, ms in masks.items()}
-    again = measure(around(other), geometry, RATE, model, around(copies))
+    again = measure(around(overdrawn(*drawn)), geometry, RATE, model, around(copies))
     for name, field in one.items():
         np.testing.assert_array_equal(field, again[name], err_msg=name)
 
 
 def test_pairs_are_compared_without_what_is_covered(series, drawn):
     frames, masks = drawn
-    noise = np.random.default_rng(0)
-    other = {
-        n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
-        for n, f in frames.items()
-    }
     geometry = GridGeometry(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
     hidden = {n: m[:2] for n, m in masks.items()}
     one, again = (
-        diagnose({n: f[1:3] for n, f in some.items()}, geometry, masks=hidden) for some in (frames, other)
+        diagnose({n: f[1:3] for n, f in some.items()}, geometry, masks=hidden)
+        for some in (frames, overdrawn(*drawn))
     )
     for pair, eps in one.eps_y.items():
         np.testing.assert_array_equal(eps, again.eps_y[pair])
@@ -137,18 +137,13 @@ def test_pairs_are_compared_without_what_is_covered(series, drawn):
 def test_a_record_is_learned_without_what_is_covered(series, drawn):
     geometry = GridGeometry(series.rig, series.grid)
     frames, masks = drawn
-    noise = np.random.default_rng(0)
-    other = {
-        n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
-        for n, f in frames.items()
-    }
     known = [
         learn(
             [tuple({n: f[k] for n, f in some.items()} for k in (1, 2))],
             geometry,
             [tuple({n: m[k] for n, m in masks.items()} for k in (1, 2))],
         )
-        for some in (frames, other)
+        for some in (frames, overdrawn(*drawn))
     ]
     assert isinstance(known[0], LearnedRecord)
     assert known[0] == known[1]

@@ -9,9 +9,8 @@ from measurement_cases import RATE
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
-from wavefield.measurement.error_budget import ripples
+from wavefield.measurement.error_budget import ripple_rise, ripples, shared_motion
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.ripples import ripple_rise, shared_motion
 from wavefield.tank import Scene, Tank
 
 SIDE = 60

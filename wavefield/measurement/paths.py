@@ -48,14 +48,6 @@ def path_gain(phase: Float, frames: int) -> Float:
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
 
 
-def noise_weights(frames: int) -> tuple[float, ...]:
-    """Weights of the noise variances in the displacement at mid-time: of its own step, then of neighbours."""
-    half = PATH_WEIGHTS[frames]
-    w = np.array([0.0, *half[:0:-1], *half, 0.0])
-    out = w[1:-1] * (w[1:-1] + _NOISE_CORRELATION * (w[:-2] + w[2:]))
-    return tuple(float(part) for part in out[len(half) - 1 :])
-
-
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
@@ -77,7 +69,7 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """As `noise_weights`, for any weights (5, ...) of five successive displacements."""
+    """Weights of the noise variances of successive displacements, from their weights (n, ...) at mid-time."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 

@@ -32,7 +32,14 @@ from wavefield.matching.spectrum import (
 from wavefield.measurement import elevation
 from wavefield.measurement.displacement import camera_flow, filled, map_displacement, motion_variance
 from wavefield.measurement.elevation import combine, first_information, map_elevation
-from wavefield.measurement.error_budget import best_path_frames, detected_waves, waves_of_flat_sheet
+from wavefield.measurement.error_budget import (
+    SharedMotion,
+    best_path_frames,
+    detected_waves,
+    ripple_rise,
+    shared_motion,
+    waves_of_flat_sheet,
+)
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import (
     Images,
@@ -45,7 +52,6 @@ from wavefield.measurement.images import (
 )
 from wavefield.measurement.model import FieldModel, LearnedRecord, displacement_model, elevation_model
 from wavefield.measurement.paths import displacements_at_nodes
-from wavefield.measurement.ripples import SharedMotion, ripple_rise, shared_motion
 from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
 from wavefield.one_thread import one_thread
 from wavefield.variables import EXACT_SIX, Quality

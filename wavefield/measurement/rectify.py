@@ -157,15 +157,11 @@ def _type_of_double(image: NDArray[Any]) -> np.dtype[Any]:
     return np.dtype(np.uint16 if image.dtype in (np.uint8, np.uint16) else np.float32)
 
 
-def double(image: NDArray[Any]) -> NDArray[Any]:
-    """Sample an image on a grid twice as fine, whose element (2 r, 2 c) lies on pixel (r, c).
-    Quintic B-spline, no prefilter: 66, 26, 1 over 120 at whole, 1682, 237, 1 over 3840 at half pixels.
-    """
-    return next(_doubled(image, [(0, len(image))]))
-
-
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """As `double`, in bands of rows that reuse memory."""
+    """Rows first to last of an image on a grid twice as fine: element (2 r, 2 c) lies on pixel (r, c).
+    Quintic B-spline, no prefilter: 66, 26, 1 over 120 at whole, 1682, 237, 1 over 3840 at half pixels. Each
+    part takes the memory of the one before.
+    """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)
@@ -180,9 +176,8 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Position at which a camera sees points x (nx,), y (ny,) of still water, on the grid of `double`.
-    The third result is True where the point lies at least three pixels (the reach of the spline) inside the
-    image.
+    """Where a camera sees points x (nx,), y (ny,) of the water at rest, on the grid of `_doubled`, (ny, nx).
+    The third result is True where it sees the point three pixels (the reach of the spline) from its edge.
     """
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
@@ -194,7 +189,7 @@ def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, 
 
 
 def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
-    """Image in apparent coordinates, (ny, nx), read at X, Y (ny, nx) on the grid of `double`, X < 0: none."""
+    """Image in apparent coordinates, read at X, Y (ny, nx) on the grid of `_doubled`, X < 0: none."""
     out = np.empty(X.shape, _type_of_double(image))
     parts = [np.s_[row : row + _ROWS_AT_ONCE] for row in range(0, len(X), _ROWS_AT_ONCE)]
     rows = [(int(Y[part].min()) // 2, min(int(Y[part].max()) // 2 + 2, len(image))) for part in parts]

@@ -25,141 +25,39 @@ from wavefield.measurement.settings import Settings
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
+Matrix = tuple[Any, Any, Any, Any, Any, Any]  # numba's numbers: mypy does not follow its arithmetic
 
 LEAST_PIVOT = 1e-9  # of a diagonal: less, and the cameras do not determine a direction
-NODES_AT_ONCE = 256  # whose sums stay in the cache
 
 njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 
 @njit
-def _weigh(
-    moved: tuple[Float, Float], noise: tuple[Float, Float], missing: tuple[Float, Float], w: Float
-) -> None:
-    """Inverse mean variance of the two components of one camera; 0 where it does not see the node."""
-    (x, y), (n0, n1), (m0, m1) = moved, noise, missing
-    for k in range(len(w)):
-        seen = np.isfinite(x[k]) and np.isfinite(y[k])
-        w[k] = 2.0 / np.float64(n0[k] + n1[k] + m0[k] + m1[k]) if seen else 0.0
+def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
+    return np.float64(jacobian[i, 0, k]), np.float64(jacobian[i, 1, k]), np.float64(jacobian[i, 2, k])
 
 
 @njit
-def _add_matrix(jacobian: tuple[Float, ...], w: Float, sums: tuple[Float, ...]) -> None:
-    x, y, z = jacobian
-    a, b, c, d, e, f = sums
-    for k in range(len(w)):
-        p, q, r = np.float64(x[k]), np.float64(y[k]), np.float64(z[k])
-        wp, wq, wr = w[k] * p, w[k] * q, w[k] * r
-        a[k] += wp * p
-        b[k] += wp * q
-        c[k] += wp * r
-        d[k] += wq * q
-        e[k] += wq * r
-        f[k] += wr * r
-
-
-@njit
-def _add_right(jacobian: tuple[Float, ...], w: Float, observed: Float, sums: tuple[Float, ...]) -> None:
-    x, y, z = jacobian
-    p, q, r = sums
-    for k in range(len(w)):
-        s = w[k] * np.float64(observed[k]) if w[k] > 0.0 else 0.0
-        p[k] += np.float64(x[k]) * s
-        q[k] += np.float64(y[k]) * s
-        r[k] += np.float64(z[k]) * s
-
-
-@njit
-def _factor(sums: tuple[Float, ...]) -> None:
-    """Factorize a normal matrix [[a, b, c], [b, d, e], [c, e, f]]: 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1.
-    NaN where the cameras do not determine a direction.
+def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
+    """1/a, b/a, c/a, 1/d1, e1/d1, 1/f1 of a normal matrix [[a, b, c], [b, d, e], [c, e, f]].
+    The last is NaN where the cameras do not determine a direction.
     """
-    a, b, c, d, e, f = sums
-    for k in range(len(a)):
-        lb, lc = b[k] / a[k], c[k] / a[k]
-        d1, e1 = d[k] - b[k] * lb, e[k] - b[k] * lc
-        le = e1 / d1
-        f1 = f[k] - c[k] * lc - e1 * le
-        ok = d1 > LEAST_PIVOT * d[k] and f1 > LEAST_PIVOT * f[k]
-        a[k], b[k], c[k], d[k], e[k] = 1.0 / a[k], lb, lc, 1.0 / d1, le
-        f[k] = 1.0 / f1 if ok else np.nan
+    lb, lc = b / a, c / a
+    d1, e1 = d - b * lb, e - b * lc
+    le = e1 / d1
+    f1 = f - c * lc - e1 * le
+    determined = d1 > LEAST_PIVOT * d and f1 > LEAST_PIVOT * f
+    return 1.0 / a, lb, lc, 1.0 / d1, le, 1.0 / f1 if determined else np.nan
 
 
 @njit
-def _solve(matrix: tuple[Float, ...], right: tuple[Float, ...], out: tuple[Float, ...]) -> None:
+def _solved(matrix: Matrix, p: Any, q: Any, r: Any) -> tuple[Any, Any, Any]:
+    """Solution of a factored system for the right side (p, q, r)."""
     a, b, c, d, e, f = matrix
-    p, q, r = right
-    to_x, to_y, to_z = out
-    for k in range(len(a)):
-        q1 = q[k] - b[k] * p[k]
-        z = (r[k] - c[k] * p[k] - e[k] * q1) * f[k]
-        y = q1 * d[k] - e[k] * z
-        to_x[k], to_y[k], to_z[k] = p[k] * a[k] - b[k] * y - c[k] * z, y, z
-
-
-@njit
-def _add_rest(
-    jacobian: tuple[Float, ...],
-    w: Float,
-    moved: Float,
-    solution: tuple[Float, ...],
-    matrix: tuple[Float, ...],
-    noise: Float,
-    sums: tuple[Float, ...],
-) -> None:
-    """Add the squared misfit of one row, the same over its noise, and its part of the variance of d."""
-    x, y, z = jacobian
-    dx, dy, dz = solution
-    a, b, c, d, e, f = matrix
-    square, chi2, vx, vy, vz = sums
-    for k in range(len(w)):
-        p, q, r = np.float64(x[k]), np.float64(y[k]), np.float64(z[k])
-        rest = np.float64(moved[k]) - (p * dx[k] + q * dy[k] + r * dz[k])
-        rest = rest * rest if w[k] > 0.0 else 0.0
-        n = np.float64(noise[k])
-        square[k] += rest
-        chi2[k] += rest / n
-        p, q, r = w[k] * p, w[k] * q, w[k] * r
-        q -= b[k] * p
-        gz = (r - c[k] * p - e[k] * q) * f[k]
-        gy = q * d[k] - e[k] * gz
-        gx = p * a[k] - b[k] * gy - c[k] * gz
-        vx[k] += gx * gx * n
-        vy[k] += gy * gy * n
-        vz[k] += gz * gz * n
-
-
-@njit
-def _recede(axis: Float, solution: tuple[Float, ...], bend: Float, chord: Float, out: Float) -> None:
-    """Correct the bend for motion along the view: a receding point slows down in the image."""
-    x, y, z = solution
-    for k in range(len(out)):
-        away = axis[0] * x[k] + axis[1] * y[k] + axis[2] * z[k]
-        out[k] = np.float32(np.float64(bend[k]) + 0.25 * away * np.float64(chord[k]))
-
-
-@njit
-def _add_removed(
-    first: tuple[Float, ...],
-    second: tuple[Float, ...],
-    missing: tuple[Float, Float],
-    w: Float,
-    parts: Float,
-    sums: tuple[Float, Float, Float],
-) -> None:
-    """Add the variance removed by the prior in one camera, and that of the water's motion in it; count it."""
-    x0, y0, z0 = first
-    x1, y1, z1 = second
-    m0, m1 = missing
-    removed, total, count = sums
-    for k in range(len(w)):
-        size = parts[0] * np.float64(x0[k] * x0[k] + x1[k] * x1[k])
-        size += parts[1] * np.float64(y0[k] * y0[k] + y1[k] * y1[k])
-        size += parts[2] * np.float64(z0[k] * z0[k] + z1[k] * z1[k])
-        seen = w[k] > 0.0
-        removed[k] += w[k] * np.sqrt(np.float64(m0[k] + m1[k]) * size) if seen else 0.0
-        total[k] += w[k] * size
-        count[k] += 1.0 if seen else 0.0
+    q1 = q - b * p
+    z = (r - c * p - e * q1) * f
+    y = q1 * d - e * z
+    return p * a - b * y - c * z, y, z
 
 
 @njit
@@ -179,57 +77,62 @@ def solve_nodes(
     Float32 jacobian (2N, 3, n), others (2N, n); float64 parts (3,) and axes (N, 3).
     """
     rows, n = moved.shape
-    work = np.empty((23, NODES_AT_ONCE))
-    weight = np.empty((rows // 2, NODES_AT_ONCE))
-    bent = np.empty(NODES_AT_ONCE, np.float32)
-    for first in range(0, n, NODES_AT_ONCE):
-        last = min(first + NODES_AT_ONCE, n)
-        size = last - first
-        work[:] = 0.0
-        s = work[:, :size]
-        matrix = s[0], s[1], s[2], s[3], s[4], s[5]
-        d, ch, be = (s[6], s[7], s[8]), (s[9], s[10], s[11]), (s[12], s[13], s[14])
-        sums = s[15], s[16], s[17], s[18], s[19]
-        removed, total, count = s[20], s[21], s[22]
-        for c in range(rows // 2):
-            i, j = 2 * c, 2 * c + 1
-            w = weight[c, :size]
-            one = jacobian[i, 0, first:last], jacobian[i, 1, first:last], jacobian[i, 2, first:last]
-            two = jacobian[j, 0, first:last], jacobian[j, 1, first:last], jacobian[j, 2, first:last]
-            lost = missing[i, first:last], missing[j, first:last]
-            both = moved[i, first:last], moved[j, first:last]
-            _weigh(both, (noise[i, first:last], noise[j, first:last]), lost, w)
-            _add_matrix(one, w, matrix)
-            _add_matrix(two, w, matrix)
-            _add_right(one, w, both[0], d)
-            _add_right(two, w, both[1], d)
-            _add_right(one, w, chord[i, first:last], ch)
-            _add_right(two, w, chord[j, first:last], ch)
-            _add_removed(one, two, lost, w, parts, (removed, total, count))
-        _factor(matrix)
-        _solve(matrix, d, d)
-        _solve(matrix, ch, ch)
+    weight = np.empty(rows)
+    for k in range(n):
+        a = b = c = d = e = f = 0.0
+        px = py = pz = qx = qy = qz = 0.0
+        removed = total = cameras = 0.0
         for i in range(rows):
-            w, at = weight[i // 2, :size], bent[:size]
-            row = jacobian[i, 0, first:last], jacobian[i, 1, first:last], jacobian[i, 2, first:last]
-            _recede(axes[i // 2], ch, bend[i, first:last], chord[i, first:last], at)
-            _add_right(row, w, at, be)
-            _add_rest(row, w, moved[i, first:last], d, matrix, noise[i, first:last], sums)
-        _solve(matrix, be, be)
-        for k in range(size):
-            at_node = first + k
-            for m in range(9):
-                out[m, at_node] = s[6 + m, k]
-            cameras = count[k]
-            ok = s[6, k] == s[6, k] and cameras > 1.0
-            freedom = 2.0 * cameras - 3.0
-            for m in range(3):
-                out[9 + m, at_node] = s[17 + m, k]
-            out[12, at_node] = (removed[k] / max(total[k], 1e-30)) ** 2
-            out[13, at_node] = np.sqrt(s[15, k] / (2.0 * cameras)) if ok else np.nan
-            out[14, at_node] = s[16, k] / freedom if ok else np.nan
-            # one pseudo-observation shrinks chi^2 towards 1
-            out[15, at_node] = max((1.0 + s[16, k]) / (1.0 + freedom), 1.0) if ok else np.nan
+            first, second = i - i % 2, i - i % 2 + 1  # the camera's rows, along X and Y
+            seen = np.isfinite(moved[first, k]) and np.isfinite(moved[second, k])
+            n0, n1, m0, m1 = noise[first, k], noise[second, k], missing[first, k], missing[second, k]
+            w = 2.0 / np.float64(n0 + n1 + m0 + m1) if seen else 0.0
+            weight[i] = w
+            x, y, z = _row(jacobian, i, k)
+            wx, wy, wz = w * x, w * y, w * z
+            a, b, c = a + wx * x, b + wx * y, c + wx * z
+            d, e, f = d + wy * y, e + wy * z, f + wz * z
+            s = w * np.float64(moved[i, k]) if seen else 0.0
+            t = w * np.float64(chord[i, k]) if seen else 0.0
+            px, py, pz = px + x * s, py + y * s, pz + z * s
+            qx, qy, qz = qx + x * t, qy + y * t, qz + z * t
+            if i == second and seen:
+                size = 0.0
+                for m in range(3):
+                    size += parts[m] * np.float64(jacobian[first, m, k] ** 2 + jacobian[i, m, k] ** 2)
+                removed += w * np.sqrt(np.float64(m0 + m1) * size)
+                total += w * size
+                cameras += 1.0
+        matrix = _factored(a, b, c, d, e, f)
+        dx, dy, dz = _solved(matrix, px, py, pz)
+        cx, cy, cz = _solved(matrix, qx, qy, qz)
+        px = py = pz = square = chi2 = vx = vy = vz = 0.0
+        for i in range(rows):
+            w = weight[i]
+            x, y, z = _row(jacobian, i, k)
+            # a point that moves away at constant speed slows down in the image
+            away = axes[i // 2, 0] * cx + axes[i // 2, 1] * cy + axes[i // 2, 2] * cz
+            steady = np.float32(np.float64(bend[i, k]) + 0.25 * away * np.float64(chord[i, k]))
+            s = w * np.float64(steady) if w > 0.0 else 0.0
+            px, py, pz = px + x * s, py + y * s, pz + z * s
+            rest = np.float64(moved[i, k]) - (x * dx + y * dy + z * dz)
+            rest = rest * rest if w > 0.0 else 0.0
+            variance = np.float64(noise[i, k])
+            square += rest
+            chi2 += rest / variance
+            gx, gy, gz = _solved(matrix, w * x, w * y, w * z)
+            vx, vy, vz = vx + gx * gx * variance, vy + gy * gy * variance, vz + gz * gz * variance
+        bx, by, bz = _solved(matrix, px, py, pz)
+        out[0, k], out[1, k], out[2, k] = dx, dy, dz
+        out[3, k], out[4, k], out[5, k] = cx, cy, cz
+        out[6, k], out[7, k], out[8, k] = bx, by, bz
+        out[9, k], out[10, k], out[11, k] = vx, vy, vz
+        ok, freedom = dx == dx and cameras > 1.0, 2.0 * cameras - 3.0
+        out[12, k] = (removed / max(total, 1e-30)) ** 2
+        out[13, k] = np.sqrt(square / (2.0 * cameras)) if ok else np.nan
+        out[14, k] = chi2 / freedom if ok else np.nan
+        # one pseudo-observation shrinks chi^2 towards 1
+        out[15, k] = max((1.0 + chi2) / (1.0 + freedom), 1.0) if ok else np.nan
 
 
 Regions = Mapping[str, NDArray[np.bool_]]

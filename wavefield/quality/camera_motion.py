@@ -352,8 +352,8 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
         "remark",
         f"the last row of an image is read {1e3 * late:.2g} ms {order} the first (+- {1e3 * std:.2g} ms)",
         f"The water moves {off:.2f} px from the middle to the edge meanwhile: z and velocities are off there",
-        f"State the time from row to row (`row_time: {found.row_time.seconds:.2g}` of each camera, or"
-        " the value of its data sheet), or use a global shutter",
+        "State `row_time` of every camera that has a rolling shutter, and of no other, from its data sheet "
+        f"(about {abs(found.row_time.seconds):.2g} s if all have one alike), or use a global shutter",
         {"row_time": found.row_time.seconds, "std": found.row_time.std, "px": off},
     )
 
