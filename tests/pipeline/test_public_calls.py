@@ -244,7 +244,7 @@ def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, 
     assert "other-tank (1 of 1)" in (out := printed().out)
     assert "other-tank: sound" in out
     assert main(["-q", "verify", lab]) == 1
-    assert "small-tank is not measured yet; `wavefield run CATALOG small-tank` does it" in printed().err
+    assert "small-tank is not measured yet; run: wavefield run CATALOG small-tank" in printed().err
     assert main(["run", lab, *here]) == 0
     assert "Measuring other-tank (2 of 2)" in printed().err
     assert main(["-q", "verify", lab]) == 0

@@ -230,7 +230,7 @@ def _perspective_fit(o: Observations) -> tuple[Fit, list[int]]:
 
 
 def _fisheye_fit(o: Observations) -> tuple[Fit, list[int]]:
-    """A fisheye lens, with the poses found."""
+    """Fit a fisheye lens; returns it with the poses found."""
     if o.placed:
         raise CalibrationError("a fisheye lens needs tilted views: leave `heights` out")
     (name,), (size,) = o.cameras, o.sizes

@@ -256,7 +256,7 @@ def _residuals(
 REFRACTION_STD = 0.07  # of the dip: what air that is warmer or colder than the water bends light by
 MIN_HORIZONS = 3  # images, for how much a camera sways
 FAR = 1e5  # m: what is drawn of the sky, and of water further away
-KEPT = ("name", "frame_rate", "surface", "velocity", "grid", "settings", "water")  # of the lab note
+KEPT = ("name", "frame_rate", "surface", "velocity", "grid", "settings", "water")  # of the experiment file
 Progress = Callable[[int, int], None]
 
 

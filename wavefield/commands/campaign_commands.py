@@ -110,7 +110,7 @@ def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
 
     def checked(run: str, cube: Path) -> int:
         if not cube.is_dir():
-            raise StoreError(f"{run} is not measured yet; `wavefield run CATALOG {run}` does it")
+            raise StoreError(f"{run} is not measured yet; run: wavefield run CATALOG {run}")
         return work(cube)
 
     return checked

@@ -25,6 +25,7 @@ from wavefield.commands.sources import (
     is_store,
     source_of_experiment,
 )
+from wavefield.store.store_paths import beside
 
 if TYPE_CHECKING:
     from wavefield.series import Experiment
@@ -140,14 +141,16 @@ def run(
             click.echo(
                 f"Nothing to do: all {states[0].steps} steps of {states[0].store} were measured before."
             )
-        print_next(_after(states[0]), path if len(states) > 1 else states[0].store)
+        after = _after(states[0], measured_now=not progress.had_nothing_to_do)
+        print_next(after, path if len(states) > 1 else states[0].store)
     context.exit(campaign_commands.worst([state.exit_status for state in states]))
 
 
-def _after(found: Status) -> str:
-    """The command after a run: a light sheet has no waves to analyse."""
+def _after(found: Status, measured_now: bool = False) -> str:
+    """The command that follows a run: analyze, or report if that was done or a light sheet has no waves."""
     remarks = found.verdict.remarks if found.verdict else ()
-    return "report" if any(one.kind == "light sheet" for one in remarks) else "analyze"
+    analysed = not measured_now and beside(found.store, "waves", ".zarr").exists()
+    return "report" if analysed or any(one.kind == "light sheet" for one in remarks) else "analyze"
 
 
 @click.command(epilog="\b\nExamples:\n  wavefield status cube.zarr\n  wavefield status .")
@@ -191,7 +194,8 @@ def verify(context: click.Context, source: campaign_commands.CommandSource) -> N
             found = verify_store(cube, progress)
         click.echo(str(found))
         if found.steps:
-            print_next(*(("analyze", cube) if found.sound else ("run", cube)))
+            following = "report" if beside(cube, "waves", ".zarr").exists() else "analyze"
+            print_next(following if found.sound else "run", cube)
         return 0 if found.sound else 1
 
     context.exit(source.for_each_cube(work))

@@ -150,7 +150,8 @@ def report(
     cubes = source.cubes()
     found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
     page = compare(source.path.stem, cubes, output or source.path.with_suffix(".html"))
-    click.echo(f"Wrote {short_path(page)}, which compares {len(cubes)} runs; open it in a browser.")
+    runs = "one run" if len(cubes) == 1 else f"a comparison of {len(cubes)} runs"
+    click.echo(f"Wrote {short_path(page)}, {runs}; open it in a browser.")
     print_next("look", source.path, cubes[0][0])
     context.exit(found)
 

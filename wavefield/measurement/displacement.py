@@ -164,7 +164,7 @@ def flow_near(
     other: matching.PreparedImage,
     model: FieldModel,
 ) -> CameraFlow:
-    """MAP displacement of one camera from its match."""
+    """MAP displacement of one camera, started from a match near it."""
     return camera_flow(map_displacement(near, one, other, model.modes, True), model)
 
 

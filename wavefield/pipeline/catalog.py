@@ -323,7 +323,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def store_of(catalog: Path, chosen: Mapping[str, str], prepared: "PreparedRun") -> Path:
-    """Path that a catalog gives to the cube of a run; its recipe joins the catalog's options."""
+    """Path of the cube of a run in a catalog; its recipe becomes one of the catalog's options."""
     if "recipe" in read_yaml(catalog).get("user_parameters", {}):
         short = prepared.recipe.hash[:8]
         with _editing(catalog) as data:

@@ -75,17 +75,17 @@ class ArraySource:
 def reconstruct(
     frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
     rig: Rig | str | Path,
-    grid: Grid | None = None,
+    grid: Grid | Mapping[str, Any] | None = None,
     settings: "Settings | None" = None,
     *,
-    steps_per_task: int = STEPS_PER_TASK,
+    steps_per_block: int = STEPS_PER_TASK,
     record: Mapping[str, object] | None = None,
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
     Nothing is read or computed before values are requested; then four sample steps of the whole series give
     the weights of every step: beads, spectra, noise. They are measured once and kept with the cube. A chunk
-    is measured as a whole: to look at single steps, choose a small ``steps_per_task``. To process a whole
+    is measured as a whole: to look at single steps, choose a small ``steps_per_block``. To process a whole
     experiment into a store that survives interruptions, use `wavefield.pipeline.run`.
 
     Parameters
@@ -98,11 +98,12 @@ def reconstruct(
         an experiment with time stamps has, states by how many intervals later each was really taken.
     rig : Rig or path
         The cameras, or their file: ``rig.yaml``, or one of another program (`load_rig`).
-    grid : Grid, optional
-        Nodes at which to measure, metres; by default the largest rectangle that all cameras see.
+    grid : Grid or mapping, optional
+        Nodes at which to measure, metres (``dict(x=(-1, 1), y=(-1, 1), step=0.01)`` is as good); by default
+        the largest rectangle that all cameras see.
     settings : wavefield.measurement.Settings, optional
         Choices of the measurement.
-    steps_per_task : int
+    steps_per_block : int
         Steps of one chunk, which one task measures; it does not change the values.
     record : mapping, optional
         What was learned from the whole record, ``cube.wavefield.recipe["record"]`` of an earlier cube: then
@@ -152,12 +153,14 @@ def reconstruct(
     if grid is None:
         half_sheet = settings.sheet_thickness and 0.5 * settings.sheet_thickness
         grid = common_field(rig.cameras.values(), height=settings.z_range or half_sheet)
+    elif isinstance(grid, Mapping):
+        grid = _grid_of(grid)
     geometry = GridGeometry(rig, grid, settings)
     absent = [name for name in geometry.cameras if name not in arrays]
     if absent:
         raise ExperimentError(
-            f"the frames have no camera {', '.join(absent)}; there are {', '.join(arrays)}: pass the whole "
-            "tree, not one camera"
+            f"the frames lack {', '.join(absent)} (there are {', '.join(arrays)}); pass the whole tree, "
+            "not one camera"
         )
     arrays = {name: arrays[name] for name in geometry.cameras}
     times, frame_rate = _times(arrays, attributes)
@@ -169,7 +172,7 @@ def reconstruct(
     first = next(iter(arrays.values()))
     departures = np.asarray(first["departure"]) if "departure" in first.coords else None
     steps = len(times) - 1
-    edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
+    edges = [(i, min(i + steps_per_block, steps)) for i in range(0, steps, steps_per_block)]
     token = uuid.uuid4().hex
     known = dask.delayed(_Learner(geometry, frame_rate, record), pure=False, traverse=False)(
         samples(sources, sample_steps(steps)), dask_key_name=f"learn-{token}"
@@ -200,6 +203,16 @@ def reconstruct(
     }
     out = out.set_coords(list(gain)).assign_coords(stated_water(out.attrs))
     return annotate(out, "gain")
+
+
+def _grid_of(given: Mapping[str, Any]) -> Grid:
+    """A grid from a mapping with x, y and step."""
+    try:
+        return Grid(**given)
+    except (TypeError, IndexError) as error:
+        raise ExperimentError(
+            f"grid: give x and y (first and last node) and step, metres, not {dict(given)!r}"
+        ) from error
 
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:

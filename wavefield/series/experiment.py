@@ -1,4 +1,4 @@
-"""The experiment file: one YAML file that describes an experiment as a lab note would."""
+"""The experiment file: one YAML file with all that is known of an experiment."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

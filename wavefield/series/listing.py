@@ -145,7 +145,7 @@ def _numbered(names: Sequence[str], pattern: str, folder: Path, camera: str) -> 
 
 
 def _numbers_by_pattern(names: Sequence[str], before: str, after: str, camera: str) -> dict[int, str]:
-    """Numbers between two texts."""
+    """Frame numbers in file names, between the fixed parts `before` and `after`."""
     head, tail = len(before), len(after)
     out: dict[int, str] = {}
     for name in names:
@@ -174,7 +174,7 @@ def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[in
 
 
 def _place(out: dict[int, str], number: int, name: str, camera: str) -> None:
-    """Give a file its frame number, which no other file may have."""
+    """Enter a file under its frame number; an error if the number is taken."""
     other = out.setdefault(number, name)
     if other != name:
         first, second = sorted((name, other))

@@ -1,4 +1,4 @@
-"""A lab note proposed from a folder of images, with a comment on every guess."""
+"""An experiment file proposed from a folder of images, with a comment on every guess."""
 
 import os
 import re

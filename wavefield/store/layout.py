@@ -190,7 +190,7 @@ def _lay_out(
 def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
-    """Make the array of a row of the table: of these values in one chunk, or empty with a stated shape."""
+    """Create the array of a variable: with these values in one chunk, or empty with a given shape."""
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,

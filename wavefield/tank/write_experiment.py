@@ -163,7 +163,7 @@ def _write_truth(
 
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
-    """Write everything that is not an image: the lab note, the scene, the probes, the exact cameras."""
+    """Write all that is no image: the experiment file, the scene, the probes, the exact cameras."""
     names = list(tank.rig)
     experiment = {
         "name": scene.name,

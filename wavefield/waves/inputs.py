@@ -9,6 +9,7 @@ of a cube, from the coordinates of a field or a spectrum.
 import functools
 import inspect
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
@@ -93,6 +94,8 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     """The input if it is a cube; else raises an error that describes it."""
+    if isinstance(given, str | Path):
+        raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")
     if not is_cube(given):
         raise CubeError(
             f"{name} needs a cube, a Dataset over time, y and x (`wavefield.cube`, `wavefield.open_cube`),"
