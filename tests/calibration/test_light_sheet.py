@@ -104,6 +104,7 @@ def test_a_camera_that_moved_is_named_and_corrected():
         assert rms(here - there) < 0.3
 
 
+@pytest.mark.slow
 def test_of_two_cameras_a_motion_is_corrected_and_the_ambiguity_of_positions_is_stated():
     from wavefield.quality.remarks import remark_on_rest
 

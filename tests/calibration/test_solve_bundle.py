@@ -124,6 +124,7 @@ def test_whitening_is_the_fit_with_free_nodes():
     assert whitener.offsets(r - J @ reduced) == pytest.approx(solution[4:].reshape(7, 3), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_stated_uncertainties_are_those_that_occur():
     """Errors of the fitted parameters over their stated uncertainty scatter by one."""
     rig = paper_rig()

@@ -77,6 +77,7 @@ def test_specks_beside_the_dots_are_no_dots(seed):
     assert set(map(tuple, points.node)) <= set(map(tuple, plain.node))
 
 
+@pytest.mark.slow
 def test_the_target_moved_along_z_gives_the_rig_of_a_stereo_pair():
     """Known heights, the usual calibration of stereo PIV."""
     cameras = {

@@ -36,6 +36,7 @@ def measured(prepared):
     return measure_chunk(make_chunk(prepared.series, 1, 2), prepared.geometry, 10.0).fields
 
 
+@pytest.mark.slow
 def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
     sea = at_sea(tmp_path / "sea", 1.5)
     fields = measured(sea)

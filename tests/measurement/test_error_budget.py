@@ -201,6 +201,7 @@ def test_the_stated_uncertainty_is_the_sum_of_the_terms(series, geometry, model)
     )
 
 
+@pytest.mark.slow
 def test_uncertainties_hold_for_short_steep_waves():
     sea = {"kind": "random", "rms": 0.0009, "spectrum": {"kind": "power", "peak": 1.0, "exponent": 3.0}}
     sea |= {"shortest": 0.06, "longest": 0.09, "period": 1.0}

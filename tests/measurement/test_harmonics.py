@@ -49,8 +49,8 @@ def rms(field):
     return float(np.sqrt(np.mean(np.square(field[:, 6:-6, 6:-6]))))
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_steep_short_waves_keep_their_harmonics(seed):
+def test_steep_short_waves_keep_their_harmonics():
+    seed = 0
     water = Water(50 + seed, 0.2)
     images = particle_pair(water.first, (SIZE, SIZE), noise=0.01, seed=seed)
     images = [matching.prepare(image, MatchSettings.piv()) for image in images]

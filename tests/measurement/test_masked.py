@@ -67,6 +67,7 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, geometry, mode
     assert min(worse.values()) > 1.1
 
 
+@pytest.mark.slow
 def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked(series):
     """Blocks hold as much, and waves are as high, beneath a mask as beside it."""
     geometry = GridGeometry(series.rig, series.grid)

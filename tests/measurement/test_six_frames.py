@@ -66,6 +66,7 @@ def test_smooth_paths_are_taken_where_waves_turn_slowly(fast, cube):
     np.testing.assert_allclose(cube["z"], four["z"], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_exact_paths_are_taken_where_waves_turn_fast():
     """Waves of 8 cm, of whose velocity paths of four frames leave out 2 % at 20 frames/s."""
     tank, frames, geometry, model = taken(20.0, STEPS + 5, sea=WAVE)

@@ -113,6 +113,7 @@ def test_chunks_do_not_matter(sea, store):
             np.testing.assert_array_equal(got[variable], expected[variable], err_msg=f"{name}: {variable}")
 
 
+@pytest.mark.slow
 def test_neither_chunks_nor_workers_matter_where_segments_are_summed_in_several_chains(sea):
     long = sea.isel(y=slice(0, 20), x=slice(0, 24))
     expected = wf.analyze(long, segment=32)
@@ -248,8 +249,7 @@ def test_probes_at_their_own_rate_hold_the_variance():
     assert float((both.dof_probes / one.dof_probes).mean()) == pytest.approx(2 / (1 + gamma2), rel=0.05)
 
 
-@pytest.mark.parametrize("chunks", [None, {}])
-def test_memory_stays_bounded_by_the_segment(tmp_path, chunks):
+def test_memory_stays_bounded_by_the_segment(tmp_path):
     """The array memory of a pass does not grow with the record, and what was read is not kept."""
     import tracemalloc
 
@@ -258,7 +258,7 @@ def test_memory_stays_bounded_by_the_segment(tmp_path, chunks):
         cube = PeriodicSea(n=64).cube(steps, 40, 48).drop_vars("exact")
         path = tmp_path / f"{steps}.zarr"
         cube.chunk({"time": 32}).to_zarr(path, consolidated=False)
-        stored = xr.open_zarr(path, consolidated=False, chunks=chunks)
+        stored = xr.open_zarr(path, consolidated=False, chunks={})
         with dask.config.set(scheduler="synchronous"):
             wv.komega(stored.w, segment=64)
             tracemalloc.start()

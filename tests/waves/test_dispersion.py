@@ -203,6 +203,7 @@ def test_a_current_that_carries_waves_back_is_found(seed):
         assert abs(float(fit[name]) - current[i]) < min(0.0035, 3.5 * float(fit[f"{name}_std"]))
 
 
+@pytest.mark.slow
 def test_the_direction_of_an_isotropic_sea_is_as_uncertain_as_it_differs_between_records():
     sea = LatticeSea(side=180, shape=(320, 24, 30))
     lines = np.arange(1.4, 2.5, 0.25)  # beyond, the grid resolves no direction
@@ -212,6 +213,7 @@ def test_the_direction_of_an_isotropic_sea_is_as_uncertain_as_it_differs_between
     assert np.mean(np.abs(apart) < 1.96 * np.hypot(std[1:], std[:-1])) > 0.9
 
 
+@pytest.mark.slow
 def test_the_interval_of_directions_holds_waves_that_a_current_keeps_in_the_window():
     current = -0.3 * np.cos(0.4), -0.3 * np.sin(0.4)  # against the waves, nearly as fast as their groups
     sea = LatticeSea(side=150, shape=(400, 26, 30), current=current, directions=((0.4, 20.0, 1.0),))

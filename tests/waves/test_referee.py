@@ -64,6 +64,7 @@ def test_an_isotropic_sea_stays_isotropic_on_a_current():
     assert float(blind.isotropy.min()) < float(D.isotropy.isel(frequency=2)) - 0.1
 
 
+@pytest.mark.slow
 def test_unrelated_seas_of_one_spectrum_exceed_the_level_in_five_percent():
     spread = 20
     # in a small basin waves must be drawn anew before they come round again

@@ -118,6 +118,7 @@ def test_gaps_and_lost_steps_keep_the_cubes_own_values_and_mislead_no_neighbours
         assert two > 0.9, name
 
 
+@pytest.mark.slow
 def test_steps_beyond_a_jump_of_time_do_not_mislead():
     truth = exact(0, steps=71, rate=100.0).drop_isel(time=52)  # windows have ten steps on either side
     truth["time"] = np.arange(70) / 100.0

@@ -117,7 +117,7 @@ def views(sea, ny=38, nx=50):
 FREE_SEAS = {"narrow": {"directions": ((0.4, 20.0, 1.0),)}, "on a current": {"current": (0.2, 0.15)}}
 
 
-@pytest.fixture(scope="module", params=["narrow", pytest.param("on a current", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.slow) for name in FREE_SEAS])
 def free_sea(request):
     """Draws of a sea of exact free waves, and their spectra."""
     sea = LatticeSea(side=180, shape=(320, 24, 30), **FREE_SEAS[request.param])
