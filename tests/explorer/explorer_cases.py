@@ -73,7 +73,7 @@ def create_cube(
     layout = StoreLayout(steps, block, ("cam1", "cam2", "cam3"), 0)
     create_store(path, recipe, x, y, layout, {"water_depth": 0.7} | attributes)
     if preview:
-        create_preview(path, open_group(path))
+        create_preview(open_group(path))
     return layout
 
 

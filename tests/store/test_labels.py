@@ -11,7 +11,7 @@ from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
 from wavefield.pipeline import chunk, open_cube, open_run, run
-from wavefield.store.preview import open_preview, read_steps, thinning
+from wavefield.store.preview import read_steps, read_thinned, thinning
 from wavefield.store.read import open_group
 from wavefield.store.relabel import RATES
 
@@ -68,9 +68,9 @@ def test_what_reads_the_cube_by_itself_sees_the_new_rate(own_tank, cube, referen
     run(own_tank, workflow=HERE)
     group = open_group(cube)
     np.testing.assert_allclose(read_steps(group, "w", 3, 5), 2 * wide, rtol=2e-7)
-    preview, thin = open_preview(cube, group), thinning(group)
+    thin = thinning(group)
     row = thin.names.index("w")
-    shown = preview["fields"][row, ..., 3] * np.float64(thin.scales[row])
+    shown = read_thinned(group, thin, 0, 16)[row, ..., 3] * np.float64(thin.scales[row])
     np.testing.assert_allclose(shown, 2 * wide[0, :: thin.every, :: thin.every], atol=1.01e-4)
 
 

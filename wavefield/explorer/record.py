@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.errors import StoreError, WavefieldError
+from wavefield.errors import WavefieldError
 from wavefield.figures.display import BALANCE, DERIVED
-from wavefield.store import preview as previews
-from wavefield.store.layout import CubeGroup
+from wavefield.store.preview import read_steps, read_thinned, thinning
 from wavefield.store.read import open_group, read_array, read_layout
 from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
@@ -102,7 +101,7 @@ class CubeRecord:
             if (name, step) not in self._cache:
                 start = step - step % _STEPS_PER_READ
                 stop = min(start + _STEPS_PER_READ, self.layout.steps)
-                for k, values in enumerate(previews.read_steps(self.group, name, start, stop)):
+                for k, values in enumerate(read_steps(self.group, name, start, stop)):
                     self._cache[name, start + k] = values
             self._cache.move_to_end((name, step))
             out = self._cache[name, step]
@@ -138,7 +137,7 @@ class Preview:
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
-        self.thin = previews.thinning(record.group)
+        self.thin = thinning(record.group)
         self.y, self.x = record.y[:: self.thin.every], record.x[:: self.thin.every]
         shape = len(self.thin.names), self.y.size, self.x.size, record.layout.steps
         self.fields = np.full(shape, MISSING, np.int16)
@@ -149,7 +148,8 @@ class Preview:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """Which chunks the cube has."""
-        return previews.chunks_done(self._record.ledger, self._record.layout)
+        ledger = self._record.ledger
+        return np.array([bool(ledger[a:b].all()) for a, b in self._record.layout.chunks()])
 
     @property
     def complete(self) -> bool:
@@ -162,52 +162,21 @@ class Preview:
         return int(self.loaded.sum())
 
     def load(self, progress: Callable[[int, int], None] | None = None) -> None:
-        """Read the chunks that are not in memory, and write those that the stored preview lacks."""
+        """Read the chunks that are not in memory."""
         with self._lock:
             measured = self.measured
             self.loaded &= measured  # chunks that are being measured again are read again
-            chunks = np.flatnonzero(measured & ~self.loaded)
-            if chunks.size:
-                self._load(chunks, progress)
-
-    def _load(self, chunks: NDArray[np.intp], progress: Callable[[int, int], None] | None) -> None:
-        record, bounds = self._record, self._record.layout.chunks()
-        preview = self._open()
-        ready = previews.chunks_stored(preview, record.layout)
-        for count, index in enumerate(chunks, 1):
-            start, stop = bounds[index]
-            try:
-                thinned = None
-                if preview is not None and ready[index]:
-                    thinned = previews.stored_thinned(preview, start, stop)
-                if thinned is None:
-                    thinned = previews.read_thinned(record.group, self.thin, start, stop)
-                    self._store(preview, start, thinned)
-            except (WavefieldError, OSError, ValueError) as error:
-                self.trouble = str(error)
-                continue
-            self.fields[..., start:stop] = thinned
-            self.loaded[index] = True
-            if progress:
-                progress(count, chunks.size)
-
-    def _open(self) -> CubeGroup | None:
-        """The stored preview; it is made if there is none."""
-        path, group = self._record.path, self._record.group
-        try:
-            if previews.open_preview(path, group) is None:
-                previews.create_preview(path, group)
-        except StoreError as error:
-            self.trouble = f"the preview cannot be stored: {error}"
-        return previews.open_preview(path, group, "r+")
-
-    def _store(self, preview: CubeGroup | None, start: int, thinned: NDArray[np.int16]) -> None:
-        if preview is None or self.trouble:
-            return
-        try:
-            previews.store_thinned(self._record.path, preview, start, thinned)
-        except Exception as error:  # of any library that reads a damaged preview: the cube has all of it
-            self.trouble = f"the preview cannot be stored: {error}"
+            chunks, bounds = np.flatnonzero(measured & ~self.loaded), self._record.layout.chunks()
+            for count, index in enumerate(chunks, 1):
+                start, stop = bounds[index]
+                try:
+                    self.fields[..., start:stop] = read_thinned(self._record.group, self.thin, start, stop)
+                except (WavefieldError, OSError, ValueError) as error:
+                    self.trouble = str(error)
+                    continue
+                self.loaded[index] = True
+                if progress:
+                    progress(count, chunks.size)
 
     def stored(self, name: str) -> NDArray[np.int16]:
         """One variable, (y, x, time), as stored; missing where it is not read yet."""

@@ -214,7 +214,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
     }
     once = once_per_cube(prepared.geometry, prepared.record)
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, once)
-    create_preview(path, open_group(path))
+    create_preview(open_group(path))
     return prepared, layout
 
 

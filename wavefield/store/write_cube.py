@@ -70,7 +70,7 @@ def write_chunk(
         group["frame_fault"][:, start:last] = codes
         if "camera_shift" in group:
             group["camera_shift"][:, start:last] = _shifts(shifts or {}, layout.cameras, start, last)
-        write_preview(path, group, start, fields)
+        write_preview(group, start, fields)
         _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
         _write_ledger(path, group, start, frame_status)
 
@@ -101,7 +101,7 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
                 fields[name] = (
                     np.where(stored == MISSING, np.nan, stored * PACKING[name]) if packed else stored
                 )
-            write_preview(path, group, start, fields)
+            write_preview(group, start, fields)
             _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
 
 
