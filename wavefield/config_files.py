@@ -56,6 +56,8 @@ def safe_name(name: str) -> str:
 
 def portable_path(path: str) -> str:
     """A path as it is read on any system: with / between folders, and names that file systems allow."""
+    if "://" in path:  # an address, which may contain a password
+        return path
     if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
         raise ValueError(f"{path[:40]!r}... has a name of more than {MAX_NAME_BYTES} characters; shorten it")
     if "\\" in path and os.sep == "/" and not Path(path).exists():

@@ -168,14 +168,6 @@ def test_a_polygon_of_many_corners_is_refused_at_once(tmp_path):
         Experiment.load(path)
 
 
-def test_passwords_in_addresses_of_images_stay_out_of_attributes(tmp_path):
-    from wavefield.pipeline.opened_run import image_names
-
-    address = "https://user:secret@host/cam1/img_{frame:03d}.tif?token=hidden"
-    experiment = Experiment.load(note(tmp_path, f"a: '{address}'", "frame_rate: 20\n"))
-    assert image_names(experiment, "a")[0] == "https://host/cam1/img_{frame:03d}.tif"
-
-
 def test_names_that_no_file_system_takes_are_refused(tmp_path):
     for key, text in (("images", f"a: {'x' * 300}.h5"), ("images", f"a: '{'x' * 300}/*.tif'")):
         with pytest.raises(ExperimentError, match=f"{key}.*a name of more than 255 characters"):

@@ -96,7 +96,7 @@ def recorded_times(images: Images, camera: str, folder: Path, frame_rate: float)
     """As `own_times`, but refuse recordings without increasing times."""
     if not recordings_of(images, camera, folder):
         raise ExperimentError(
-            f"{camera}: `times: {RECORDED}` needs a recording, and {images} is none; name a file of times"
+            f"{camera}: `times: {RECORDED}` needs images in a recording; otherwise name a file of times"
         )
     times = own_times(images, camera, folder, frame_rate)
     if times is None or np.any(np.diff(times) <= 0):

@@ -29,6 +29,7 @@ from wavefield.series.experiment_parts import (
     VelocitySection,
     WaterSection,
 )
+from wavefield.series.formats.arrays import without_password
 from wavefield.series.frames import FrameSeries
 from wavefield.series.mean_images import with_backgrounds
 from wavefield.series.probes import read_probes
@@ -104,7 +105,7 @@ class Experiment(RecordSection):
         rows: list[tuple[str, object]] = [
             ("file", self._path),
             ("frame rate", f"{self.frame_rate:g} Hz"),
-            *((name, camera.images) for name, camera in self.cameras.items()),
+            *((name, without_password(str(one.images))) for name, one in self.cameras.items()),
             ("rig", ", ".join(path.name for path in self.rig_paths)),
             ("grid", grid),
             ("water depth", "not given: deep water" if depth is None else f"{depth:g} m"),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.images import made_even
+from wavefield.series.formats.arrays import without_password
 from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import FrameFault
 
@@ -152,7 +153,7 @@ class FrameSeries:
         try:
             image = read_entry(entry)
         except FrameError as error:
-            if entry.path in str(error):
+            if without_password(entry.path) in str(error):
                 place = f"{self.camera} frame {self.first + index}"
             return Frame(None, FrameFault.UNREADABLE, f"{place}: {error}")
         if self.mask is not None and self.mask.moving:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
-from wavefield.series.formats.arrays import is_remote, without_password
+from wavefield.series.formats.arrays import hiding_password, is_remote, without_password
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
 
@@ -40,7 +40,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
-    _refuse_other_placeholders(name, folder, camera)
+    _refuse_other_placeholders(without_password(name), folder, camera)
     path = folder / name
     if is_remote(name):
         if has_pattern(without_password(name)):
@@ -53,7 +53,8 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
         names = _names(path, camera)
         return {number: FrameEntry("file", prefix + name) for number, name in sorted(names.items())}
     source = name if is_remote(name) else str(path)  # a path would lose one slash of an address
-    kind, count = _count_images(source, camera)
+    with hiding_password(source):
+        kind, count = _count_images(source, camera)
     return {i: FrameEntry(kind, source, i) for i in range(count)}
 
 
@@ -79,7 +80,7 @@ def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
         raise ExperimentError(f"images of {camera}: {error}") from None
     if count > MAX_FRAMES:
         raise ExperimentError(
-            f"images of {camera}: {without_password(str(path))} has {count:.3g} images by its header, more "
+            f"images of {camera}: {path} has {count:.3g} images by its header, more "
             f"than {MAX_FRAMES:,}: is it damaged?"
         )
     return kind, count

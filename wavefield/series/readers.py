@@ -14,7 +14,7 @@ from wavefield.images import grey, read_image
 from wavefield.images.tiff import ENDINGS as TIFF_ENDINGS
 from wavefield.images.tiff import TiffImages
 from wavefield.series.formats import file_of, open_recording
-from wavefield.series.formats.arrays import ZarrImages, is_remote, without_password
+from wavefield.series.formats.arrays import ZarrImages, hiding_password, is_remote, without_password
 
 MAX_OPEN_FILES = 8  # per process; files with many frames stay open between reads
 
@@ -46,7 +46,8 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
     """Read one frame, (row, column)."""
     if entry.kind == "file":
         return read_image(entry.path)
-    with accessing(entry.path, FrameError), _lock:  # open files keep a position, which threads must not share
+    # open files keep a position, which threads must not share
+    with hiding_password(entry.path), accessing(entry.path, FrameError), _lock:
         return grey(_kept_open(entry.path).read(entry.image))
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import numpy as np
 
-from wavefield.errors import FrameError
+from wavefield.errors import FrameError, WavefieldError
 from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_index, usual_interval
 from wavefield.text import one_line
 
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
 _METADATA = ("zarr.json", ".zarray", ".zgroup", ".zmetadata")  # of a Zarr array or group
 _ENDINGS = (".h5", ".hdf5", ".nc")
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
+_USER, _QUERY = re.compile(r"(://)[^/]*@"), re.compile(r"\?[^/]*=.*$")  # parts of an address that give access
+_SHORTEST = 4  # characters of a password or token that is looked for by itself
 _SECONDS = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
@@ -145,7 +150,7 @@ class ZarrImages:
         try:
             return np.asarray(self._array[index])
         except Exception as error:
-            raise FrameError(_without_secrets(f"{self.path}, image {index}: {error}", self.path)) from None
+            raise FrameError(f"{self.path}, image {index}: {one_line(error)}") from None
 
     def close(self) -> None:
         """Nothing stays open."""
@@ -160,7 +165,7 @@ def _open_zarr(path: str) -> Any:
     try:
         opened = zarr.open(path, mode="r")
     except Exception as error:
-        raise FrameError(_without_secrets(f"{path} is not a Zarr array: {one_line(error)}", path)) from None
+        raise FrameError(f"{path} is not a Zarr array: {one_line(error)}") from None
     if isinstance(opened, zarr.Group):  # as xarray writes it
         if "image" not in opened:
             raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
@@ -193,12 +198,21 @@ def without_password(address: str) -> str:
     """
     if not is_remote(address):
         return address
-    return re.sub(r"(://)[^/@]*@", r"\1", re.sub(r"\?[^/]*=.*$", "", address))
+    return _USER.sub(r"\1", _QUERY.sub("", address))
 
 
-def _without_secrets(message: str, address: str) -> str:
-    """A message about an address without what gives access to it."""
-    if is_remote(address):
-        for secret in re.findall(r"://([^/@]*)@", address) + re.findall(r"\?([^/]*=.*)$", address):
-            message = message.replace(secret, "...")
-    return message
+@contextmanager
+def hiding_password(address: str) -> Iterator[None]:
+    """Keep what gives access to an address out of the errors of reading it, also as libraries decode it."""
+    try:
+        yield
+    except WavefieldError as error:
+        text = str(error)
+        if is_remote(address):
+            text = text.replace(address, without_password(address))
+            secrets = [found.group() for found in (_USER.search(address), _QUERY.search(address)) if found]
+            parts = [part for secret in secrets for part in re.split(r"[:/@?&=]", secret)]
+            secrets += [part for part in parts if len(part) >= _SHORTEST]
+            for secret in sorted({*secrets, *map(unquote, secrets)}, key=len, reverse=True):
+                text = text.replace(secret, "...")
+        raise type(error)(text) from None
