@@ -14,7 +14,7 @@ from wavefield.commands.sources import CUBE, EXPERIMENT, FILE, PATH, find_cube
     epilog="""\b
 Examples:
   wavefield export cube.zarr cube.nc                    # NetCDF (CF)
-  wavefield export cube.zarr cube.mat                   # MATLAB 7.3
+  wavefield export cube.zarr cube.mat                   # MATLAB
   wavefield export cube.zarr cube.nc --steps 0:500:5    # every fifth step
   wavefield export cube.zarr run7.uvmat                 # a folder of files for UVMAT
 """
@@ -48,7 +48,7 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 _READERS = {
     "netcdf": "xarray, Panoply, ncview or MATLAB (ncread)",
-    "matlab": "MATLAB (load or h5read)",
+    "matlab": "MATLAB (load)",
     "uvmat": "UVMAT",
 }
 

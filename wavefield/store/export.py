@@ -2,8 +2,7 @@
 
 import io
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import open_cube
 from wavefield.store.recipe import recipe_of, source_of
-from wavefield.variables import TABLE
+from wavefield.variables import CUBE_DIMS, TABLE, Quality
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,6 +22,15 @@ NETCDF = (".nc", ".nc4", ".cdf", ".h5")
 ENDINGS = {**dict.fromkeys(NETCDF, "netcdf"), ".mat": "matlab", ".uvmat": "uvmat"}
 KNOWN = ".nc (NetCDF), .mat (MATLAB) or .uvmat (a folder for UVMAT)"
 _AT_ONCE = 16  # steps in memory
+_MATLAB_BYTES = 2**31  # of one variable: sizes in a MAT-file of version 7 have 32 bits
+_UVMAT_ROLES = {  # name here: name and role there
+    "u": ("U", "vector_x"),
+    "v": ("V", "vector_y"),
+    "w": ("W", "vector_z"),
+    "z": ("Z", "scalar"),
+    "z_t": ("Z_t", "scalar"),
+    "eps_piv": ("Error", "ancillary"),
+}
 
 
 class _Hdf5File(io.FileIO):
@@ -50,12 +58,11 @@ class _Hdf5File(io.FileIO):
             return size or 0
 
 
-@contextmanager
-def _hdf5_file(path: Path) -> Iterator[_Hdf5File]:
-    """A file for the HDF5 library; raises the first error of writing it."""
+def _write_hdf5(cube: "xr.Dataset", path: Path) -> None:
+    """Write a Dataset as NetCDF-4; raises the first error of writing it."""
     with _Hdf5File(path, "w+") as file:
         try:
-            yield file
+            cube.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
         except Exception:
             if file.failure is None:
                 raise
@@ -71,7 +78,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     store : path
         Cube written by `run`.
     path : path
-        ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7.3;
+        ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7, variables below 2 GB;
         ``.uvmat``: a folder of one NetCDF file per step. It appears when it is complete.
     steps : slice, optional
         Some of the steps; by default all.
@@ -89,7 +96,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
     Notes
     -----
-    Values are unpacked float32. Goes through the cube a few steps at a time.
+    Values are unpacked float32. A MAT-file is written a variable at a time, others a few steps at a time.
 
     Examples
     --------
@@ -130,16 +137,9 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     _WRITERS[kind](cube, path)
 
 
-def _steps_of(cube: "xr.Dataset") -> Iterator["xr.Dataset"]:
-    """One step of a cube after the other, loaded."""
-    for start in range(0, cube.sizes["time"], _AT_ONCE):
-        chunk = cube.isel(time=slice(start, start + _AT_ONCE)).load()
-        yield from (chunk.isel(time=k) for k in range(chunk.sizes["time"]))
-
-
 def _product(kind: str, cube: "xr.Dataset") -> Product | None:
-    """A file is replaced by that of the same cube, a folder for UVMAT never."""
-    return None if kind == "uvmat" else Product(f"{kind} export", source_of(cube))
+    """NetCDF is replaced by that of the same cube. A mark has no place in files of MATLAB and UVMAT."""
+    return Product("netcdf export", source_of(cube)) if kind == "netcdf" else None
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
@@ -158,27 +158,60 @@ def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
         if variable.ndim == 3:
             chunks = (min(8, variable.shape[0]), *variable.shape[1:])
             variable.encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
-    with atomic(path, product) as draft, _hdf5_file(draft) as file:
-        cube.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
+    with atomic(path, product) as draft:
+        _write_hdf5(cube, draft)
 
 
-def _matlab(cube: "xr.Dataset", path: Path) -> None:
-    from wavefield.store.export_matlab import write_matlab
+def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
+    """Write a cube as a MAT-file: fields (y, x, time), `units` and `long_name` as structs, attributes."""
+    from scipy.io import savemat
 
-    with atomic(path, _product("matlab", cube)) as draft, _hdf5_file(draft) as file:
-        write_matlab(cube, _steps_of(cube), file)
+    numbers = {name: one for name, one in cube.variables.items() if one.dtype.kind not in "UOTM"}
+    largest = max(numbers.values(), key=lambda one: one.nbytes)
+    if largest.nbytes >= _MATLAB_BYTES:
+        raise StoreError(
+            f"{path}: a variable of {largest.nbytes / 1e9:.1f} GB does not fit into a MAT-file, which takes "
+            "2 GB; write a file that ends in .nc, which MATLAB reads with `ncread`, or fewer --steps"
+        )
+    texts = {
+        key: {name: str(one.attrs.get(key, "")) for name, one in numbers.items()}
+        for key in ("units", "long_name")
+    }
+    attributes = {name: value for name, value in cube.attrs.items() if isinstance(value, str) and value}
+    with atomic(path) as draft, draft.open("wb") as file:
+        for name, one in numbers.items():  # one in memory at a time
+            values = one.transpose("y", "x", "time") if one.dims == CUBE_DIMS else one
+            savemat(file, {name: np.asarray(values)}, do_compression=True, oned_as="column")
+        savemat(file, texts | attributes, long_field_names=True)
 
 
-def _uvmat(cube: "xr.Dataset", path: Path) -> None:
-    from wavefield.store.export_uvmat import write_uvmat
-
+def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
+    """Write a folder with a NetCDF 3 file per step, as UVMAT's `struct2nc` does: metres, y upwards.
+    ``FF`` (UVMAT's flag of false vectors) is 0 where the node was measured, else the bits of ``quality``.
+    """
+    names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
+    out = cube[[*names, "quality"]].reset_coords(drop=True)
+    measured = (out.quality & int(Quality.MEASURED)) != 0
+    out["quality"] = out.quality.clip(1).where(~measured, 0).astype("int16")
+    out = out.rename({"x": "coord_x", "y": "coord_y", "quality": "FF", **names})
+    roles = {"coord_y": "coord_y", "coord_x": "coord_x", "FF": "errorflag", **dict(_UVMAT_ROLES.values())}
+    for name, one in out.variables.items():
+        one.attrs = {"Role": roles.get(str(name), ""), "units": one.attrs.get("units", "")}
+        one.encoding = {"_FillValue": None}
     dt = 1.0 / float(recipe_of(cube.attrs)["frame_rate"])
+    out.attrs = {"Conventions": "uvmat", "Program": "wavefield", "CoordUnit": "m", "TimeUnit": "s", "Dt": dt}
     with atomic(path) as draft:
-        write_uvmat(_steps_of(cube), draft, path.stem, dt)
+        draft.mkdir()
+        for start in range(0, out.sizes["time"], _AT_ONCE):
+            chunk = out.isel(time=slice(start, start + _AT_ONCE)).load()
+            for k, time in enumerate(chunk.time.values):
+                step = chunk.isel(time=k, drop=True).assign_attrs(Time=float(time))
+                file = draft / f"{path.stem}_{start + k + 1}.nc"
+                step.to_netcdf(file, engine="scipy", format="NETCDF3_64BIT")
 
 
 _WRITERS: dict[str, Callable[[Any, Path], None]] = {
     "netcdf": write_netcdf,
-    "matlab": _matlab,
-    "uvmat": _uvmat,
+    "matlab": _write_matlab,
+    "uvmat": _write_uvmat,
 }
