@@ -2,7 +2,6 @@
 
 import errno
 import json
-import os
 import resource
 import shutil
 import signal
@@ -11,17 +10,13 @@ import sys
 import time
 import zipfile
 
-import h5py
-import numpy as np
 import pytest
-import xarray as xr
 import yaml
 
 import wavefield as wf
 from wavefield import atomic_write
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
-from wavefield.images import read_image, write_image
 from wavefield.pipeline.catalog import catalog_add, find_cube
 from wavefield.rig import Rig
 
@@ -49,33 +44,17 @@ def refused(capsys, *words):
     return printed
 
 
-def start(lab, *words, **how):
-    """A command in a process of its own."""
-    line = [sys.executable, "-m", "wavefield", "-q", *map(str, words)]
-    return subprocess.run(line, cwd=lab, capture_output=True, text=True, timeout=100, **how)
-
-
 def edit(path, old, new):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
 
 
-def test_background_leaves_recordings_and_backgrounds_of_others(lab, capsys):
-    (lab / "background").mkdir()
-    mine = lab / "background/cam1.tif"
-    shutil.copy(lab / "cam1/img_00000.tif", mine)
-    before = mine.read_bytes()
-    assert "cam1.tif exists and was not written by" in refused(capsys, "background", "experiment.yaml")
-    assert mine.read_bytes() == before
-    mine.unlink()
+def test_background_leaves_the_backgrounds_of_others_and_replaces_its_own(lab, capsys):
     assert command("background", "experiment.yaml") == 0
     assert command("background", "experiment.yaml") == 0, "its own is replaced"
     edit(lab / "experiment.yaml", "name: small-tank", "name: another")
     assert "is a background of something else" in refused(capsys, "background", "experiment.yaml")
-    write_image(mine, read_image(mine) + 1)
-    edit(lab / "experiment.yaml", "name: another", "name: small-tank")
-    assert "was not written by wavefield, or was changed" in refused(capsys, "background", "experiment.yaml")
 
 
 def test_calibrate_leaves_the_rig_of_another_experiment(lab, capsys):
@@ -132,44 +111,24 @@ def test_addresses_of_a_catalog_are_not_format_strings(lab, monkeypatch, capsys,
     assert "password" not in printed
 
 
-def test_a_full_disk_ends_an_export_with_a_sentence_and_no_file(lab):
-    def limit():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-
-    for ending in ("nc", "mat"):
-        found = start(lab, "export", "cube.zarr", f"x.{ending}", preexec_fn=limit)
-        assert found.returncode == 1, found
-        assert "is full, or a quota is used up" in found.stderr
-        assert "Traceback" not in found.stderr
-        assert "Wrote" not in found.stdout
-    assert not list(lab.glob("x.*"))
+@pytest.mark.parametrize(
+    ("words", "size"),
+    [
+        *((["export", "cube.zarr", f"o.{ending}"], 2_000) for ending in ("nc", "mat", "uvmat")),
+        *((["rig", "rig.yaml", "--to", to, "-o", "o.txt"], 256) for to in ("dice", "opencv", "wavefield")),
+    ],
+)
+@pytest.mark.slow
+def test_a_full_disk_is_a_sentence_and_leaves_no_file(lab, words, size):
+    line = [sys.executable, "-m", "wavefield", "-q", *words]
+    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))  # noqa: E731
+    found = subprocess.run(line, cwd=lab, capture_output=True, text=True, timeout=100, preexec_fn=limit)
+    assert found.returncode == 1, found
+    assert "is full, or a quota is used up" in found.stderr
+    assert "Traceback" not in found.stderr
+    assert "Wrote" not in found.stdout
+    assert not list(lab.glob("o.*"))
     assert not list(lab.glob(".wavefield-*"))
-
-
-def test_a_truncated_file_of_another_program_is_not_called_written(lab):
-    def limit():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (256, 256))
-
-    for program in ("dice", "opencv", "vic3d", "wavefield"):
-        found = start(lab, "rig", "convert", "rig.yaml", "--to", program, "-o", "o.txt", preexec_fn=limit)
-        assert found.returncode == 1, (program, found)
-        assert "Wrote" not in found.stdout
-        assert "did not foresee" not in found.stderr
-        assert not (lab / "o.txt").exists()
-
-
-def test_dated_backups_beside_an_output_stay(lab):
-    backups = [lab / f".{name}.20261101.old" for name in ("cube.nc", "waves.zarr", "smooth.zarr")]
-    for backup in backups:
-        backup.mkdir()
-        (backup / "thesis.txt").write_text("years")
-    (lab / ".wavefield-20261101").mkdir()
-    (lab / ".wavefield-20261101/note").write_text("mine")
-    assert command("export", "cube.zarr", "cube.nc") == 0
-    assert command("analyze", "cube.zarr", "--segment", "8") == 0
-    assert all((backup / "thesis.txt").read_text() == "years" for backup in backups)
-    assert (lab / ".wavefield-20261101/note").read_text() == "mine"
 
 
 WRITER = """
@@ -183,14 +142,13 @@ with atomic(sys.argv[1]) as draft:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL])
-def test_a_killed_writer_leaves_nothing_after_the_next_command(lab, number):
+def test_a_killed_writer_leaves_nothing_after_the_next_command(lab):
     writer = subprocess.Popen([sys.executable, "-c", WRITER, "x.nc"], cwd=lab, stdout=subprocess.PIPE)
     assert writer.stdout.readline() == b"begun\n"
     assert len(list(lab.glob(".wavefield-*"))) == 1
     assert command("export", "cube.zarr", "y.nc") == 0
     assert len(list(lab.glob(".wavefield-*"))) == 1, "of a writer that is at work"
-    writer.send_signal(number)
+    writer.kill()
     writer.wait()
     writer.stdout.close()
     assert command("export", "cube.zarr", "z.nc") == 0
@@ -233,31 +191,17 @@ def test_a_command_that_is_ended_by_a_signal_removes_what_it_began(lab, name):
     assert not list(lab.glob(".wavefield-*"))
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["export", "cube.zarr", "x.nc"],
-        ["report", "cube.zarr", "-o", "x.nc"],
-        ["rig", "convert", "rig.yaml", "-o", "x.nc"],
-        ["rig", "convert", "rig.yaml", "--to", "opencv", "-o", "x.nc"],
-        ["paper", "cube.zarr", "-o", "x.nc"],
-    ],
-)
-@pytest.mark.parametrize("target", ["pipe", "device"])
-def test_pipes_and_devices_are_refused_before_they_are_opened(lab, capsys, words, target):
-    if target == "pipe":
-        os.mkfifo("x.nc")
-    elif words[0] == "export":
-        return  # its ending names the format
-    words = [("/dev/zero" if target == "device" and word == "x.nc" else word) for word in words]
-    assert "is a pipe or a device" in refused(capsys, *words)
+@pytest.mark.parametrize("words", [["report", "cube.zarr"], ["rig", "rig.yaml"], ["paper", "cube.zarr"]])
+def test_devices_are_refused_before_they_are_opened(lab, capsys, words):
+    assert "is a pipe or a device" in refused(capsys, *words, "-o", "/dev/zero")
 
 
-def test_smoothed_fields_and_waves_are_verified(lab, capsys):
+@pytest.mark.parametrize("name", ["smooth.zarr", "waves.zarr"])
+def test_smoothed_fields_and_waves_are_verified(lab, capsys, name):
     assert command("smooth", "cube.zarr") == 0
-    assert command("verify", "smooth.zarr") == 0
-    next(file for file in (lab / "smooth.zarr/z/c").rglob("*") if file.is_file()).unlink()
-    assert command("verify", "smooth.zarr") == 1
+    assert command("verify", name) == 0
+    next(file for file in (lab / name).rglob("c/*") if file.is_file()).unlink()
+    assert command("verify", name) == 1
     assert "not as it was written" in capsys.readouterr().out
 
 
@@ -279,27 +223,6 @@ def test_impossible_outputs_are_one_sentence(lab, capsys, words):
     (lab / "file").write_text("")
     assert len(refused(capsys, *words).strip().splitlines()) == 1
     assert not (lab / "cube.zarr/x.nc").exists()
-
-
-def test_a_rig_goes_into_a_folder_that_is_made(lab):
-    assert command("rig", "convert", "rig.yaml", "--to", "opencv", "-o", "nodir/r.yml") == 0
-    assert (
-        len(wf.load_rig(lab / "nodir/r.yml") if hasattr(wf, "load_rig") else Rig.load(lab / "rig.yaml")) == 3
-    )
-
-
-def test_what_a_user_added_to_a_product_is_kept(lab, capsys):
-    assert command("export", "cube.zarr", "cube.nc") == 0
-    assert command("export", "cube.zarr", "cube.nc") == 0, "unchanged, it is replaced"
-    fit = xr.Dataset({"fit": ("a", np.arange(5.0))})
-    fit.to_zarr("waves.zarr", group="my_fit", mode="a", consolidated=False)
-    with h5py.File("cube.nc", "a") as file:
-        file["my_result"] = np.arange(5.0)
-    assert "was changed since" in refused(capsys, "analyze", "cube.zarr", "--segment", "8")
-    assert "was changed since" in refused(capsys, "export", "cube.zarr", "cube.nc")
-    assert (lab / "waves.zarr/my_fit").is_dir()
-    with h5py.File("cube.nc") as file:
-        assert "my_result" in file
 
 
 def test_waves_of_another_cube_are_refused(lab, capsys):
@@ -359,15 +282,10 @@ def test_stdout_on_a_full_disk_is_a_sentence(lab):
     assert "did not foresee" not in found.stderr
 
 
-def test_frame_rates_beyond_all_cameras_and_twin_cameras_are_one_sentence(lab, capsys):
-    text = (lab / "experiment.yaml").read_text()
-    rate = next(line for line in text.splitlines() if "frame_rate" in line)
-    (lab / "experiment.yaml").write_text(text.replace(rate, "frame_rate: 1.0e-300"))
-    assert "frame_rate" in refused(capsys, "check", "experiment.yaml")
-    (lab / "experiment.yaml").write_text(text)
+def test_two_cameras_in_one_place_are_one_sentence(lab, capsys):
     data = yaml.safe_load((lab / "rig.yaml").read_text())
     data["cameras"]["cam3"] = data["cameras"]["cam1"]
     (lab / "rig.yaml").write_text(yaml.safe_dump(data))
-    (lab / "experiment.yaml").write_text(text.replace("cam3/img", "cam1/img"))
+    edit(lab / "experiment.yaml", "cam3/img", "cam1/img")
     assert command("check", "experiment.yaml") == 1
     assert "cam1 and cam3 are in one place" in capsys.readouterr().out

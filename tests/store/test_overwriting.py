@@ -262,7 +262,7 @@ OBSTACLES = (
     *(*REFUSED, "own input", "another kind", "of another experiment", "user's part"),
     *("beside it", "own product"),
 )
-# files to which a run or `catalog add` adds, and which it replaces, if they are its own kind
+# files without a source, to which a run or `catalog add` adds, or which it replaces, if they are its own kind
 GROWS = ("catalog add", "run, its log", "run, its verdict", "run of a catalog")
 
 
@@ -301,9 +301,10 @@ def test_nothing_is_removed_or_changed_that_was_not_written_as_the_same(
 
 def may_change(command, obstacle, out, name, old, new):
     """Whether a command may change a file that was there: its own product, or the log of an earlier run."""
-    if name.endswith(".log") and Path(name).name != Path(out).name:
-        return isinstance(new, bytes) and new.startswith(old)  # a run of the same cube adds to it
-    if obstacle in ("beside it", "own product") or (command in GROWS and obstacle == "user's part"):
+    ours = obstacle in ("own product", "user's part", "of another experiment")
+    if name.endswith(".log") and (ours or Path(name).name != Path(out).name):
+        return isinstance(new, bytes) and new.startswith(old)  # a run adds to it
+    if obstacle in ("beside it", "own product") or (command in GROWS and ours):
         goes_on = command.startswith("run") and name.startswith("new")
         return goes_on or Path(name).parts[0] == Path(out).parts[0]
     return False

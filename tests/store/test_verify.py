@@ -102,14 +102,6 @@ def test_changed_metadata_are_never_believed(cube, change):
             read(cube)
 
 
-def test_waves_and_smoothed_fields_are_verified_whole(measured, tmp_path, capsys):
-    shutil.copytree(measured / "waves.zarr", tmp_path / "waves.zarr")
-    assert main(["-q", "verify", str(tmp_path / "waves.zarr")]) == 0
-    next(file for file in (tmp_path / "waves.zarr/spectra").rglob("c/*") if file.is_file()).unlink()
-    assert main(["-q", "verify", str(tmp_path / "waves.zarr")]) == 1
-    assert "not as it was written" in capsys.readouterr().out
-
-
 def test_an_unfinished_cube_is_not_passed_on_in_silence(tank, tmp_path, capsys):
     def stop(done, total, sentence):
         if done >= 8:

@@ -58,7 +58,7 @@ from wavefield.series import Experiment, FrameSeries
 from wavefield.store.camera_pairs import read_pair_statistics, write_pair_statistics
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_cube, open_group
-from wavefield.store.recipe import cube_state
+from wavefield.store.recipe import state_of
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.store.write_cube import clear_steps, write_level_std
 from wavefield.variables import FrameStatus, Quality
@@ -350,7 +350,7 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
     """Put the statistics into a cube whose run has ended, unless those of the same ledger are there."""
     group = open_group(path)
-    state = cube_state(group.attrs, group["frame_status"][:])
+    state = state_of(group)
     stored = read_pair_statistics(path)
     if stored is None or stored.attrs["cube_state"] != state:
         statistics = pair_statistics(prepared)

@@ -33,7 +33,7 @@ register(
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Put the statistics into a cube of this state (`cube_state`)."""
+    """Put the statistics into a cube of this state (`state_of`)."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / GROUP):
         shutil.rmtree(path / GROUP, ignore_errors=True)

@@ -100,26 +100,12 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
     Examples
     --------
-    A store of two steps as a NetCDF file.
-
-    >>> import tempfile
+    >>> import wavefield as wf
     >>> import xarray as xr
-    >>> from wavefield.store.layout import StoreLayout, create_store
-    >>> from wavefield.store.recipe import Recipe
-    >>> from wavefield.store.write_cube import write_chunk
-    >>> from wavefield.variables import CUBE_FIELDS, FrameStatus
-    >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), StoreLayout(2, 2, ("left",
-    ... "right"), 0)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     store, file = Path(folder) / "cube.zarr", Path(folder) / "cube.nc"
-    ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
-    ...     fields = {name: np.ones((2, 3, 4), np.float32) for name in CUBE_FIELDS}
-    ...     write_chunk(store, 0, fields, np.full(2, FrameStatus.DONE), {})
-    ...     export(store, file)
-    ...     with xr.open_dataset(file, engine="h5netcdf") as cube:
-    ...         written = cube.z.shape, cube.z.attrs["units"]
-    >>> written
-    ((2, 3, 4), 'm')
+    >>> wf.export("cube.zarr", "cube.nc")
+    >>> with xr.open_dataset("cube.nc", engine="h5netcdf") as cube:
+    ...     cube.z.shape, cube.z.units
+    ((10, 3, 4), 'm')
     """
     path = Path(path)
     kind = ENDINGS.get(path.suffix.lower())

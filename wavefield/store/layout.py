@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 import zarr
@@ -56,26 +56,7 @@ INNER_CHUNK_STEPS = 8  # steps that a reader must decode to see one
 FILES_OF_ALL_CHUNKS = {"array.write_empty_chunks": True}  # so that a file that is not there was lost
 
 
-class CubeGroup(Protocol):
-    """An open cube for type checkers: `zarr.Group` types arrays and groups alike."""
-
-    @property
-    def attrs(self) -> Any:
-        """Its attributes."""
-        ...
-
-    @property
-    def store_path(self) -> Any:
-        """Where it is."""
-        ...
-
-    def __getitem__(self, name: str) -> Any: ...
-
-    def __contains__(self, name: str) -> bool: ...
-
-    def arrays(self) -> Iterator[tuple[str, Any]]:
-        """All arrays with their names."""
-        ...
+CubeGroup: TypeAlias = Any  # an open cube: `zarr.Group` types arrays and groups alike
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from wavefield import __version__
 from wavefield.atomic_write import identity_of
 from wavefield.errors import StoreError
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def recipe_of(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -115,30 +111,22 @@ def _hash_of(recipe: str) -> str:
         return ""
 
 
-def cube_source(attributes: Mapping[str, Any]) -> str:
-    """Identity of a cube by its recipe and its images; what is made from it carries this as its source."""
-    return identity_of(attributes.get("recipe_hash"), attributes.get("fingerprints"))
-
-
-def cube_state(attributes: Mapping[str, Any], frame_status: ArrayLike) -> str:
-    """Identity of a cube and of the steps that it holds by now."""
-    ledger = np.asarray(frame_status, np.uint8).tobytes().hex()
-    return identity_of(cube_source(attributes), attributes.get("frame_rate"), ledger)
-
-
-def source_of(cube: "xr.Dataset") -> str:
-    """As `cube_source`; a Dataset that no run wrote is identified by its axes and name."""
+def source_of(cube: Any) -> str:
+    """Identity of a cube, a Dataset or an open store, by its recipe and its images: what is made from it
+    carries this as its source. A Dataset that no run wrote is identified by its axes and name.
+    """
     if "recipe_hash" in cube.attrs:
-        return cube_source(cube.attrs)
+        return identity_of(cube.attrs["recipe_hash"], cube.attrs.get("fingerprints"))
     axes = {name: cube[name].values.tolist() for name in ("time", "y", "x") if name in cube.coords}
     return identity_of(cube.attrs.get("experiment"), axes)
 
 
-def state_of(cube: "xr.Dataset") -> str:
-    """As `cube_state`; that of a Dataset that no run wrote is its source."""
-    if "recipe_hash" in cube.attrs and "frame_status" in cube:
-        return cube_state(cube.attrs, cube["frame_status"].values)
-    return source_of(cube)
+def state_of(cube: Any) -> str:
+    """Identity of a cube and of the steps that it holds by now; as `source_of` where no run wrote it."""
+    if "recipe_hash" not in cube.attrs or "frame_status" not in cube:
+        return source_of(cube)
+    ledger = np.asarray(cube["frame_status"][...], np.uint8).tobytes().hex()
+    return identity_of(source_of(cube), cube.attrs.get("frame_rate"), ledger)
 
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:

@@ -1,6 +1,6 @@
 """Verify a store: every file that should be there is, and its checksum is right."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +10,11 @@ import numpy as np
 from wavefield.atomic_write import MARK_ATTRIBUTE, read_mark
 from wavefield.errors import StoreError
 from wavefield.store.layout import CHUNKED, CubeGroup, StoreLayout, chunk_path
-from wavefield.store.metadata import FINISHED
 from wavefield.store.read import find_store, is_cube, open_group, open_stored, read_layout
 from wavefield.store.write_cube import reset_chunks
 from wavefield.text import spell_ranges
-from wavefield.variables import FrameStatus
+
+_BY_CAMERA = ("frame_fault", "camera_shift")  # (camera, frame)
 
 
 @dataclass(frozen=True)
@@ -93,26 +93,14 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
 
     Examples
     --------
-    A store of two steps, of which a file is lost.
+    A cube of which a file is lost.
 
-    >>> import tempfile
-    >>> from wavefield.store.layout import create_store
-    >>> from wavefield.store.recipe import Recipe
-    >>> from wavefield.store.write_cube import write_chunk
-    >>> from wavefield.variables import CUBE_FIELDS
-    >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), StoreLayout(2, 2, ("left",
-    ... "right"), 0)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     store = Path(folder) / "cube.zarr"
-    ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
-    ...     fields = {name: np.ones((2, 3, 4), np.float32) for name in CUBE_FIELDS}
-    ...     write_chunk(store, 0, fields, np.full(2, FrameStatus.DONE), {})
-    ...     before = verify(store)
-    ...     chunk_path(store, "z", 0).unlink()
-    ...     after = verify(store)
-    >>> before.done, before.sound
-    (2, True)
-    >>> [(damage.variable, damage.what) for damage in after.damages]
+    >>> import shutil
+    >>> copy = shutil.copytree("cube.zarr", "copy.zarr")
+    >>> verify(copy).sound
+    True
+    >>> Path("copy.zarr/z/c/0/0/0").unlink()
+    >>> [(damage.variable, damage.what) for damage in verify(copy).damages]
     [('z', 'missing')]
     """
     path = find_store(store)
@@ -122,13 +110,14 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     group = open_group(path)
     layout = read_layout(group)
     open_stored(path, chunks=None).drop_vars(CHUNKED, errors="ignore").load()  # axes, gains: raises
-    chunks, damages, done = layout.chunks(), list[Damage](), 0
-    for number, (start, stop) in enumerate(chunks):
-        steps_done, found = _read_chunk(path, group, number, (start, stop))
-        done += steps_done
-        damages += found
+    chunks, damages = layout.chunks(), list[Damage]()
+    for number in range(len(chunks)):
+        damages += _damages(path, group, layout, number)
         if progress:
             progress(number + 1, len(chunks))
+    lost = {damage.start for damage in damages if damage.variable == "frame_status"}
+    kept = [slice(start, stop) for start, stop in chunks if start not in lost]
+    done = sum(int(np.count_nonzero(group["frame_status"][steps])) for steps in kept)
     marked = False
     with suppress(StoreError, OSError):
         reset_chunks(path, sorted({damage.start for damage in damages}))
@@ -143,38 +132,36 @@ def _has_mark(path: Path) -> bool:
     return False
 
 
-def _read_chunk(path: Path, group: CubeGroup, number: int, ends: tuple[int, int]) -> tuple[int, list[Damage]]:
-    """Number of steps of a chunk that are done, and what is wrong with it."""
-    steps, damages = slice(*ends), []
+def _damages(
+    path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
+) -> Iterator[Damage]:
+    """What is wrong with a chunk of which the ledger calls steps done; unless read, what is missing."""
+    start, stop = layout.chunks()[number]
+
+    def damage(name: str) -> Damage:
+        there = chunk_path(path, name, number).exists()
+        return Damage(name, start, stop, "not as it was written" if there else "missing")
+
     try:
-        ledger = np.asarray(group["frame_status"][steps])
+        if not np.asarray(group["frame_status"][start:stop]).any():
+            return
     except Exception:  # whatever a codec makes of damaged bytes
-        there = chunk_path(path, "frame_status", number).exists()
-        return 0, [Damage("frame_status", *ends, "not as it was written" if there else "missing")]
-    if not ledger.any():
-        return 0, []
+        yield damage("frame_status")
+        return
     for name in (name for name in CHUNKED if name in group):
         try:
-            array = group[name]
-            array[:, steps] if name in ("frame_fault", "camera_shift") else array[steps]
+            if read:
+                _ = group[name][:, start:stop] if name in _BY_CAMERA else group[name][start:stop]
+            elif not chunk_path(path, name, number).exists():
+                yield damage(name)
         except Exception:
-            there = chunk_path(path, name, number).exists()
-            damages.append(Damage(name, *ends, "not as it was written" if there else "missing"))
-    return int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED)), damages
+            yield damage(name)
 
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
     """First steps of chunks of which files are missing although the ledger calls their steps done."""
     group = open_group(path)
-    names = [name for name in CHUNKED if name in group]
-    finished = bool(group.attrs.get(FINISHED))
-    out = []
-    for number, (start, stop) in enumerate(layout.chunks()):
-        there = [chunk_path(path, name, number).exists() for name in names]
-        try:
-            done = bool(np.asarray(group["frame_status"][start:stop]).any())
-        except Exception:  # a damaged or missing ledger: measured again
-            done, there = True, [False]
-        if not all(there) and (done or finished):
-            out.append(start)
-    return out
+    numbered = enumerate(layout.chunks())
+    return [
+        start for number, (start, _) in numbered if any(_damages(path, group, layout, number, read=False))
+    ]
