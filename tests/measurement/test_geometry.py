@@ -25,9 +25,6 @@ def test_the_middle_camera_is_the_reference_whatever_its_name(rig):
     geometry = GridGeometry(renamed(rig, left="cam1", top="cam3", right="cam2"), GRID)
     assert geometry.pairs == (("top", "left"), ("top", "right"))
     assert geometry.velocity_cameras == ("left", "top", "right")
-
-
-def test_two_cameras_make_one_direct_pair(rig):
     assert GridGeometry(Rig({n: rig[n] for n in ("cam1", "cam2")}), GRID).pairs == (("cam1", "cam2"),)
 
 

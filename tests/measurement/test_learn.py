@@ -5,7 +5,6 @@ from measurement_cases import around
 
 from wavefield.grid import Grid
 from wavefield.matching.kernels import BLOCK
-from wavefield.matching.spectrum import displacement_area
 from wavefield.measurement import GridGeometry, Model, learn, measure
 from wavefield.tank import Scene, Tank
 
@@ -44,19 +43,3 @@ def test_short_waves_of_two_cameras_are_not_taken_for_noise():
     assert record is not None
     k = 2 * np.pi / 0.073 * BLOCK * geometry.pixel  # of the peak, rad per block
     assert record.elevation.signal_to_noise(np.array([k]), np.zeros(1)).mean() > 5.0
-
-
-def test_displacements_are_those_of_areas_as_large_as_the_beads_images():
-    grid = {"x": (-0.15, 0.15), "y": (-0.12, 0.12), "step": 0.01}
-    areas = []
-    for blur in (0.5, 1.6):
-        scene = Scene.load("demo").with_(rig={"crop": 0.2}, grid=grid, light={"blur": blur}, frames=2)
-        tank = Tank(scene)
-        geometry = GridGeometry(tank.rig, Grid(**grid))
-        record = learn([(tank.render(0), tank.render(1))], geometry)
-        assert record is not None
-        for name, prior in record.displacement:
-            width = dict(record.beads)[name] / geometry.sights[name].binning
-            assert prior.area == displacement_area(width)
-        areas.append(min(prior.area for _, prior in record.displacement))
-    assert areas[1] > areas[0] + 0.5

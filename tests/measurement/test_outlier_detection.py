@@ -1,14 +1,10 @@
 """A camera that lies: left out where the others agree, else the nodes are not called measured."""
 
-import sys
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from measurement_cases import RATE, around
 
 from wavefield.measurement import measure
-from wavefield.measurement.step import measure_instant
 from wavefield.variables import Quality
 
 
@@ -66,29 +62,6 @@ def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model)
     same = measure(series.block(1), geometry, RATE, model)
     for name, close in (("z", 1e-4), ("u", 1e-3), ("w", 1e-3)):
         np.testing.assert_allclose(out[name][0][sound], same[name][0][sound], atol=close)
-
-
-def test_water_that_stands_where_none_was_searched_is_not_called_measured(
-    series, geometry, model, monkeypatch
-):
-    """Not even where it is only the frame before the step, which enters z at mid-time."""
-
-    def look_up(frames, geometry, model, masks=None):
-        found = measure_instant(frames, geometry, model, masks)
-        first = frames["cam1"] is series.frames["cam1"][1]
-        more = np.zeros_like(found.surface.z)
-        more[10, 12] = 0.5 if first else 0.0
-        z, read = found.surface.z + more, found.surface.read
-        return replace(found, surface=replace(found.surface, z=z, read=lambda x, y: read(x, y) + more))
-
-    monkeypatch.setattr(sys.modules["wavefield.measurement.step"], "measure_instant", look_up)
-    out = measure(series.block(1), geometry, RATE, model)
-    measured = (out["quality"][0] & Quality.MEASURED) > 0
-    assert series.inside[10, 12]
-    assert not measured[10, 12]
-    assert measured[10, 13]
-    assert out["z_std"][0, 10, 12] > 0.01  # z is off by a sixteenth of half a metre
-    assert out["z_std"][0, 10, 13] < 1e-3
 
 
 @pytest.mark.parametrize("axis", [1, 0])
