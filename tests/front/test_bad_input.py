@@ -83,13 +83,6 @@ def write_mask(lab):
     note("rig:", "mask: {cam1: m.png}\nrig:")(lab)
 
 
-def some_masks(lab):
-    like = tifffile.imread(lab / "cam1" / "img_000.tif")
-    for k in range(2):
-        cv2.imwrite(str(lab / f"m_{k:03d}.png"), np.zeros_like(like))
-    note("rig:", 'mask: {cam1: "m_{frame:03d}.png"}\nrig:')(lab)
-
-
 def write(name, content):
     def spoil(lab):
         path = lab / name
@@ -170,7 +163,6 @@ TABLE = [
     ("a mask of two corners", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9]]}}\nrig:"), ["run", EXP], 1, "three corners"),
     ("a mask of two kinds", note("rig:", "mask: {cam1: {image: a.png, polygon: [[0, 0], [9, 9], [9, 0]]}}\nrig:"), ["run", EXP], 1, "give one of polygon"),
     ("a cylinder in an image", note("rig:", "mask: {cam1: {cylinder: {x: 0, y: 0, radius: 0.1}}}\nrig:"), ["run", EXP], 1, "under cam1; put it under `water`"),
-    ("a mask for some frames", some_masks, ["run", EXP], 1, "mask of cam1: .* has no image for frame 2; every frame"),
     ("a grid without step", note(", step: 0.02", ""), ["run", EXP], 1, "grid.step is missing"),
     ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
     ("a grid of one step", note("step: 0.02", "step: 5"), ["run", EXP], 1, "less than one step"),

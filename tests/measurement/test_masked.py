@@ -17,7 +17,7 @@ MASKED = int(Quality.MASKED)
 
 def masks_of(rig):
     return {
-        name: CameraMask(camera.size[::-1], (outline_in_image(CYLINDER, camera, 0.08),)).covered(0)
+        name: CameraMask(camera.size[::-1], (outline_in_image(CYLINDER, camera, 0.08),)).covered()
         for name, camera in rig.cameras.items()
     }
 

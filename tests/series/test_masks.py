@@ -52,21 +52,6 @@ def test_what_is_not_black_in_an_image_is_covered(lab):
     assert series["cam2"].covered(0)[2, 2]
 
 
-def test_an_image_for_every_frame_moves_with_the_frames_also_in_a_window(lab):
-    for k in range(4):
-        image = np.zeros(SIZE, np.uint8)
-        image[k] = 255
-        cv2.imwrite(str(lab / f"m_{k:03d}.png"), image)
-    series = opened(lab, '{cam1: "m_{frame:03d}.png"}')["cam1"]
-    for k in range(4):
-        assert np.flatnonzero(series.covered(k).any(axis=1)).tolist() == [k]
-    assert np.flatnonzero(series.window(2, 4).covered(1).any(axis=1)).tolist() == [3]
-    (lab / "m_001.png").write_text("torn")
-    frame = series.window(1, 3).read(0)
-    assert frame.image is None
-    assert "its mask" in frame.message
-
-
 def test_complete_images_are_even_where_they_are_covered(lab):
     series = opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25], [10, 25]]}}")["cam1"]
     part = series.read_uncovered(0)[5:26, 10:31]

@@ -21,7 +21,7 @@ from wavefield.measurement.images import prepare, ready, usable
 from wavefield.measurement.pair import match_pair
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.frames import CameraMask, subtracted
+from wavefield.series.frames import subtracted
 from wavefield.series.listing import number_frames
 from wavefield.series.masks import covered_series, footprints
 from wavefield.series.mean_images import read_backgrounds, refuse_other_images
@@ -123,7 +123,7 @@ class LiveMeasurement:
             experiment.background, experiment.measuring_cameras, experiment.resolve, experiment.path
         )
         self._sizes: dict[str, tuple[int, int]] = {}  # width and height of the images of the last geometry
-        self._masks: LiveMasks | None = None
+        self._masks: Masks = {}
         self.learner: Learner | None = None
         self.trouble = ""  # why nothing is measured
 
@@ -136,22 +136,21 @@ class LiveMeasurement:
             self._prepare(firsts)
         if self.learner is None:
             return {}, None
-        first, second = self._masks.of(frames.number) if self._masks else ({}, {})
         try:
             bare = {n: [self._bare(n, image) for image in both] for n, both in frames.images.items()}
             pairs = {name: bare.get(name, [None, None]) for name in self.learner.geometry.cameras}
             instants = {n: p[0] for n, p in pairs.items()}, {n: p[1] for n, p in pairs.items()}
-            self.learner.add(instants, (first, second))
+            self.learner.add(instants, (self._masks, self._masks))
             geometry = self.learner.geometry
             around = [None] * AROUND
             images = {name: [*around, *both, *around] for name, both in pairs.items()}
-            masks = {n: [first[n]] * (AROUND + 1) + [second[n]] * (AROUND + 1) for n in first}
+            masks = {n: [mask] * (2 * AROUND + 2) for n, mask in self._masks.items()}
             rate, model = self._experiment.frame_rate, self.learner.model
             block = measure(images, geometry, rate, model, masks)
         except (WavefieldError, ValueError) as error:
             self.trouble = str(error)
             return {}, None
-        self.trouble = self._masks.absent if self._masks else ""
+        self.trouble = ""
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
         return fields, lights.summarize_step(fields, geometry.x, geometry.y, geometry.z_range, rate)
 
@@ -201,7 +200,9 @@ class LiveMeasurement:
                     )
             settings, covered = make_settings(experiment, Workflow()), footprints(experiment.mask)
             geometry = GridGeometry(rig, experiment.choose_grid(rig), settings, covered)
-            self._masks = LiveMasks(experiment, rig, -geometry.z_range[0])
+            blank = {name: FrameSeries(name, 0, [], rig[name].size[::-1], "uint8") for name in rig}
+            series = covered_series(experiment.mask, blank, rig, experiment.path.parent, -geometry.z_range[0])
+            self._masks = {name: one.mask.covered() for name, one in series.items() if one.mask is not None}
             self.learner = Learner(geometry, experiment.frame_rate)
             self.trouble = ""
         except WavefieldError as error:
@@ -247,46 +248,6 @@ class Learner:
         """Wait until the learning that goes on has ended."""
         if self._thread is not None:
             self._thread.join(20)
-
-
-class LiveMasks:
-    """The masks of an experiment while its cameras write."""
-
-    def __init__(self, experiment: Experiment, rig: Rig, trough: float) -> None:
-        self._folder = experiment.path.parent
-        sections = experiment.mask
-        self._moving = {
-            name: shape.frames for name in rig for shape in sections.get(name, ()) if shape.frames
-        }
-        fixed = {name: [s for s in shapes if not s.frames] for name, shapes in sections.items()}
-        blank = {name: FrameSeries(name, 0, [], rig[name].size[::-1], "uint8") for name in rig}
-        series = covered_series(fixed, blank, rig, self._folder, trough)
-        self._fixed = {
-            name: one.mask or CameraMask(one.shape)
-            for name, one in series.items()
-            if one.mask is not None or name in self._moving
-        }
-        self.absent = ""  # which mask image is missing, set by `of`
-
-    def of(self, number: int) -> tuple[Masks, Masks]:
-        """What is masked (row, column) in a frame and in the next one, by camera."""
-        self.absent = ""
-        n1, n2 = number, number + 1
-        first, second = ({c: self._covered(c, m, n) for c, m in self._fixed.items()} for n in (n1, n2))
-        return first, second
-
-    def _covered(self, name: str, mask: CameraMask, number: int) -> NDArray[np.bool_]:
-        if name in self._moving:
-            try:
-                entry = number_frames(self._moving[name], self._folder, f"the mask of {name}").get(number)
-                if entry is not None:
-                    return replace(mask, moving=(entry,)).covered(0)
-                self.absent = (
-                    f"no image of the mask of {name} for frame {number} yet: what moves is measured, too"
-                )
-            except (WavefieldError, FrameError) as error:
-                self.absent = f"what moves in the view of {name} is measured, too: {error}"
-        return mask.covered(0)
 
 
 @dataclass(frozen=True)

@@ -26,48 +26,29 @@ class CameraMask:
     shape: tuple[int, int]  # (rows, columns) of its images
     outlines: tuple[Outline, ...] = ()  # (column, row): Closed outlines, px; their inside is covered
     images: tuple[FrameEntry, ...] = ()  # Images of the same size: what is not black is covered
-    # One such image for every frame of the series that the mask belongs to; empty if nothing moves
-    moving: Sequence[FrameEntry] = field(default=(), repr=False)
 
-    def covered(self, index: int) -> NDArray[np.bool_]:
-        """Masked pixels of one frame, (row, column)."""
-        still = _still(self.shape, self.outlines, self.images)
-        if not self.moving:
-            return still
-        out = still | _covered_by(self.moving[index], self.shape)
-        out.flags.writeable = False
-        return out
-
-    def window(self, start: int, stop: int) -> "CameraMask":
-        """The mask of some of the frames."""
-        return replace(self, moving=tuple(self.moving[max(start, 0) : stop]))
+    def covered(self) -> NDArray[np.bool_]:
+        """Masked pixels, (row, column)."""
+        return _covered(self)
 
 
 @lru_cache(maxsize=16)
-def _still(
-    shape: tuple[int, int], outlines: tuple[Outline, ...], images: tuple[FrameEntry, ...]
-) -> NDArray[np.bool_]:
-    covered = np.zeros(shape, np.uint8)
-    for outline in outlines:
+def _covered(mask: CameraMask) -> NDArray[np.bool_]:
+    drawn = np.zeros(mask.shape, np.uint8)
+    for outline in mask.outlines:
         corners = np.rint(np.array(outline) * (1 << FRACTION_BITS)).astype(np.int32)
-        cv2.fillPoly(covered, [corners], 1, shift=FRACTION_BITS)
-    out = covered.astype(bool)
-    for entry in images:
-        out |= _covered_by(entry, shape)
+        cv2.fillPoly(drawn, [corners], 1, shift=FRACTION_BITS)
+    out = drawn.astype(bool)
+    for entry in mask.images:
+        image = read_entry(entry)
+        if image.shape != mask.shape:
+            raise FrameError(
+                f"{entry} is {image.shape[1]} x {image.shape[0]} px, but the camera's images are "
+                f"{mask.shape[1]} x {mask.shape[0]}; draw the mask on one of them"
+            )
+        out |= image != 0
     out.flags.writeable = False
     return out
-
-
-@lru_cache(maxsize=1)
-def _covered_by(entry: FrameEntry, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Pixels, (row, column), that are not black in a mask image."""
-    image = read_entry(entry)
-    if image.shape != shape:
-        raise FrameError(
-            f"{entry} is {image.shape[1]} x {image.shape[0]} px, but the camera's images are "
-            f"{shape[1]} x {shape[0]}; draw the mask on one of them"
-        )
-    return np.asarray(image != 0)
 
 
 INTERLACED_SAMPLES = 5  # frames
@@ -156,11 +137,6 @@ class FrameSeries:
             if without_password(entry.path) in str(error):
                 place = f"{self.camera} frame {self.first + index}"
             return Frame(None, FrameFault.UNREADABLE, f"{place}: {error}")
-        if self.mask is not None and self.mask.moving:
-            try:
-                self.mask.covered(index)
-            except FrameError as error:
-                return Frame(None, FrameFault.UNREADABLE, f"{place}: its mask: {error}")
         if image.shape != self.shape or image.dtype != self.dtype:
             size = f"{image.shape[1]} x {image.shape[0]} {image.dtype}"
             usual = f"{self.shape[1]} x {self.shape[0]} {self.dtype}"
@@ -171,11 +147,8 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Masked pixels, (row, column); None without a mask, or if the mask cannot be read."""
-        try:
-            return None if self.mask is None else self.mask.covered(index)
-        except FrameError:
-            return None  # `read` returns the reason
+        """Masked pixels, (row, column), the same in all frames; None without a mask."""
+        return None if self.mask is None else self.mask.covered()
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
         """The image, (row, column), with masked pixels set to the median grey; None for a bad frame."""
@@ -185,10 +158,9 @@ class FrameSeries:
     def window(self, start: int, stop: int) -> "FrameSeries":
         """The frames of one chunk, as a smaller series to send to a worker."""
         start = max(start, 0)
-        mask = None if self.mask is None else self.mask.window(start, stop)
         # the measurement of a chunk does not need times
         entries = list(self.entries[start:stop])
-        return replace(self, first=self.first + start, entries=entries, mask=mask, times=None)
+        return replace(self, first=self.first + start, entries=entries, times=None)
 
 
 def is_interlaced(series: FrameSeries) -> bool:

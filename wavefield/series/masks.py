@@ -14,7 +14,6 @@ from wavefield.config_files import ConfigSection
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.rig import Camera, Rig
 from wavefield.series.frames import CameraMask, FrameSeries, Outline
-from wavefield.series.listing import has_pattern, number_frames
 from wavefield.series.readers import FrameEntry
 
 WATER = "water"  # the key of masks on the water, not in one camera's image
@@ -55,11 +54,6 @@ class MaskSection(ConfigSection):
     image: str | None = Field(
         default=None, examples=['"masks/cam1.png"'], description="what is not black in it is covered"
     )
-    frames: str | None = Field(
-        default=None,
-        examples=['"masks/cam1/{frame:05d}.png"'],
-        description="such an image for every frame, numbered as the camera's",
-    )
     cylinder: CylinderSection | None = Field(
         default=None, examples=["{x: 0.2, y: -0.1, radius: 0.1}"], description="only on the water"
     )
@@ -86,9 +80,7 @@ class MaskSection(ConfigSection):
     def _one(self) -> "MaskSection":
         given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
-            raise ValueError(
-                f"give one of polygon, image, frames, cylinder, not {' and '.join(given) or 'none'}"
-            )
+            raise ValueError(f"give one of polygon, image, cylinder, not {' and '.join(given) or 'none'}")
         return self
 
 
@@ -121,19 +113,15 @@ def normalized(masks: object, cameras: Collection[str]) -> object:
         if name not in (*cameras, WATER):
             raise ValueError(f"mask names {name!r}, but there are {', '.join((*cameras, WATER))}")
         several = shapes if isinstance(shapes, list) else [shapes]
-        out[name] = [_written_out(shape) if isinstance(shape, str) else shape for shape in several]
+        out[name] = [{"image": shape} if isinstance(shape, str) else shape for shape in several]
     return out
-
-
-def _written_out(name: str) -> dict[str, str]:
-    return {"frames" if has_pattern(Path(name).name) else "image": name}
 
 
 def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
     """Refuse images on the water and cylinders in an image."""
     for name, shapes in masks.items():
         for shape in shapes:
-            if name == WATER and (shape.image or shape.frames):
+            if name == WATER and shape.image:
                 raise ValueError(
                     "mask: an image belongs to a camera; on the water give a polygon or a cylinder"
                 )
@@ -169,7 +157,6 @@ def covered_series(
             frames.shape,
             (*drawn, *(outline for outline in projected if outline)),
             tuple(_file(name, folder / shape.image) for shape in own if shape.image),
-            _for_every_frame(name, [shape.frames for shape in own if shape.frames], frames, folder),
         )
         if mask == CameraMask(frames.shape):
             out[name] = frames
@@ -182,7 +169,7 @@ def covered_series(
 def _refuse_useless(name: str, mask: CameraMask) -> None:
     """Refuse images of another size, and a mask that covers everything."""
     try:
-        covered = mask.covered(0)
+        covered = mask.covered()
     except FrameError as error:
         raise ExperimentError(f"mask of {name}: {error}") from None
     if covered.all():
@@ -193,7 +180,9 @@ def _refuse_useless(name: str, mask: CameraMask) -> None:
 
 def _file(name: str, path: Path) -> FrameEntry:
     if not path.is_file():
-        raise ExperimentError(f"mask of {name}: there is no {path}; correct `mask`, or save the image there")
+        raise ExperimentError(
+            f"mask of {name}: there is no {path}; correct `mask` (one image for all frames), or save it there"
+        )
     return FrameEntry("file", str(path))
 
 
@@ -206,27 +195,6 @@ def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int
             f"{bottom:g} is outside the image of {size[1]} x {size[0]} px; give columns and rows in it"
         )
     return tuple(polygon)
-
-
-def _for_every_frame(
-    name: str, patterns: Sequence[str], series: FrameSeries, folder: Path
-) -> tuple[FrameEntry, ...]:
-    """Images of a mask that moves, one per frame of the series; empty without a pattern."""
-    if not patterns:
-        return ()
-    if len(patterns) > 1:
-        raise ExperimentError(f"mask of {name}: `frames` is there twice; draw both into one image per frame")
-    numbered = number_frames(patterns[0], folder, f"the mask of {name}")
-    present = [number for number, entry in enumerate(series.entries, series.first) if entry is not None]
-    absent = [number for number in present if number not in numbered]
-    if absent:
-        others = f" and {len(absent) - 1} others" if len(absent) > 1 else ""
-        raise ExperimentError(
-            f"mask of {name}: {folder / patterns[0]} has no image for frame {absent[0]}{others}; every frame "
-            "needs one (black where nothing is covered), or set `frames: first, last`"
-        )
-    any_entry = next(iter(numbered.values()))  # in the place of frames that are missing
-    return tuple(numbered.get(series.first + k, any_entry) for k in range(len(series)))
 
 
 def outline_in_image(shape: MaskSection, camera: Camera, reach: float) -> Outline:
