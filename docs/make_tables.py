@@ -125,7 +125,7 @@ def flags(meanings: dict, name: str) -> str:
 
 
 def waves() -> str:
-    """Groups of a wave store. A variable whose name says all is listed by its name only."""
+    """Groups of a wave store. Variables that need no more than their long names are listed by name only."""
     parts = []
     for group, words in GROUPS.items():
         families: dict[str, list[Variable]] = {}
@@ -137,13 +137,13 @@ def waves() -> str:
                 continue  # the page explains them once
             variable, unit, meaning = _line(rows, name)
             unit = unit and f" ({unit})"
-            if meaning in ("", name.replace("_", " ")):
+            if not any(row.meaning for row in rows) and group != "spectra":
                 plain.append(variable + unit)
             else:
                 lines.append((variable, meaning + unit))
-        table = rows_to_table(("variable", "meaning (units)"), lines)
-        also = f"\nAlso {'; '.join(plain)}.\n" if plain else ""
-        parts.append(f"## `/{group}`\n\n{words}\n\n{table}\n{also}")
+        table = rows_to_table(("variable", "meaning (units)"), lines) + "\n" if lines else ""
+        also = f"\n{'Also ' if lines else ''}{'; '.join(plain)}.\n" if plain else ""
+        parts.append(f"## `/{group}`\n\n{words}\n\n{table}{also}")
     return "\n".join(parts)
 
 
