@@ -14,7 +14,7 @@ from series_cases import number_image, write_experiment, write_frames
 from wavefield.errors import ExperimentError
 from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
-from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern, number_frames
+from wavefield.series.listing import _numbers_by_glob, _numbers_by_mark, number_frames
 from wavefield.series.readers import close_files
 from wavefield.variables import FrameFault
 
@@ -54,10 +54,9 @@ def test_a_missing_file_does_not_shift_the_rest(tmp_path, images):
 )
 def test_numbers_are_those_in_the_names(numbers, pattern):
     names = [pattern.format(n) for n in numbers]
-    before, after = pattern.split("{:07d}" if "07" in pattern else "{}")
-    assert _numbers_by_pattern([*names, "other.txt", before + after], before, after, "cam1") == dict(
-        zip(numbers, names)
-    )
+    marked = pattern.replace("{:07d}", "{frame:07d}").replace("{}", "{frame}")
+    others = ["other.txt", pattern.replace("{:07d}", "").replace("{}", "")]
+    assert _numbers_by_mark([*names, *others], marked, "cam1") == dict(zip(numbers, names))
     assert _numbers_by_glob(names, "*", "cam1") == dict(zip(numbers, names))
 
 
@@ -227,7 +226,7 @@ def test_time_stamps_show_dropped_frames(tmp_path):
     ("lines", "message"),
     [
         ("0\n0.05\n", "holds 2 times, but cam1 has 3 images"),
-        ("0\n0.05\n0.03\n", "must hold increasing times"),
+        ("0\n0.05\n0.03\n", "must be increasing times"),
         ("0\n0.05\nlate\n", "line 3: 'late' is not one time"),
         ("0\n0.05\n0.173\n", "do not fit a frame rate of 20.0 Hz"),
     ],

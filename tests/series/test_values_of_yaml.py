@@ -127,7 +127,9 @@ def test_time_stamps_in_an_image_are_refused(tmp_path):
         (tmp_path / camera).mkdir()
         (tmp_path / camera / "img_0.tif").write_bytes(b"II*\0\xff\xfe\x80")
     found = loaded(tmp_path, '.tif"}', '.tif", times: cam1/img_0.tif}')
-    with pytest.raises(ExperimentError, match=r"time stamps of cam1: .*img_0.tif is not UTF-8 text"):
+    with pytest.raises(
+        ExperimentError, match=r"img_0.tif, line 1: byte .* is not UTF-8 text; save the time stamps of cam1"
+    ):
         found.open_frames()
 
 

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.file_access import accessing
 from wavefield.series.formats import VIDEO_ENDINGS, Recording, file_of, open_recording
 from wavefield.series.formats.recording import usual_interval
 from wavefield.series.formats.video import Video
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import Numbered
+from wavefield.series.probes import numbered_lines
 
 Times = NDArray[np.float64]
 Images = str | Sequence[str | None]
@@ -108,20 +108,9 @@ def recorded_times(images: Images, camera: str, folder: Path, frame_rate: float)
 
 def read_time_stamps(path: Path, camera: str) -> Times:
     """Times of a camera's frames, (n,), s, in order: one per line, or the column `time` of a CSV file."""
-    try:
-        with accessing(path, ExperimentError):
-            lines = path.read_text("utf-8-sig").splitlines()
-    except OSError as error:
-        raise ExperimentError(f"time stamps of {camera}: {path} cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ExperimentError(
-            f"time stamps of {camera}: {path} is not UTF-8 text with one time per line, in seconds"
-        ) from None
     times: list[float] = []
     column, columns = 0, 1
-    for number, line in enumerate(lines, 1):
-        if not line.strip() or line.startswith("#"):
-            continue
+    for number, line in numbered_lines(path, f"the time stamps of {camera}"):
         cells = [cell.strip().strip('"') for cell in line.split(",")]
         if not times and "time" in cells:
             column, columns = cells.index("time"), len(cells)
@@ -135,7 +124,7 @@ def read_time_stamps(path: Path, camera: str) -> Times:
             ) from None
     out = np.array(times)
     if out.size == 0 or np.any(np.diff(out) <= 0):
-        raise ExperimentError(f"time stamps of {camera}: {path} must hold increasing times in seconds")
+        raise ExperimentError(f"the time stamps of {camera} {path} must be increasing times in seconds")
     return out
 
 

@@ -133,11 +133,8 @@ def _numbered(names: Sequence[str], pattern: str, folder: Path, camera: str) -> 
         raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
     if not _FRAME.search(pattern):
         numbered = _numbers_by_glob(fnmatch.filter(names, pattern), pattern, camera)
-    elif re.search(r"[*?]", pattern):
-        numbered = _numbers_by_mark(names, pattern, camera)
     else:
-        before, after = _FRAME.sub("\0", pattern).split("\0")
-        numbered = _numbers_by_pattern(names, before, after, camera)
+        numbered = _numbers_by_mark(names, pattern, camera)
     if not numbered:
         alike = sorted(name for name in names if name.endswith(Path(pattern).suffix)) or sorted(names)
         hint = f"the folder holds {alike[0]!r} and others" if alike else f"{folder} is empty"
@@ -145,19 +142,8 @@ def _numbered(names: Sequence[str], pattern: str, folder: Path, camera: str) -> 
     return numbered
 
 
-def _numbers_by_pattern(names: Sequence[str], before: str, after: str, camera: str) -> dict[int, str]:
-    """Frame numbers in file names, between the fixed parts `before` and `after`."""
-    head, tail = len(before), len(after)
-    out: dict[int, str] = {}
-    for name in names:
-        digits = name[head : len(name) - tail]
-        if digits.isdecimal() and name.startswith(before) and name.endswith(after):
-            _place(out, int(digits), name, camera)
-    return out
-
-
 def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
-    """Numbers at ``{frame}`` of a pattern with wildcards beside it, as in ``run-*-{frame}.tif``."""
+    """Numbers at ``{frame}`` of a pattern, which may have wildcards too, as in ``run-*-{frame}.tif``."""
     parts = re.split(r"(\*|\?|\{frame[^}]*\})", pattern)
     if re.search(r"[*?]\{frame|\{frame[^}]*\}[*?]", pattern):
         raise ExperimentError(

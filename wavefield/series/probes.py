@@ -66,11 +66,7 @@ def read_probes(
     [[0.0015, 0.0012], [-0.0025, nan]]
     """
     path = Path(path)
-    lines = [
-        (number, line)
-        for number, line in enumerate(_text(path).splitlines(), 1)
-        if line.strip() and not line.startswith("#")
-    ]
+    lines = numbered_lines(path, "the probes")
     if unit not in UNITS:
         raise ExperimentError(f"the probes {path}: unit {unit!r} is not one of {', '.join(UNITS)}")
     names = _names(path, *lines[0]) if lines else []
@@ -101,22 +97,24 @@ def read_probes(
     return annotate(out, "probes")
 
 
-def _text(path: Path) -> str:
+def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
+    """Lines of a UTF-8 text with their numbers, without empty ones and comments; `what` names it."""
     try:
         with accessing(path, ExperimentError):
             data = path.read_bytes()
     except OSError as error:
-        raise ExperimentError(f"cannot read the probes {path}: {error.strerror}") from None
+        raise ExperimentError(f"cannot read {what} {path}: {error.strerror}") from None
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise ExperimentError(f"the probes {path} are UTF-16 text; save them as CSV in UTF-8")
+        raise ExperimentError(f"{what} {path} are UTF-16 text; save them as CSV in UTF-8")
     try:
-        return data.decode("utf-8-sig")
+        lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ExperimentError(
-            f"{path}, line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; save the probes as CSV "
+            f"{path}, line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; save {what} as CSV "
             "in UTF-8"
         ) from None
+    return [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
@@ -136,37 +134,26 @@ def _names(path: Path, number: int, line: str) -> list[str]:
     return names
 
 
-def _value(cell: str) -> float:
-    """The number of a cell; NaN for an empty one."""
-    return float(cell.strip() or "nan")
-
-
 def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArray[np.float64]:
-    """Numbers of all lines, (line, column)."""
-    for number, line in lines:
-        if line.count(",") != len(names) - 1:
+    """Numbers of all lines, (line, column); NaN for empty cells."""
+    table = np.empty((len(lines), len(names)))
+    for row, (number, line) in zip(table, lines):
+        cells = line.split(",")
+        if len(cells) != len(names):
             raise ExperimentError(
-                f"{path}, line {number}: {line.count(',') + 1} values, but the header names {len(names)} "
-                "columns"
+                f"{path}, line {number}: {len(cells)} values, but the header names {len(names)} columns"
             )
-    try:
-        table: NDArray[np.float64] = np.loadtxt(
-            [line for _, line in lines], delimiter=",", comments=None, converters=_value, ndmin=2
-        )
-    except ValueError:
-        table = np.full((len(lines), len(names)), np.inf)
-        for row, (_, line) in zip(table, lines):
-            for k, cell in enumerate(line.split(",")):
-                try:
-                    row[k] = _value(cell)
-                except ValueError:
-                    break
-    if np.isinf(table).any():
-        row, column = np.argwhere(np.isinf(table))[0]
-        number, line = lines[row]
-        cell = line.split(",")[column].strip()
-        remedy = "times are in seconds, frame 0 at 0" if not column else "leave a cell without a value empty"
-        raise ExperimentError(f"{path}, line {number}: {names[column]} is {cell!r}, not a number; {remedy}")
+        for k, cell in enumerate(cells):
+            try:
+                row[k] = float(cell.strip() or "nan")
+            except ValueError:
+                row[k] = np.inf
+        if np.isinf(row).any():
+            k = int(np.argmax(np.isinf(row)))
+            remedy = "leave a cell without a value empty" if k else "times are in seconds, frame 0 at 0"
+            raise ExperimentError(
+                f"{path}, line {number}: {names[k]} is {cells[k].strip()!r}, not a number; {remedy}"
+            )
     return table
 
 
