@@ -27,7 +27,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.viewcode",
-    "sphinx_design",
     "numpydoc",
     "myst_nb",
     "sphinx_gallery.gen_gallery",
