@@ -180,21 +180,7 @@ class Experiment(RecordSection):
             data |= {} if rate is None else {"frame_rate": rate}
         out = load(cls, path, data)
         out._path = path
-        out._refuse_itself()
         return out
-
-    def _refuse_itself(self) -> None:
-        """Refuse a file that names itself where another should be."""
-        named: dict[str, object] = {"rig": self.rig, "rest": self.rest}
-        named |= {f"cameras.{name}.times": camera.times for name, camera in self.cameras.items()}
-        named |= {f"cameras.{name}.images": camera.images for name, camera in self.cameras.items()}
-        backgrounds = self.background if isinstance(self.background, dict) else {"": self.background}
-        named |= {f"background {name}".strip(): file for name, file in backgrounds.items()}
-        named |= {"probes": self.probes.file} if self.probes else {}
-        for key, value in named.items():
-            files = list(value.values()) if isinstance(value, dict) else [value]
-            if any(isinstance(file, str) and self.resolve(file) == self._path for file in files):
-                raise ExperimentError(f"{self._path}: {key} names this file itself; name the file it is in")
 
     @property
     def path(self) -> Path:
