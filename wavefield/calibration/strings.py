@@ -185,8 +185,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Similarity of the light around each node to a disc of even brightness: quality, radius (meshes), grey.
-    Quality: light that the best disc explains over the rest. A disc adds less light to a brighter node.
+    """Disc of uniform brightness that fits the light around each node best: quality, radius (meshes), grey.
+    Quality is the light that the disc explains over the light that it does not.
     """
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]

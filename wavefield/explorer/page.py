@@ -209,7 +209,7 @@ class LookPage:
     # -- actions of the reader -------------------------------------------------------------------------
 
     def change(self, **changed: Any) -> None:
-        """Go to another place."""
+        """Change what the page shows (step, variable, tab, ...) and redraw it."""
         place = replace(self.place, **changed)
         if place != self.place:
             self.place = place

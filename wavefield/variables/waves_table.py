@@ -193,7 +193,7 @@ _SECTION = re.compile(r"/(\w*) \(([\w, ]*)\) ?(\w*)")
 
 
 def _rows(text: str) -> list[Variable]:
-    """Variables of a text table: its first lines describe the form."""
+    """Read variables from the text of `wave_variables.txt`, whose first lines describe its format."""
     rows: list[Variable] = []
     group, dims, dtype = "", (), ""
     for line in text.replace("\n|", " |").splitlines():
