@@ -6,7 +6,6 @@ long it keeps its value.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,6 @@ from scipy import fft, ndimage
 
 from wavefield.variables import annotate
 from wavefield.water import dispersion, group_velocity
-from wavefield.waves import rings
-from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.welch import (
     CORRELATED_CELLS,
     LEAST_COUNT,
@@ -61,19 +58,6 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
     return np.asarray(out)
 
 
-def independent_cells(energy: xr.DataArray, cells: xr.DataArray, table: rings.Rings) -> xr.DataArray:
-    """Number of independent cells in a sum over rings, (...), from energies and cells per ring, (..., k)."""
-    share = energy / energy.sum("k")
-    # neighbouring rings share cells: correlated as for even energy, with the variance that each has
-    share = share * (xr.DataArray(1 / np.diag(table.overlap), dims="k") / cells) ** 0.5
-    overlap = xr.DataArray(table.overlap, dims=("k", "k2"))
-    norm = xr.dot(
-        share, overlap, share.rename(k="k2").drop_vars(["k2", "cycles"], errors="ignore"), dim=["k", "k2"]
-    )
-    out: xr.DataArray = 1 / norm
-    return out
-
-
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
     """Put a spectrum, its degrees of freedom and its interval together."""
     dof = dof.clip(min=1)
@@ -82,13 +66,6 @@ def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
         for i in (0, 1)
     )
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
-
-
-def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray | float = 1.0) -> xr.DataArray:
-    """Effective number of independent samples of a record in time, (sum S)^2 / sum S^2, from (omega, ...)."""
-    step = float(energy["omega"][1] - energy["omega"][0])
-    squares = (energy**2 / cells).sum("omega")
-    return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * squares.where(squares > 0))
 
 
 FREQUENCIES_PER_LINE = 2
@@ -280,11 +257,10 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: boo
     Expected from cells (`Welch.freedom`) and correlation (`correlation_of`), corrected by the measured
     variance.
     """
-    cells = welch.freedom(sums[name])
+    cells, power = welch.freedom(sums[name]), sums[name][0]
     if welch.count < LEAST_COUNT:
-        rings, lines = cells.shape
-        return {"both": cells, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
-    power = sums[name][0]
+        found = {"both": cells} | freedom_of_sums(power, cells, welch)
+        return limited_by_record(found, sums, name, cells, welch)
     independent = cells * (1 + (1 - 1 / welch.count) / 18)  # of segments that are
     starts, powers = _series(sums, name)
     between, together = _variances(powers, starts, welch)
@@ -392,8 +368,8 @@ def independent_samples(
     coherence = np.divide(real**2 + imaginary**2, product, out=np.zeros_like(power), where=there)
     squares = 2 * sums[f"squares {first}*{second}"] / (1 + coherence)
     cells = np.divide(product, welch.count * squares, out=np.ones_like(power), where=squares > 0).clip(1)
-    of_both = zip(correlation_of(sums[first][0], welch), correlation_of(sums[second][0], welch))
-    correlation, of_sums = (np.sqrt(one * other) for one, other in of_both)
+    of_both = (correlation_of(sums[name][0], welch)[0] for name in (first, second))
+    correlation = np.sqrt(np.prod([*of_both], axis=0))
     product_of_k = sums[first][0].sum(axis=1) * sums[second][0].sum(axis=1)
     apart = np.divide(
         product_of_k, power.sum(axis=1) ** 2, out=np.ones_like(product_of_k), where=product_of_k > 0
@@ -401,8 +377,6 @@ def independent_samples(
     if "nl" not in (first, second):
         both = welch.count * cells / correlation
         of_k = apart * np.sqrt(dof_k[0] * dof_k[1]) / 2
-        if welch.count < LEAST_COUNT:
-            of_k = apart * freedom_of_sums(power, 2 * welch.count * cells / of_sums, welch)["k"] / 2
         return {"both": both.clip(1, None), "k": of_k.clip(1, None)}
     correlation = np.minimum(correlation, 1 + (1 - 1 / welch.count) / 3)
     # of segments that are independent, and of those of a sum in proportion to their share of its variance
@@ -527,6 +501,3 @@ def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
     weight = ndimage.uniform_filter(valid.astype(float), size, mode="nearest")
     mean = ndimage.uniform_filter(np.where(valid, values, 0.0), size, mode="nearest")
     return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
-
-
-register(WaveProduct("cell_dof", ("ring_sums", "welch"), partial(cell_freedom, "w")))

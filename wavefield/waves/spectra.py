@@ -25,11 +25,9 @@ from wavefield.waves import kernels, rings
 from wavefield.waves.dof import (
     accumulate,
     cell_freedom,
-    independent_cells,
     keep_lines,
     keep_points,
     ring_freedom,
-    samples_in_time,
     with_interval,
 )
 from wavefield.waves.inputs import (
@@ -49,7 +47,6 @@ from wavefield.waves.welch import (
     Link,
     TimeTransform,
     Welch,
-    effective_duration,
     inner,
     interval,
     k_coords,
@@ -384,11 +381,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     """
     step = float(field["k"][1] - field["k"][0])
     energy = field["E_nodes"] if "E_nodes" in field else field["E"].sum("k", dtype=np.float64) * step
-    single = float(field.attrs["degrees_of_freedom"])
-    table = rings.rings(*field.attrs["nodes"], *field.attrs["node_step"], step)
-    theory = single * independent_cells(field["E"], field["dof"] / single, table)
-    dof = field["dof_omega"].fillna(theory) if "dof_omega" in field else theory
-    out = with_interval(energy, dof)
+    out = with_interval(energy, field["dof_omega"])
     added = float(field.attrs.get("filled_density", 0.0))
     out["valid"] = xr.DataArray(inner(out.sizes["omega"]), dims="omega")
     if added:
@@ -428,10 +421,7 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     ('k',)
     """
     step = float(field["omega"][1] - field["omega"][0])
-    duration = effective_duration(field.attrs["segments"], field.attrs["segment"] * field.attrs["dt"])
-    cells = field["dof"] / field.attrs["degrees_of_freedom"]
-    theory = 2 * samples_in_time(field["E"], duration, cells).clip(min=1)
-    out = with_interval(field["E"].sum("omega") * step, field["dof_k"].fillna(theory))
+    out = with_interval(field["E"].sum("omega") * step, field["dof_k"])
     out = annotate(out)
     units = product((field["E"].attrs.get("units", "1"), 1), (OMEGA_UNITS, 1))
     out["E"].attrs = TABLE["frequency/E"].of(_of_what(field), units)
