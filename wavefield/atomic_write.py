@@ -73,6 +73,13 @@ def read_mark(path: Path) -> Product | None:
         return None
 
 
+def has_mark(store: Path) -> bool:
+    """Whether a Zarr store claims to be a product of this program."""
+    with suppress(OSError):
+        return MARK_ATTRIBUTE.encode() in (store / "zarr.json").read_bytes()
+    return False
+
+
 def write_mark(path: Path, product: Product) -> None:
     """Add the mark of a product to a finished file or Zarr store."""
     if path.is_dir():

@@ -11,6 +11,7 @@ import time
 import zipfile
 
 import pytest
+import xarray as xr
 import yaml
 
 import wavefield as wf
@@ -200,9 +201,13 @@ def test_devices_are_refused_before_they_are_opened(lab, capsys, words):
 def test_smoothed_fields_and_waves_are_verified(lab, capsys, name):
     assert command("smooth", "cube.zarr") == 0
     assert command("verify", name) == 0
+    if name == "smooth.zarr":
+        assert xr.open_dataset(name, engine="wavefield").z.notnull().any()
     next(file for file in (lab / name).rglob("c/*") if file.is_file()).unlink()
     assert command("verify", name) == 1
     assert "not as it was written" in capsys.readouterr().out
+    with pytest.raises(StoreError, match="is not as it was written"):
+        xr.open_dataset(name, engine="wavefield")
 
 
 @pytest.mark.parametrize(

@@ -185,7 +185,7 @@ def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | Non
 def smooth(store: Path, output: Path | None) -> None:
     """Smooth z, u, v, w over time by free waves.
 
-    Writes a Zarr store of the same variables with their standard uncertainties; `xarray.open_zarr` reads it.
+    Writes a Zarr store of the same variables with their standard uncertainties; xarray reads it.
     Spectra are made of the cube itself.
     """
     from wavefield.pipeline.analysis import write_smoothed

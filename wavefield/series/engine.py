@@ -10,6 +10,8 @@ import xarray as xr
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
+from wavefield.atomic_write import has_mark, read_mark
+from wavefield.errors import StoreError
 from wavefield.series.clocks import frame_departures
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
@@ -77,10 +79,11 @@ class ExperimentBackend(BackendEntrypoint):
         group: str | None = None,
         folder: str | None = None,
     ) -> xr.Dataset:
-        """Open one camera (``group="cam1"``), or all as variables named after the cameras; or a cube."""
+        """Open one camera (``group="cam1"``), all as variables of their names, a cube, or smoothed fields."""
         path = Path(str(filename_or_obj).removeprefix("file://"))
         if path.is_dir() or path.suffix == ".zarr":
-            return _cube(path).drop_vars(_listed(drop_variables))
+            found = _smoothed(path) if has_mark(path) else _cube(path)
+            return found.drop_vars(_listed(drop_variables))
         groups = self.open_groups_as_dict(filename_or_obj, folder=folder)
         root = groups.pop("/")
         name = (group or "").strip("/")
@@ -138,6 +141,16 @@ def _cube(path: Path) -> xr.Dataset:
             steps = {"time": int(cube.attrs["steps_per_block"])}
             variable.encoding["preferred_chunks"] = {**dict(zip(variable.dims, variable.shape)), **steps}
     return cube
+
+
+def _smoothed(path: Path) -> xr.Dataset:
+    """Smoothed fields, all as they were written: Zarr would take a lost file for missing values."""
+    mark = read_mark(path)
+    if mark is None or mark.kind != "smoothed fields":
+        what = "is not as it was written: make it again" if mark is None else f"is a {mark.kind}"
+        raise StoreError(f"{path} {what}; this engine opens cubes and what `wavefield smooth` wrote")
+    found: xr.Dataset = xr.open_zarr(path, chunks=None)
+    return found
 
 
 def _listed(names: str | Iterable[str] | None) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.atomic_write import MARK_ATTRIBUTE, read_mark
+from wavefield.atomic_write import has_mark, read_mark
 from wavefield.errors import StoreError
 from wavefield.store.layout import CHUNKED, CubeGroup, StoreLayout, chunk_path
 from wavefield.store.read import find_store, is_cube, open_group, open_stored, read_layout
@@ -104,7 +104,7 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     [('z', 'missing')]
     """
     path = find_store(store)
-    if path.is_dir() and not is_cube(path) and _has_mark(path):
+    if path.is_dir() and not is_cube(path) and has_mark(path):
         sound = read_mark(path) is not None
         return Verification(path, damages=() if sound else (Damage("", 0, 0, "not as it was written"),))
     group = open_group(path)
@@ -123,13 +123,6 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
         reset_chunks(path, sorted({damage.start for damage in damages}))
         marked = True
     return Verification(path, layout.steps, done, tuple(damages), marked)
-
-
-def _has_mark(path: Path) -> bool:
-    """Whether a Zarr store claims to be a product of this program."""
-    with suppress(OSError):
-        return MARK_ATTRIBUTE.encode() in (path / "zarr.json").read_bytes()
-    return False
 
 
 def _damages(
