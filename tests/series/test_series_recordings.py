@@ -13,7 +13,7 @@ from wavefield.errors import ExperimentError, FrameError
 from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.formats import open_recording
-from wavefield.series.formats.recording import packed, plain
+from wavefield.series.formats.recording import pixels
 from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files, read_entry
 
@@ -136,16 +136,16 @@ def test_images_come_back_to_the_bit_in_any_order(recording):
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 7), (17, 61), (40, 64), (300, 1001)])
 def test_packed_pixels_of_any_number_are_taken_apart(bits, shape):
     image = np.random.default_rng(bits).integers(0, 1 << bits, shape)
-    np.testing.assert_array_equal(packed(shape, bits)(BytesIO(pack(image, bits))), image)
+    np.testing.assert_array_equal(pixels(shape, bits)[0](BytesIO(pack(image, bits))), image)
 
 
 def test_a_large_image_whose_lowest_row_comes_first_is_turned():
     image = np.random.default_rng(3).integers(0, 1 << 16, (300, 1001)).astype("<u2")
     np.testing.assert_array_equal(
-        plain(image.shape, "<u2", upside_down=True)(BytesIO(image[::-1].tobytes())), image
+        pixels(image.shape, 16, upside_down=True)[0](BytesIO(image[::-1].tobytes())), image
     )
     with pytest.raises(EOFError):
-        plain(image.shape, "<u2", upside_down=True)(BytesIO(image[1:].tobytes()))
+        pixels(image.shape, 16, upside_down=True)[0](BytesIO(image[1:].tobytes()))
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,7 @@ from wavefield.series.formats.recording import (
     checked_shape,
     complete_images,
     no_times,
-    packed,
-    packed_bytes,
-    plain,
+    pixels,
 )
 
 _HEADER = struct.Struct("<2sHHHiIiIIIIII")  # CINEFILEHEADER
@@ -53,11 +51,10 @@ def open_cine(path: Path) -> Recording:
         times = _times(stream, at_setup, at_offsets)
     shape = checked_shape(path, width, abs(height))
     if code in _PACKED:
-        take, each = packed(shape, _PACKED[code]), packed_bytes(shape, _PACKED[code])
+        take, each = pixels(shape, _PACKED[code])
     elif code == 0 and depth in (8, 16):
         # as in Windows' bitmaps the lowest row comes first, unless the height is negative
-        take = plain(shape, "u1" if depth == 8 else "<u2", upside_down=height > 0)
-        each = shape[0] * shape[1] * depth // 8
+        take, each = pixels(shape, depth, upside_down=height > 0)
     else:
         raise FrameError(f"{path} holds images of {depth} bits of kind {code}: export them as grey TIFF")
 

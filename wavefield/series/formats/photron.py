@@ -10,9 +10,7 @@ from wavefield.series.formats.recording import (
     Recording,
     checked_shape,
     complete_images,
-    packed,
-    packed_bytes,
-    plain,
+    pixels,
 )
 
 _NEEDED = ("Total Frame", "Image Width", "Image Height", "Color Bit")
@@ -33,8 +31,8 @@ def open_photron(path: Path) -> Recording:
     note = _with_ending(path, ".cihx", ".cih", ".CIHX", ".CIH")
     if note is None:
         raise FrameError(f"{path} has no .cihx or .cih next to it, which states how large its images are")
-    pixels = _with_ending(path, ".mraw", ".MRAW")
-    if pixels is None:
+    raw = _with_ending(path, ".mraw", ".MRAW")
+    if raw is None:
         raise FrameError(f"{path} has no .mraw next to it: save the recording as MRAW")
     stated = _read_xml(note) if note.suffix.lower() == ".cihx" else _read_text(note)
     missing = [name for name in _NEEDED if name not in stated]
@@ -45,19 +43,16 @@ def open_photron(path: Path) -> Recording:
     except ValueError:
         raise FrameError(f"{note} states sizes that are not integers: it is damaged") from None
     shape = checked_shape(note, width, height)
-    if bits in (8, 16):
-        take, each = plain(shape, "u1" if bits == 8 else "<u2"), shape[0] * shape[1] * bits // 8
-    elif bits in (10, 12):
-        take, each = packed(shape, bits), packed_bytes(shape, bits)
-    else:
+    if bits not in (8, 10, 12, 16):
         raise FrameError(f"{note}: images of {bits} bits a pixel are not read; save them in grey")
+    take, each = pixels(shape, bits)
 
     def start(index: int) -> int:
         return index * each
 
-    complete = complete_images(pixels, count, start, each)
+    complete = complete_images(raw, count, start, each)
     rate, first = _number(stated.get("Record Rate(fps)")), _number(stated.get("Start Frame"))
-    return RawRecording(pixels, complete, shape, start, take, rate, int(first or 0))
+    return RawRecording(raw, complete, shape, start, take, rate, int(first or 0))
 
 
 def _with_ending(path: Path, *endings: str) -> Path | None:

@@ -102,18 +102,6 @@ def usual_interval(times: Times) -> float:
     return float(intervals[np.abs(intervals / middle - 1.0) < 0.5].mean()) if middle > 0 else 0.0
 
 
-def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> Callable[[Stream], Pixels]:
-    """Reader of complete bytes: straight into the image."""
-
-    def take(stream: Stream) -> Pixels:
-        out = np.empty(shape, dtype)
-        fill(out, stream)
-        out = np.ascontiguousarray(out[::-1]) if upside_down else out
-        return out.astype(out.dtype.newbyteorder("="), copy=False)
-
-    return take
-
-
 def refuse_index(index: int, count: int, path: Path) -> None:
     """Refuse the number of an image that a recording does not have."""
     if not 0 <= index < count:
@@ -135,18 +123,21 @@ def complete_images(path: Path, count: int, start: Callable[[int], int], each: i
     return complete
 
 
-def packed(shape: tuple[int, int], bits: int) -> Callable[[Stream], Pixels]:
-    """Reader of pixels of 10 or 12 bits one after another, the highest bit first."""
-    count, size = shape[0] * shape[1], packed_bytes(shape, bits)
+def pixels(
+    shape: tuple[int, int], bits: int, *, upside_down: bool = False
+) -> tuple[Callable[[Stream], Pixels], int]:
+    """Reader of an image and its bytes in the file: whole bytes for 8 and 16 bits, else packed.
+    Packed pixels follow one another with the highest bit first.
+    """
+    count = shape[0] * shape[1]
+    size = (count * bits + 7) // 8
 
     def take(stream: Stream) -> Pixels:
         raw = np.empty(size, np.uint8)
         fill(raw, stream)
+        if bits in (8, 16):
+            out = raw.view("u1" if bits == 8 else "<u2").reshape(shape)
+            return np.ascontiguousarray(out[::-1] if upside_down else out, out.dtype.newbyteorder("="))
         return np.asarray(imagecodecs.packints_decode(raw.tobytes(), np.uint16, bits))[:count].reshape(shape)
 
-    return take
-
-
-def packed_bytes(shape: tuple[int, int], bits: int) -> int:
-    """Bytes of the packed pixels of an image."""
-    return (shape[0] * shape[1] * bits + 7) // 8
+    return take, size

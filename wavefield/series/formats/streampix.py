@@ -13,7 +13,7 @@ from wavefield.series.formats.recording import (
     checked_shape,
     complete_images,
     no_times,
-    plain,
+    pixels,
 )
 
 _MAGIC = 0xFEED
@@ -34,7 +34,7 @@ def open_streampix(path: Path) -> Recording:
         raise FrameError(
             f"{path} holds images of kind {kind} with {depth} bits: export them uncompressed, in grey"
         )
-    each = width * height * depth // 8
+    take, each = pixels(shape, depth)
     if size != each or stride < each:
         raise FrameError(f"{path} holds compressed images, or its header is damaged: export it uncompressed")
     begin = 8192 if version >= 5 else 1024
@@ -53,6 +53,5 @@ def open_streampix(path: Path) -> Recording:
         return out
 
     complete = complete_images(path, count, start, each)
-    take = plain(shape, "u1" if depth == 8 else "<u2")
     stamps = times if stride >= each + 8 else no_times
     return RawRecording(path, complete, shape, start, take, rate if 0 < rate < 1e7 else None, times=stamps)
