@@ -68,9 +68,9 @@ class Frame(NamedTuple):
         The same in a sentence that names the file; empty where nothing is wrong.
     """
 
-    image: np.ndarray | None  # None where there is no image
-    fault: FrameFault  # NONE, or what is wrong
-    message: str  # The same in a sentence that names the file; empty where nothing is wrong
+    image: np.ndarray | None
+    fault: FrameFault
+    message: str
 
 
 @dataclass(frozen=True)
@@ -101,15 +101,13 @@ class FrameSeries:
     """
 
     camera: str
-    first: int  # Frame number of index 0
-    entries: Sequence[FrameEntry | None] = field(repr=False)  # In order; None where one is missing
-    shape: tuple[int, int]  # (rows, columns) that every frame must have
-    dtype: str  # Type that every frame must have
-    mask: CameraMask | None = None  # Pixels that do not count
-    beyond: tuple[int, int] = (0, 0)  # Frames before and after those that the cameras share
-    # (n,): Time of each frame by the camera's own clock, s; NaN where it is missing
+    first: int
+    entries: Sequence[FrameEntry | None] = field(repr=False)
+    shape: tuple[int, int]
+    dtype: str
+    mask: CameraMask | None = None
+    beyond: tuple[int, int] = (0, 0)
     times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
-    # (row, column): Subtracted from every frame, which does not get below 0
     background: NDArray[Any] | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
