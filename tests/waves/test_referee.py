@@ -114,15 +114,3 @@ def test_a_depth_that_is_none_is_refused():
     cube = linear_cube(random_waves(n=20), 64, 20, 24, dx=0.03)
     with pytest.raises(CubeError, match="depth of the water is 0"):
         wv.analyze(cube, depth=0.0)
-
-
-def test_older_cubes_state_by_an_attribute_what_their_velocities_come_from():
-    waves = random_waves(n=20, highest=5.0, power=3)
-    new = linear_cube(waves, 120, 16, 20, dx=0.02, frames=4)
-    bare, old = (new.drop_vars("path_frames").copy(deep=True) for _ in range(2))
-    for name in ("z_t", "u", "v", "w"):
-        old[name].attrs["frames"] = 4
-    spectra = [wv.cross_spectra(cube, ("z",), segment=40).E_z for cube in (new, old)]
-    np.testing.assert_array_equal(*spectra)
-    # without either they are displacements over a step
-    assert not np.array_equal(wv.cross_spectra(bare, ("z",), segment=40).E_z, spectra[0])

@@ -1,8 +1,11 @@
 """``cube.waves``: the estimators as methods of a cube."""
 
+from collections.abc import Callable
 from typing import Any
 
 import xarray as xr
+
+from wavefield import waves
 
 
 @xr.register_dataset_accessor("waves")
@@ -32,69 +35,23 @@ class WavesAccessor:
     def __init__(self, cube: xr.Dataset) -> None:
         self._cube = cube
 
-    def spectrum(self, field: str = "w", **options: Any) -> xr.Dataset:
-        """E(omega, ky, kx) of a field, as `wavefield.spectrum` returns it."""
-        from wavefield.waves import spectrum
 
-        return spectrum(self._cube[field], **options)
+def _method(name: str, field: str | None) -> Callable[..., Any]:
+    """The estimator of that name as a method: of a field, which comes first, or of the cube."""
 
-    def komega(self, field: str = "w", **options: Any) -> xr.Dataset:
-        """E(omega, k) of a field, as `wavefield.komega` returns it."""
-        from wavefield.waves import komega
+    def of_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
+        return getattr(waves, name)(self._cube, *args, **options)
 
-        return komega(self._cube[field], **options)
+    def of_field(self: WavesAccessor, field: str | None = field, **options: Any) -> Any:
+        return getattr(waves, name)(self._cube[field], **options)
 
-    def structure_functions(self, field: str = "z", **options: Any) -> xr.Dataset:
-        """Moments of the increments of a field, as `wavefield.structure_functions` returns them."""
-        from wavefield.waves import structure_functions
+    method = of_field if field else of_cube
+    method.__name__ = name
+    method.__doc__ = f"As `wavefield.{name}` of {'a field' if field else 'the cube'} returns it."
+    return method
 
-        return structure_functions(self._cube[field], **options)
 
-    def fit_dispersion(self, **options: Any) -> xr.Dataset:
-        """Current and surface tension, as `wavefield.fit_dispersion` returns them."""
-        from wavefield.waves import fit_dispersion
-
-        cube: Any = self._cube
-        return fit_dispersion(cube, **options)
-
-    def directions(self, frequency: Any = None, **options: Any) -> xr.Dataset:
-        """Directional spectrum, as `wavefield.directions` returns it."""
-        from wavefield.waves import directions
-
-        return directions(self._cube, frequency, **options)
-
-    def kinematics(self, **options: Any) -> xr.Dataset:
-        """Slopes, nonlinear term and residual, as `wavefield.kinematics` returns them."""
-        from wavefield.waves import kinematics
-
-        return kinematics(self._cube, **options)
-
-    def coherence(self, **options: Any) -> xr.Dataset:
-        """Coherence of z_t with w and the nonlinear term, as `wavefield.coherence` returns it."""
-        from wavefield.waves import coherence
-
-        return coherence(self._cube, **options)
-
-    def statistics(self, **options: Any) -> xr.Dataset:
-        """Moments and densities, as `wavefield.statistics` returns them."""
-        from wavefield.waves import statistics
-
-        return statistics(self._cube, **options)
-
-    def crest_statistics(self, **options: Any) -> xr.Dataset:
-        """Crests and troughs, as `wavefield.crest_statistics` returns them."""
-        from wavefield.waves import crest_statistics
-
-        return crest_statistics(self._cube, **options)
-
-    def phase_average(self, *args: Any, **options: Any) -> xr.Dataset:
-        """Average over the phase of a periodic wave, as `wavefield.phase_average` returns it."""
-        from wavefield.waves import phase_average
-
-        return phase_average(self._cube, *args, **options)
-
-    def analyze(self, **options: Any) -> xr.DataTree:
-        """All products of an analysis, as `wavefield.analyze` returns them."""
-        from wavefield.waves import analyze
-
-        return analyze(self._cube, **options)
+_FIELDS = {"spectrum": "w", "komega": "w", "structure_functions": "z"}  # of one field: the default
+_CUBE = "fit_dispersion directions kinematics coherence statistics crest_statistics phase_average analyze"
+for _name in (*_FIELDS, *_CUBE.split()):
+    setattr(WavesAccessor, _name, _method(_name, _FIELDS.get(_name)))

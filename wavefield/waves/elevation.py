@@ -518,7 +518,6 @@ def from_spectra(
         parts = annotate(parts.drop_vars("omega").rename({"E": f"Ez_{method}"} | names), "spectra")
         out = out.assign(parts.data_vars)
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
-    out["noise_z_fit"], out["noise_w_fit"] = ("omega", fit_z), ("omega", fit_w)
     out["weight_z"], out["wiener"] = ("omega", weight), ("omega", positive / (positive + remaining))
     if trusted_k is not None:
         out = out.assign_coords(k_coords(spectra.k))
@@ -633,7 +632,7 @@ def fused_spectra(
     -------
     Dataset
         ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``,
-        ``high_``, ``valid_``; ``noise_z``, ``noise_w`` and their fits; ``weight_z``, ``wiener`` (omega);
+        ``high_``, ``valid_``; ``noise_z``, ``noise_w``; ``weight_z``, ``wiener`` (omega);
         ``sigma_z``, ``sigma_dz`` (m), NaN where segments are too short to tell noise from waves;
         ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
         (source); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.

@@ -511,7 +511,7 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     stated = {str(one.attrs[VELOCITY]) for one in (fields, *arrays) if VELOCITY in one.attrs}
     if stated:
         return frames_of_meaning(*sorted(stated))
-    return max((int(array.attrs.get("frames", 2)) for array in arrays), default=2)
+    return 2
 
 
 def frames_of_meaning(*stated: str) -> int:
@@ -528,7 +528,7 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
     cube = with_stated(cube)
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
     stated = "path_frames" in cube.coords or any(
-        key in one.attrs for one in (cube, *arrays) for key in (VELOCITY, "frames", "recipe")
+        key in one.attrs for one in (cube, *arrays) for key in (VELOCITY, "recipe")
     )
     if meaning is None:
         note = (
