@@ -101,21 +101,6 @@ def test_lines_and_tabs_in_a_description_are_kept(tmp_path):
     assert loaded(tmp_path, "rig:", 'description: "one\\ntwo\\tthree"\nrig:').description == "one\ntwo\tthree"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "key"),
-    [
-        ("rig: rig.yaml", "rig: experiment.yaml", "rig"),
-        ("rig: rig.yaml", "rig: {cam1: experiment.yaml}", "rig"),
-        ("rig: rig.yaml", "probes: experiment.yaml", "probes"),
-        ("rig: rig.yaml", "rest: ./experiment.yaml", "rest"),
-        ('"cam1/img_{frame}.tif"', "experiment.yaml", "cameras.cam1.images"),
-        ('.tif"}', '.tif", times: experiment.yaml}', "cameras.cam1.times"),
-    ],
-)
-def test_a_file_that_names_itself_is_refused(tmp_path, old, new, key):
-    assert f"{key} names this file itself" in complaint(tmp_path, old, new)
-
-
 def test_files_that_refer_to_each_other_are_refused(tmp_path):
     assert "points to itself" in complaint(tmp_path, text="experiment: experiment.yaml\n")
     (tmp_path / "b.yaml").write_text("experiment: experiment.yaml\nfolder: images\n")
