@@ -165,7 +165,7 @@ def test_check_compares_the_pairs_of_cameras(folder, checked):
 def test_calibration_without_images_names_what_is_missing(folder, tmp_path, capsys):
     block = yaml.safe_load((folder / "experiment.yaml").read_text())["calibration"]
     lost = {"tilted": "calib/{camera}/tilt_*.tif", "flat": "calib/{camera}/lost.tif"}
-    changed = _changed(folder, tmp_path, calibration=block | lost)
+    changed = _changed(folder, tmp_path, calibration=block | lost, rig=str(tmp_path / "rig.yaml"))
     assert main(["-q", "calibrate", changed]) == 1
     assert "calib/{camera}/lost.tif" in capsys.readouterr().err
 
