@@ -108,7 +108,7 @@ def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
     assert main(["status", str(folder)]) == 0  # the cube of a folder
     out = capsys.readouterr().out
     assert "17 of 17 steps (100 %)" in out
-    assert out.endswith(f"Next: wavefield analyze {folder / 'cube.zarr'}\n")
+    assert out.endswith(f"Next: wavefield look {folder / 'cube.zarr'}\n")  # waves and report are there
     assert not (folder / "waves.log").exists()  # one process analysed it
 
 

@@ -28,6 +28,8 @@ from wavefield.commands.sources import (
 from wavefield.store.store_paths import beside
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from wavefield.series import Experiment
     from wavefield.store.ledger import Status
 
@@ -147,10 +149,17 @@ def run(
 
 
 def _after(found: Status, measured_now: bool = False) -> str:
-    """The command that follows a run: analyze, or report if that was done or a light sheet has no waves."""
-    remarks = found.verdict.remarks if found.verdict else ()
-    analysed = not measured_now and beside(found.store, "waves", ".zarr").exists()
-    return "report" if analysed or any(one.kind == "light sheet" for one in remarks) else "analyze"
+    """The command that follows a run; a light sheet has no waves to analyse."""
+    sheet = found.verdict and any(one.kind == "light sheet" for one in found.verdict.remarks)
+    if measured_now:
+        return "report" if sheet else "analyze"
+    return _not_done(found.store, ("report",) if sheet else ("analyze", "report"))
+
+
+def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> str:
+    """The first command whose product is not beside a cube; look if all are."""
+    product = {"analyze": ("waves", ".zarr"), "report": ("report", ".html")}
+    return next((name for name in commands if not beside(cube, *product[name]).exists()), "look")
 
 
 @click.command(epilog="\b\nExamples:\n  wavefield status cube.zarr\n  wavefield status .")
@@ -194,8 +203,7 @@ def verify(context: click.Context, source: campaign_commands.CommandSource) -> N
             found = verify_store(cube, progress)
         click.echo(str(found))
         if found.steps:
-            following = "report" if beside(cube, "waves", ".zarr").exists() else "analyze"
-            print_next(following if found.sound else "run", cube)
+            print_next(_not_done(cube) if found.sound else "run", cube)
         return 0 if found.sound else 1
 
     context.exit(source.for_each_cube(work))
