@@ -92,11 +92,11 @@ def cube() -> str:
         *(("camera_shift",), tuple(f"gain/gain_{name}" for name in "zuvw")),
     )
     rows = [
-        (line[0], line[1] or "-", TABLE[names[0]].dtype, line[2])
+        (line[0], line[1] or "-", line[2])
         for names in lines
         for line in [_line([TABLE[name] for name in names], usual=CUBE_DIMS)]
     ]
-    return rows_to_table(("variable", "units", "type", "meaning"), rows)
+    return rows_to_table(("variable", "units", "meaning"), rows)
 
 
 def frames() -> str:
@@ -125,25 +125,21 @@ def flags(meanings: dict, name: str) -> str:
 
 
 def waves() -> str:
-    """Groups of a wave store. Variables that need no more than their long names are listed by name only."""
+    """Groups of a wave store, with the variables that need more than their long names."""
     parts = []
     for group, words in GROUPS.items():
         families: dict[str, list[Variable]] = {}
         for row in rows_of(group):
             families.setdefault(row.family or row.name, []).append(row)
-        lines, plain = [], []
+        lines = []
         for name, rows in families.items():
             if INTERVAL.search(name) or "standard uncertainty" in rows[0].long_name:
                 continue  # the page explains them once
-            variable, unit, meaning = _line(rows, name)
-            unit = unit and f" ({unit})"
-            if not any(row.meaning for row in rows) and group != "spectra":
-                plain.append(variable + unit)
-            else:
-                lines.append((variable, meaning + unit))
+            if any(row.meaning for row in rows) or group == "spectra":
+                variable, unit, meaning = _line(rows, name)
+                lines.append((variable, meaning + (unit and f" ({unit})")))
         table = rows_to_table(("variable", "meaning (units)"), lines) + "\n" if lines else ""
-        also = f"\n{'Also ' if lines else ''}{'; '.join(plain)}.\n" if plain else ""
-        parts.append(f"## `/{group}`\n\n{words}\n\n{table}{also}")
+        parts.append(f"## `/{group}`\n\n{words}\n\n{table}")
     return "\n".join(parts)
 
 
@@ -169,7 +165,7 @@ def _type(annotation: Any) -> str:
         return "list"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "section"
-    return {str: "text", int: "whole number", float: "number", bool: "true or false"}.get(annotation, "text")
+    return {str: "text", int: "integer", float: "number", bool: "true or false"}.get(annotation, "text")
 
 
 def _default(value: object) -> str:
@@ -182,8 +178,10 @@ Row = tuple[str, str, str]
 
 
 def _value(kind: str, needed: bool, default: object) -> str:
-    """Type and default of a key: "number, needed", "number, `0.5`", "text"."""
+    """Default of a key, or its type where it has none or a choice: "number, needed", "`0.5`", "text"."""
     shown = "needed" if needed else _default(default)
+    if isinstance(default, (int, float, tuple)) and shown:
+        return shown
     return ", ".join(part for part in (kind, shown) if part)
 
 
@@ -243,7 +241,7 @@ def settings(kind: type, *presets: object) -> list[Row]:
         value = _value(declared, field.default is dataclasses.MISSING, field.default)
         if presets:
             defaults = (_default(getattr(one, field.name)) for one in presets)
-            value = f"{declared}, {' and '.join(dict.fromkeys(defaults))}"
+            value = " and ".join(dict.fromkeys(defaults))
         rows.append((f"`{field.name}`", value, meaning))
     return rows
 
