@@ -38,10 +38,9 @@ QUALITY = {
     Quality.REJECTED_NEIGHBOURS: "far from its neighbours",
     Quality.REJECTED_RANGE: "outside the range searched, or far above the waves sampled",
     Quality.TWO_FRAME_MEAN: "z or a path from fewer than four frames",
-    Quality.FEWER_CAMERAS: "measured without a camera, whose frame is missing or contradicts the others",
+    Quality.FEWER_CAMERAS: "measured without a camera",
     Quality.MASKED: "masked, or hidden from the cameras by a mask",
-    Quality.WITHOUT_1: "measured without the first of the cube's `cameras`; the next four bits: without the"
-    " second to the fifth",
+    Quality.WITHOUT_1: "without the first of the cube's `cameras`; next four bits: second to fifth",
     Quality.WITHOUT_6: "without the sixth, or one behind it",
 }
 STATUS = {
@@ -55,8 +54,8 @@ STATUS = {
 
 def rows_to_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     """A Markdown table."""
-    lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    first, *lines = ("| " + " | ".join(line) + " |" for line in (head, *rows))
+    return "\n".join([first, "|---" * len(head) + "|", *lines])
 
 
 def _line(rows: list[Variable], name: str = "", usual: tuple[str, ...] = ()) -> tuple[str, str, str]:
@@ -214,7 +213,7 @@ def keys(model: type[BaseModel], prefix: str = "", shown: str = "") -> list[Row]
         row = (f"`{key}`", _value(_type(field.annotation), field.is_required(), default), meaning)
         if rows and rows[-1][1:] == row[1:]:
             rows[-1] = (f"{rows[-1][0]}, {row[0]}", *row[1:])
-        elif row[1] != "section":  # its keys say what it is
+        elif row[1] not in ("section", "one section per name, needed"):  # its keys say what it is
             rows.append(row)
         for section in inner:
             rows += keys(section, f"{key}.NAME." if per_name else f"{key}.", shown + example)
@@ -232,7 +231,8 @@ def settings(kind: type, *presets: object) -> list[Row]:
         names, _, rest = entry.partition(" : ")
         declared, *words = rest.splitlines()
         for name in names.split(", "):
-            meanings[name] = declared.replace(", optional", ""), " ".join(word.strip() for word in words)
+            declared = re.sub(", optional| or None", "", declared)
+            meanings[name] = declared, " ".join(word.strip() for word in words)
     rows: list[Row] = []
     for field in dataclasses.fields(kind):
         if field.name in ("stereo", "piv"):

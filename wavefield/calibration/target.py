@@ -36,13 +36,12 @@ class Target:
     Parameters
     ----------
     kind : {"strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level", "points"}
-        What the target shows; points: tables of positions in place of images.
+        What the target shows.
     mesh : float
         Distance between neighbouring nodes, m. AprilGrid: a tag and its gap; two-level: between rows, half of
         that between dots of a row; points: unit of the tables (0.001 for mm).
     shape : tuple of int, optional
-        Nodes along x and y: inner corners (chessboard), squares (ChArUco), tags (AprilGrid). Not needed for
-        strings and marked dots.
+        Nodes along x and y: inner corners (chessboard), squares (ChArUco), tags (AprilGrid).
     origin_mark : str
         Mark of node (0, 0): disc (strings), square (two-level), ring or odd dot (dots). Rings replace three
         dots: at the origin and further along x and y. With an odd dot x is to the right in the image.
@@ -50,7 +49,7 @@ class Target:
         Small disc (strings): node (1, 0). Triangle (two-level): further along x, or at (1, 0) if both marks
         are between the dots, with the square at (0, 1).
     diameter : float, optional
-        Diameter of a dot, m; removes the bias of its centroid in perspective.
+        Diameter of a dot, m.
     dictionary : str
         OpenCV's name of the markers; default DICT_4X4_50 (ChArUco), DICT_APRILTAG_36h11 (AprilGrid).
     marker : float, optional

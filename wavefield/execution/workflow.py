@@ -37,8 +37,8 @@ class Workflow(ConfigSection):
     cluster: Literal["none", "local", "slurm", "address"] = Field(
         default="local",
         examples=["local"],
-        description="none: this process; local: processes of this machine; slurm: jobs; address: the workers "
-        "of a Dask scheduler that runs already",
+        description="none: this process; local: processes of this machine; slurm: jobs; address: a running "
+        "Dask scheduler",
     )
     workers: int | Literal["auto"] | Between = Field(
         default="auto",
@@ -46,7 +46,7 @@ class Workflow(ConfigSection):
         description="worker processes; auto: one per core",
     )
     memory: str | None = Field(
-        default=None, examples=["2 GB"], description="limit of a worker; beyond it the worker is replaced"
+        default=None, examples=["2 GB"], description="limit of a worker, which is then replaced"
     )
     address: str | None = Field(
         default=None, examples=["tcp://host:8786"], description="of a running scheduler"

@@ -21,18 +21,18 @@ class MatchSettings:
     Parameters
     ----------
     iterations : tuple of int
-        Steps on each pyramid level, coarsest first; one number per level.
+        Steps on each pyramid level, coarsest first.
     window : float
         Side of the square with the area of the Gaussian window, px of each level.
     smoother_sigma : float
         Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^smoother_order; 0: none.
     coarse_smoother_sigma : float
-        The same on the coarser levels, where a block is larger.
+        The same on the coarser levels.
     smoother_order : int
         Higher: a flatter passband of the smoother.
     robust : float
         c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 of a pixel with residual r, for particles
-        that appear and vanish; 0: none.
+        that appear and vanish.
     robust_beta : float
         beta of that weight: allows larger residuals on bright pixels.
     relaxation : float
@@ -40,11 +40,11 @@ class MatchSettings:
     normalization : float
         Standard deviation of the window that normalises brightness, px.
     search_x, search_y : (float, float) or None
-        Smallest and largest displacement to search, px of the coarsest level; None: no search.
+        Displacements to search, px of the coarsest level.
     search_window : float
         As `window`, for that search.
     min_correlation : float
-        Blocks with a lower normalised correlation are invalid.
+        Blocks with less are invalid.
     min_gradient_energy : float
         Blocks below this fraction of the image's median gradient energy are invalid.
     max_deviation : float

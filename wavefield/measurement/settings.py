@@ -57,31 +57,29 @@ class Settings:
     Parameters
     ----------
     pairs : tuple of (str, str)
-        Pairs of cameras that give z; one camera, the reference, is in all. Default: the middle camera with
-        each other one.
+        Pairs of cameras that give z; one camera is in all. Default: the middle one with each other.
     velocity_cameras : tuple of str
         Two or more cameras that give u, v, w. Default: all.
     z_range : (float, float) or None
-        Elevations to search, m. None: at least 2 % of the reference camera's distance, up and down.
+        Elevations to search, m. Default: at least 2 % of the middle camera's distance, up and down.
     sheet_thickness : float or None
-        Thickness of a light sheet on z = 0, m; z is 0, uncertain by a quarter of it. None: a surface.
+        Thickness of a light sheet on z = 0, m. Default: a surface.
     bead_height : float
         Height of the visible part of a bead above the water, m; corrects u and v for its tilt, not z.
     pixel : float or None
-        Pixel of the rectified images, m. None: the finest side of a pixel of the camera that resolves least,
-        or down to half of it where blocks of five would be wider than 0.8 grid steps.
+        Pixel of the rectified images, m. Default: that of the camera that resolves least, or down to half
+        of it where blocks of five would be wider than 0.8 grid steps.
     smoothing : float
         Thin-plate smoothing of z, block lengths to the fourth power; halves waves of 2 pi smoothing^(1/4)
         blocks.
     eps_limit : float
-        Matches are rejected beyond this many times the rms of the mismatch across the sight line.
+        Matches beyond this many times the rms of the epipolar error are rejected.
     eps_floor : float
-        Mismatch that is never rejected, px of the rectified images.
+        Epipolar error that is never rejected, px of the rectified images.
     min_valid : float
         Fraction of the common view that a frame must measure to count.
     row_delays : tuple of (str, float)
-        Rolling shutter: camera, and delay of a row after the one above, in frame intervals. `run` derives
-        them from ``row_time``.
+        Camera and ``row_time`` in frame intervals; `run` fills it in.
     vibration : {"leave", "correct"}
         correct: turn each frame back by its epipolar error (constant, tilt, roll), stored as
         ``camera_shift``.

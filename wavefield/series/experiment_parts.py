@@ -8,7 +8,7 @@ from wavefield.config_files import ConfigSection, Name, PathText, safe_name
 from wavefield.grid import Grid
 from wavefield.water import tension_over_density
 
-_RANGE = "first and last frame number to use, both included, as in `--frames FIRST:LAST`"
+_RANGE = "first and last frame number to use, as in `--frames FIRST:LAST`"
 _NODES = "first and last node, m; left out: the common view of the cameras"
 
 
@@ -23,14 +23,14 @@ class CameraSection(ConfigSection):
     times: PathText | None = Field(
         default=None,
         description="file of time stamps, s, one per image (one per line, or a CSV with a column `time`); "
-        "or `recorded`: those in the recording",
+        "or `recorded`",
     )
     row_time: float = Field(
         default=0.0,
         ge=-1e-2,
         le=1e-2,
         examples=["8e-6"],
-        description="rolling shutter: delay of each row of an image after the one above, s",
+        description="rolling shutter: delay of a row after the one above, s",
     )
 
     @model_validator(mode="before")
@@ -99,7 +99,7 @@ class CalibrationSection(ConfigSection):
     heights: dict[str, float] = Field(
         default_factory=dict,
         examples=["{z_1: -0.003, z_2: 0.0, z_3: 0.003}"],
-        description="z of a target moved along z, m, by pose (file name without the camera)",
+        description="z of a target moved along z, m, by pose",
     )
     camera_distance: dict[str, float] = Field(
         default_factory=dict,
