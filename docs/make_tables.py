@@ -91,11 +91,11 @@ def cube() -> str:
         *(("camera_shift",), tuple(f"gain/gain_{name}" for name in "zuvw")),
     )
     rows = [
-        (line[0], line[1] or "-", line[2])
+        (line[0], line[2] + (line[1] and f" ({line[1]})"))
         for names in lines
         for line in [_line([TABLE[name] for name in names], usual=CUBE_DIMS)]
     ]
-    return rows_to_table(("variable", "units", "meaning"), rows)
+    return rows_to_table(("variable", "meaning (units)"), rows)
 
 
 def frames() -> str:
@@ -174,12 +174,13 @@ def _default(value: object) -> str:
 
 
 Row = tuple[str, str, str]
+PLAIN = ("text", "number", "integer", "list", "mapping", "text or list", "float", "str")  # types not shown
 
 
 def _value(kind: str, needed: bool, default: object) -> str:
-    """Default of a key, or its type where it has none or a choice: "number, needed", "`0.5`", "text"."""
+    """Choices or type of a key where its meaning does not tell them, and its default: "needed", "`0.5`"."""
     shown = "needed" if needed else _default(default)
-    if isinstance(default, (int, float, tuple)) and shown:
+    if isinstance(default, (int, float, tuple)) and shown or kind in PLAIN:
         return shown
     return ", ".join(part for part in (kind, shown) if part)
 
