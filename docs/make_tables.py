@@ -23,7 +23,7 @@ PAGES = (
     ROOT / "packaging" / "recipe.yaml",
     *(
         ROOT / "docs" / f"{name}.md"
-        for name in ("experiment-file", "images", "cube", "waves", "workflows-and-catalogs")
+        for name in ("experiment-file", "cube", "waves", "workflows-and-catalogs")
     ),
 )
 
@@ -98,20 +98,6 @@ def cube() -> str:
     return rows_to_table(("variable", "meaning (units)"), rows)
 
 
-def frames() -> str:
-    """Variables of the frames of an experiment."""
-    lines = [_line([row]) for row in rows_of("frames")]
-    rows = [(line[0], line[2] + (line[1] and f" ({line[1]})")) for line in lines]
-    return rows_to_table(("variable", "meaning (units)"), rows)
-
-
-def pairs() -> str:
-    """Variables of the group of camera pairs."""
-    importlib.import_module("wavefield.store.camera_pairs")  # registers them
-    rows = [(line[0], line[2]) for line in (_line([row]) for row in rows_of("pair_statistics"))]
-    return rows_to_table(("variable", "meaning"), rows)
-
-
 def flags(meanings: dict, name: str) -> str:
     """Values of an enumeration."""
 
@@ -180,7 +166,7 @@ PLAIN = ("text", "number", "integer", "list", "mapping", "text or list", "float"
 def _value(kind: str, needed: bool, default: object) -> str:
     """Choices or type of a key where its meaning does not tell them, and its default: "needed", "`0.5`"."""
     shown = "needed" if needed else _default(default)
-    if isinstance(default, (int, float, tuple)) and shown or kind in PLAIN:
+    if kind in PLAIN or (shown and isinstance(default, (int, float, tuple))):
         return shown
     return ", ".join(part for part in (kind, shown) if part)
 
@@ -326,9 +312,7 @@ TABLES = {
     "matching": matching_table,
     "workflow": workflow,
     "target": target,
-    "frames": frames,
     "cube": cube,
-    "pairs": pairs,
     "quality": lambda: flags(QUALITY, "bit"),
     "status": lambda: flags(STATUS, "value"),
     "waves": waves,
