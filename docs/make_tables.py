@@ -160,15 +160,14 @@ def _default(value: object) -> str:
 
 
 Row = tuple[str, str, str]
-PLAIN = ("text", "number", "integer", "list", "mapping", "text or list", "float", "str")  # types not shown
+PER_CAMERA = "text or one text per name"
 
 
 def _value(kind: str, needed: bool, default: object) -> str:
-    """Choices or type of a key where its meaning does not tell them, and its default: "needed", "`0.5`"."""
+    """Choices and default of a key: "needed", "`0.5`". Other types follow from its meaning."""
     shown = "needed" if needed else _default(default)
-    if kind in PLAIN or (shown and isinstance(default, (int, float, tuple))):
-        return shown
-    return ", ".join(part for part in (kind, shown) if part)
+    choices = "also one per camera" if kind == PER_CAMERA else kind if kind[0] in "`{" else ""
+    return ", ".join(part for part in (choices, shown) if part)
 
 
 def keys(model: type[BaseModel], prefix: str = "", shown: str = "") -> list[Row]:
@@ -200,7 +199,7 @@ def keys(model: type[BaseModel], prefix: str = "", shown: str = "") -> list[Row]
         row = (f"`{key}`", _value(_type(field.annotation), field.is_required(), default), meaning)
         if rows and rows[-1][1:] == row[1:]:
             rows[-1] = (f"{rows[-1][0]}, {row[0]}", *row[1:])
-        elif row[1] not in ("section", "one section per name, needed"):  # its keys say what it is
+        elif not inner or "`" in row[1]:  # the keys of a section say what it is
             rows.append(row)
         for section in inner:
             rows += keys(section, f"{key}.NAME." if per_name else f"{key}.", shown + example)
@@ -234,8 +233,9 @@ def settings(kind: type, *presets: object) -> list[Row]:
 
 
 def key_table(rows: list[Row]) -> str:
-    """A table of keys."""
-    return rows_to_table(("key", "value", "meaning"), rows)
+    """A table of keys, with choices and default in brackets."""
+    lines = [(f"{key} ({value})" if value else key, meaning) for key, value, meaning in rows]
+    return rows_to_table(("key", "meaning"), lines)
 
 
 def settings_table() -> str:

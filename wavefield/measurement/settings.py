@@ -57,11 +57,12 @@ class Settings:
     Parameters
     ----------
     pairs : tuple of (str, str)
-        Pairs of cameras that give z; one camera is in all. Default: the middle one with each other.
+        Pairs of cameras that give z; one, the reference, is in all. Default: the middle one with each of the
+        others.
     velocity_cameras : tuple of str
         Two or more cameras that give u, v, w. Default: all.
     z_range : (float, float) or None
-        Elevations to search, m. Default: at least 2 % of the middle camera's distance, up and down.
+        Elevations to search, m. Default: at least 2 % of the reference camera's distance, up and down.
     sheet_thickness : float or None
         Thickness of a light sheet on z = 0, m. Default: a surface.
     bead_height : float

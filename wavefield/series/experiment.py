@@ -68,7 +68,7 @@ class Experiment(RecordSection):
     rig: PathText | dict[str, PathText] | None = Field(
         default=None,
         examples=["rig.yaml"],
-        description="one file, of this program or another, or one per camera",
+        description="file of this program or another",
     )
     surface: SurfaceSection | None = None
     velocity: VelocitySection | None = None
