@@ -46,7 +46,7 @@ class Workflow(ConfigSection):
         description="worker processes; auto: one per core",
     )
     memory: str | None = Field(
-        default=None, examples=["2 GB"], description="of a worker; beyond it the worker is replaced"
+        default=None, examples=["2 GB"], description="limit of a worker; beyond it the worker is replaced"
     )
     address: str | None = Field(
         default=None, examples=["tcp://host:8786"], description="of a running scheduler"

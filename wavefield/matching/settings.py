@@ -32,7 +32,7 @@ class MatchSettings:
         Higher: a flatter passband of the smoother.
     robust : float
         c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 of a pixel with residual r, for particles
-        that appear and vanish.
+        that appear and vanish; 0: none.
     robust_beta : float
         beta of that weight: allows larger residuals on bright pixels.
     relaxation : float
@@ -40,11 +40,11 @@ class MatchSettings:
     normalization : float
         Standard deviation of the window that normalises brightness, px.
     search_x, search_y : (float, float) or None
-        Displacements to search, px of the coarsest level.
+        Displacements to search, px of the coarsest level; None: no search.
     search_window : float
         As `window`, for that search.
     min_correlation : float
-        Blocks with less are invalid.
+        Blocks with a lower normalised correlation are invalid.
     min_gradient_energy : float
         Blocks below this fraction of the image's median gradient energy are invalid.
     max_deviation : float

@@ -8,7 +8,7 @@ from wavefield.config_files import ConfigSection, Name, PathText, safe_name
 from wavefield.grid import Grid
 from wavefield.water import tension_over_density
 
-_RANGE = "first and last frame number to use, as in `--frames FIRST:LAST`"
+_RANGE = "first and last frame number to use, both included, as in `--frames FIRST:LAST`"
 _NODES = "first and last node, m; left out: the common view of the cameras"
 
 

@@ -213,7 +213,7 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 GROUPS = {
     "spectra": "z is at frame times; nl is u . grad z. `E_komega_*` is integrated over the angle of k; the"
     " azimuthal mean is E / (2 pi k coverage). `Ez_*` is the elevation spectrum by each method, corrected for"
-    " the response in time.",
+    " the response in time (with a gain also for the matching windows).",
     "coherence": "Of z_t with w, with -u . grad z and with their sum. `gamma2_*` is the squared coherence;"
     " `bias_*` and `level_*` are its mean and its 5 % level for unrelated signals.",
     "kinematics": "The balance z_t = w - u . grad z at sampled steps.",
