@@ -138,11 +138,6 @@ def test_workers_of_other_versions_are_refused_with_both():
     assert own_versions().startswith("Python 3.")
 
 
-def test_workers_without_wavefield_are_named():
-    error = ModuleNotFoundError("No module named 'wavefield'", name="wavefield")
-    assert "cannot load wavefield" in str(cluster._as_sentence(error))
-
-
 def test_no_scheduler_at_the_address(tank, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_SCHEDULER_TIMEOUT", "1s")
     workflow = Workflow(cluster="address", address="tcp://127.0.0.1:9")

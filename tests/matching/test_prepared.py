@@ -39,30 +39,6 @@ def test_normalisation_takes_out_local_mean_and_contrast(dtype, sigma):
     assert np.sqrt(np.mean((out - exact)[16:-16, 16:-16] ** 2)) < 0.03
 
 
-def test_masked_pixels_are_zero_and_do_not_change_their_surroundings():
-    image, good = scene(), np.ones((203, 187), bool)
-    good[60:120, 50:130] = False
-    settings = MatchSettings.piv(normalization=10.0)
-    out = prepare(image, settings, good).levels[0].image
-    assert (out[~good] == 0).all()
-    other = np.where(good, image, np.uint8(200))
-    np.testing.assert_array_equal(out, prepare(other, settings, good).levels[0].image)
-    miss = (out - normalized_slowly(image, 10.0, good))[16:-16, 16:-16]
-    assert np.sqrt(np.mean(miss[good[16:-16, 16:-16]] ** 2)) < 0.03
-
-
-def test_a_mask_prepared_once_serves_like_the_array():
-    settings = MatchSettings.piv(normalization=10.0)
-    good = np.ones((203, 187), bool)
-    good[:, :40] = False
-    mask = Mask.of(good, settings)
-    for dtype in (np.uint8, np.float32):
-        a, b = prepare(scene(dtype=dtype), settings, good), prepare(scene(dtype=dtype), settings, mask)
-        for one, other in zip(a.levels, b.levels, strict=True):
-            np.testing.assert_array_equal(one.padded, other.padded)
-            np.testing.assert_array_equal(one.good, other.good)
-
-
 @pytest.mark.parametrize("with_mask", [False, True])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("row", [100, 202])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth
 
-from wavefield.matching import MatchSettings, blocks, kernels, match, prepare
+from wavefield.matching import MatchSettings, blocks, match, prepare
 from wavefield.matching.pyramid import reevaluate
 
 F = np.float32
@@ -62,29 +62,6 @@ def test_what_blurs_a_texture_is_not_strained_but_the_texture_is(monkeypatch):
     assert (less.std(axis=1) < 0.9 * more.std(axis=1)).all()
     assert c < 0.1
     assert spread == pytest.approx(0.5, abs=0.1)  # that of the B-spline
-
-
-def test_strain_moments_follow_their_definition():
-    rng = np.random.default_rng(2)
-    ny, nx = 7, 11
-    image = rng.normal(0, 1, (5 * ny + 3 + 16, 5 * nx + 1 + 16)).astype(F)
-    work = kernels.work_space(nx)
-    work.rows[:] = work.sums[:] = np.nan  # nothing is read before it is written
-    out = np.full((8, ny, nx), np.nan, F)
-    kernels.strain_moments(image, work, out)
-
-    def at(along_x, along_y):
-        inner = image.astype(float)
-        for taps, axis in ((along_x, 1), (along_y, 0)):
-            inner = sum(t * np.roll(inner, 2 - k, axis) for k, t in enumerate(taps))
-        return inner[8:-8, 8:-8][: 5 * ny, : 5 * nx]
-
-    value, slope = np.array([1, 26, 66, 26, 1]) / 120, np.array([-1, -10, 0, 10, 1]) / 24
-    bend = np.array([1, 2, -6, 2, 1]) / 6
-    a, gradient = at(value, value), (at(slope, value), at(value, slope))
-    bends = at(bend, value), at(slope, slope), at(value, bend)
-    expected = [g * a for g in gradient] + [g * second for g in gradient for second in bends]
-    np.testing.assert_allclose(out, np.reshape(expected, (8, ny, 5, nx, 5)).sum((2, 4)), atol=2e-5)
 
 
 SUMS = """

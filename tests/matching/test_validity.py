@@ -79,18 +79,6 @@ def test_not_a_number_pixels_count_as_masked(pair, preset):
     assert np.max(errors(d, move)[outside]) < 0.15
 
 
-def test_image_mostly_outside_the_view_still_gives_the_rest():
-    move = uniform(12.4, 1.2)
-    a, b = particle_pair(move, shape=(400, 400), as_type=np.float32)
-    y, x = np.mgrid[:400, :400]
-    for q, shift in ((a, 0), (b, 30)):
-        q[(x + y < 330 + shift) | (x - y > 150)] = np.nan
-    d = match(a, b, MatchSettings.stereo())
-    assert 0.2 < d.valid.mean() < 0.6
-    assert np.max(errors(d, move)[d.valid]) < 0.3
-    assert np.sqrt(np.mean(errors(d, move)[d.valid] ** 2)) < 0.03
-
-
 def test_empty_image_is_invalid_everywhere():
     for image in (np.zeros((100, 120), np.uint8), np.full((100, 120), np.nan, np.float32)):
         for settings in (MatchSettings.piv(), MatchSettings.stereo()):

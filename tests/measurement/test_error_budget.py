@@ -7,21 +7,16 @@ import pytest
 from measurement_cases import RATE
 
 from wavefield.grid import Grid
-from wavefield.matching import Prior
 from wavefield.measurement import GridGeometry, measure
 from wavefield.measurement.error_budget import (
     WaveRings,
-    best_path_frames,
     changed_waves,
-    detected_waves,
     lost_by_elevation,
     lost_by_paths,
-    orbits,
     ripples,
 )
-from wavefield.measurement.paths import path_gain
 from wavefield.tank import Scene, Tank
-from wavefield.variables import EXACT_SIX, Quality
+from wavefield.variables import Quality
 from wavefield.water import dispersion
 
 TIMES = np.arange(6) - 2.5
@@ -38,30 +33,6 @@ def sea(rate, t, waves):
         z += height * np.cos(phase)
         w += height * omega * np.sin(phase)
     return z, w
-
-
-def carried(rate, t, span, waves, beside=(0.0, 0.0)):
-    """Displacement over ``span`` frames of the water that is beside the nodes at t, (3, n), metres."""
-    x, y = (nodes.ravel() for nodes in np.meshgrid(np.arange(0, 1, 0.04), np.arange(0, 0.8, 0.04)))
-    x, y = x + beside[0], y + beside[1]
-
-    def velocity(x, y, t):
-        out = np.zeros((3, x.size))
-        for length, height, angle, shift in waves:
-            k = 2 * np.pi / length
-            omega = np.sqrt(9.81 * k) / rate
-            phase = k * (np.cos(angle) * x + np.sin(angle) * y) - omega * t + shift
-            out[:2] += height * omega * np.cos(phase) * np.array([[np.cos(angle)], [np.sin(angle)]])
-            out[2] += height * np.cos(phase)
-        return out
-
-    p, steps = np.stack([x, y]), 8
-    h = span / steps
-    for n in range(steps):
-        middle = p + 0.5 * h * velocity(*p, t + n * h)[:2]
-        p = p + h * velocity(*middle, t + (n + 0.5) * h)[:2]
-    rise = velocity(*p, t + span)[2] - velocity(x, y, t)[2]
-    return np.stack([*(p - [x, y]), rise])
 
 
 def rings(rate, waves):
@@ -101,40 +72,6 @@ def test_what_paths_cannot_follow_of_the_rise_is_foreseen(rate):
             missed[frames].append(np.mean((np.tensordot(own, rises, 1) / 48 - sea(rate, t, waves)[1]) ** 2))
     for frames, squares in missed.items():
         assert lost_by_paths(rings(rate, waves), frames) == pytest.approx(np.mean(squares), rel=0.3)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_short_waves_that_orbits_carry_are_as_uncertain_as_their_harmonics(seed):
-    """Where matching makes up for what paths leave out of the wave itself."""
-    rng = np.random.default_rng([seed, 7])
-    length, steepness, phase = rng.uniform(0.07, 0.1), rng.uniform(0.1, 0.2), rng.uniform(1.1, 1.6)
-    rate = np.sqrt(2 * np.pi * 9.81 / length) / phase
-    waves = [(length, steepness * length / (np.sqrt(2) * np.pi), *rng.uniform(0, 6, 2))]
-    gain, error = float(path_gain(phase, 4)), []
-    for t in np.arange(8) * 2.3:
-        path = np.array([carried(rate, t, s, waves)[:2] for s in TIMES[1:5]])
-        velocity = np.tensordot((1, -27, 27, -1), path, 1) / 24 / gain
-        place = np.tensordot((-1, 9, 9, -1), path, 1) / 16
-        there = (carried(rate, t, 1e-4, waves, place) - carried(rate, t, -1e-4, waves, place)) / 2e-4
-        error.append(velocity - there[:2])
-    rms = np.sqrt(np.sum(np.mean(np.square(error), axis=(0, 2))))
-    assert 0.75 < np.sqrt(orbits(rings(rate, waves), 4)) / rms < 1.35
-
-
-def test_rings_have_the_variance_of_the_spectrum_as_far_as_waves_are_expected():
-    k = (np.arange(40) + 0.5) * np.pi / 40
-    prior = Prior.isotropic(k, np.exp(-3 * k), 1.0)
-    waves = detected_waves(prior, 1.8e-3, 20.0)
-    ky, kx = (np.pi * np.arange(n) / n for n in (150, 160))
-    every = prior.spectrum(kx, ky[:, None]).mean()  # of all cosines
-    assert waves.variance.sum() == pytest.approx(every, rel=0.05)
-    np.testing.assert_allclose(waves.phase, dispersion(k / 9e-3) / 20.0)
-
-
-def test_smooth_paths_are_best_in_noise_and_exact_ones_where_waves_turn_fast():
-    fast, slow = (rings(rate, [(0.1, 0.002, 0, 0)]) for rate in (15.0, 60.0))
-    assert best_path_frames(fast, 1e-12) == EXACT_SIX
-    assert best_path_frames(slow, 1e-7) == 6
 
 
 def test_waves_that_start_within_the_frames_are_stated_and_steady_ones_are_not():

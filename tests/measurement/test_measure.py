@@ -60,27 +60,6 @@ def test_sight_lines_that_miss_each_other_make_z_less_certain(series, geometry, 
     assert 0.02 * PIXEL < np.sqrt(np.median(more[series.inside])) < 0.15 * PIXEL
 
 
-def test_where_displacements_contradict_each_other_z_is_less_certain_as_well(
-    series, geometry, model, cube, monkeypatch
-):
-    module = sys.modules["wavefield.measurement.step"]
-    found = module.velocity
-
-    def contradicting(*arguments, **keywords):
-        motion = found(*arguments, **keywords)
-        assert motion.noise_factor.max() < 30.0
-        return replace(
-            motion, noise_factor=np.where(series.inside, 100.0, motion.noise_factor).astype(np.float32)
-        )
-
-    monkeypatch.setattr(module, "velocity", contradicting)
-    out = measure(series.block(1), geometry, RATE, model)
-    ratio = out["z_std"][0] / cube["z_std"][1]
-    np.testing.assert_array_equal(out["z"][0], cube["z"][1])
-    assert ratio[series.inside].min() > 1.5
-    np.testing.assert_allclose(ratio[~series.inside & np.isfinite(ratio)], 1.0, rtol=1e-3)
-
-
 def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_reports_it(series):
     piv = replace(Settings().piv, search_x=(40.0, 48.0), search_y=(40.0, 48.0))
     out = measure(series.block(steps=3), GridGeometry(series.rig, series.grid, Settings(piv=piv)), RATE)
@@ -255,25 +234,6 @@ def test_frames_must_be_as_many_for_every_camera(series, geometry, model):
         measure(frames, geometry, RATE, model)
     with pytest.raises(ValueError, match="at least 6"):
         measure({name: images[:5] for name, images in series.frames.items()}, geometry, RATE, model)
-
-
-def test_z_is_as_certain_as_sight_lines_meet(series, geometry, model, cube):
-    """The noise of z comes from across the sight lines, where no wave hides in it."""
-    frames, more = series.block(1), {}
-    for along, across in ((0.3, 0.0), (0.0, 0.3)):
-        rng = np.random.default_rng(5)
-        shaken = []
-        noise = rng.standard_normal(frames["cam1"][0].shape).astype(np.float32)
-        shift = cv2.GaussianBlur(noise, (0, 0), 12.0)  # of all frames alike: nothing contradicts in time
-        for image in frames["cam1"]:
-            y, x = (
-                np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
-                + shift / shift.std() * (np.float32([across, along])[:, None, None])
-            )
-            shaken.append(cv2.remap(image, x, y, cv2.INTER_CUBIC))
-        out = measure(frames | {"cam1": shaken}, geometry, RATE, model)
-        more[along > 0] = np.median((out["z_std"][0] / cube["z_std"][1])[series.inside])
-    assert more[False] > 1.2 * more[True]
 
 
 def test_the_swinging_of_beads_that_stand_above_the_water_is_taken_off(series, geometry, model, cube):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.midtime import frames_used, rise_of_water, slope, z_at_mid_time
+from wavefield.measurement.midtime import rise_of_water, slope, z_at_mid_time
 from wavefield.measurement.paths import elevation_gain
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
@@ -37,20 +37,6 @@ AT = np.zeros((1, 1))
 
 def z_of(field, lost=(), speed=0.0):
     return float(z_at_mid_time(surfaces(lambda x, t: field(t - x), lost), (speed, 0.0), AT, AT)[0][0][0, 0])
-
-
-def test_six_frames_take_a_polynomial_of_fifth_degree_to_mid_time():
-    assert z_of(lambda t: 1 + t + t**4 - t**5) == pytest.approx(1.0, abs=1e-5)
-    # without an outer frame a cubic, without a neighbour a parabola, without both a line
-    for lost in ((0,), (5,)):
-        assert frames_used(surfaces(lambda x, t: t, lost)) == 4
-        assert z_of(lambda t: 1 + t**2 + t**3, lost) == pytest.approx(1.0, abs=1e-5)
-        assert abs(z_of(lambda t: t**4, lost)) > 0.1
-    for lost in ((1,), (4,), (0, 1), (0, 4)):
-        assert frames_used(surfaces(lambda x, t: t, lost)) == 3
-        assert z_of(lambda t: 1 + t + t**2, lost) == pytest.approx(1.0, abs=1e-5)
-    assert frames_used(surfaces(lambda x, t: t, (1, 4))) == 2
-    assert z_of(lambda t: 1 + t, (1, 4)) == pytest.approx(1.0, abs=1e-5)
 
 
 @pytest.mark.parametrize(("frames", "lost"), [(6, ()), (4, (0,)), (2, (1, 4))])

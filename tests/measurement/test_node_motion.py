@@ -23,18 +23,6 @@ def solved(moved, noise, missing=0.0):
     return out[:3], out[15] * out[9:12] + PARTS[:, None] * out[12], out[14], out[15]
 
 
-def variance(missing):
-    """Variances of u, v, w from three cameras with little noise and what the prior removed, px^2."""
-    return solved(np.zeros((6, 1)), 1e-6, np.repeat(missing, 2)[:, None])[1][:, 0]
-
-
-def test_what_all_cameras_miss_does_not_average_out():
-    u, v, w = variance([0.01, 0.01, 0.01])
-    assert u == pytest.approx(v, rel=1e-3)
-    assert w == pytest.approx(2 * u, rel=1e-3)
-    assert 0.005 < u < 0.01
-
-
 @pytest.mark.parametrize("cameras", [2, 3, 4])
 def test_nodes_at_which_cameras_contradict_each_other_are_less_certain(cameras):
     rng = np.random.default_rng(cameras)

@@ -54,26 +54,6 @@ def test_weights_of_paths_are_exact_to_their_degree():
     assert error(0.4, *beside[:3], frames=EXACT_SIX) == error(0.4, *beside[:3])
 
 
-def test_what_was_not_measured_is_not_asked():
-    spline = turned(0.3)
-    wrong = turned(-0.3)
-    nowhere, everywhere = np.zeros(LATTICE.shape, bool), np.ones(LATTICE.shape, bool)
-    X = np.array([130.0, np.nan])
-    found, block = read_path((wrong, spline, spline), (nowhere, everywhere, everywhere), LATTICE, X, X)
-    parabola, _ = read_path((None, spline, spline), (None, everywhere, everywhere), LATTICE, X, X)
-    np.testing.assert_array_equal(found, parabola)
-    assert (block[:2, 0] == -1).all()
-    assert block[4, 0] == -1
-    assert np.isnan(found[:, 1]).all()
-    five = (wrong, spline, spline, spline, wrong)
-    for one in (0, 4):
-        measured = [nowhere if n == one else everywhere for n in range(5)]
-        found, block = read_path(five, measured, LATTICE, X, X)
-        four, _ = read_path(five[1:4], measured[1:4], LATTICE, X, X)
-        np.testing.assert_array_equal(found, four)
-        assert (block[[0, 4], 0] == -1).all()
-
-
 def test_water_that_was_not_in_the_image_was_not_measured():
     """A current carries it in and out: fields are not asked beyond their edge."""
     rng = np.random.default_rng(3)

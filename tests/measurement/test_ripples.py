@@ -67,17 +67,6 @@ def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_no
         assert wavelength == pytest.approx(2.5 * 5.0 / 540.0, rel=0.1)
 
 
-def test_waves_that_the_prior_removes_are_not_stated_twice():
-    for seed in range(3):
-        noise = float(np.random.default_rng(seed).uniform(0.01, 0.1))
-        size = noise / 500.0
-        rises = [found(seed, size, noise, tuple(SIGHTS), part * size)[0] for part in (0.0, 0.3, 1.0, 3.0)]
-        shares = np.square(rises).tolist()
-        assert shares == sorted(shares, reverse=True)
-        assert shares[1] > 0.6 * shares[0], "waves beside them are"
-        assert shares[3] < 0.25 * shares[0]
-
-
 def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch):
     """Two cameras at sea see the same reflections change: nothing shows that water rises."""
     turned = np.array(SIGHTS["cam1"]) @ [[1, 0, 0], [0, 1, 0.05], [0, 0, 1]]

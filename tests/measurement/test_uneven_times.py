@@ -11,28 +11,13 @@ from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import z_at_mid_time
 from wavefield.measurement.paths import (
     EVEN_TIMES,
-    frame_weights,
     path_weights,
-    place_weights,
     read_path,
 )
 
 EVEN = EVEN_TIMES
 JITTER = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6).map(lambda e: EVEN + e)
 USED = {2: (2, 3), 3: (1, 2, 3), 4: (1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
-
-
-@given(JITTER, st.sampled_from([2, 3, 4, 6]), st.booleans())
-@settings(max_examples=60, deadline=None)
-def test_a_polynomial_in_time_is_exact_at_any_times(times, frames, smooth):
-    smooth = smooth and frames == 6
-    value, rate = frame_weights(times, USED[frames], smooth)
-    for degree in range(frames):
-        assert value @ times**degree == pytest.approx(float(degree == 0), abs=1e-9)
-        if degree < frames - smooth:
-            assert rate @ times**degree == pytest.approx(float(degree == 1), abs=1e-9)
-    if smooth:  # and noise is that of even paths, nearly
-        assert np.linalg.norm(rate) < 1.5 * np.linalg.norm(place_weights(6)[1])
 
 
 def error(angle, times, there, read):

@@ -10,10 +10,10 @@ from cube_cases import different
 
 import wavefield as wf
 from wavefield.errors import ExperimentError, RigError
-from wavefield.pipeline import lazy, reconstruct
+from wavefield.pipeline import reconstruct
 from wavefield.rig import common_field
 from wavefield.series import Experiment
-from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality, validate
+from wavefield.variables import CUBE_FIELDS, Quality, validate
 
 GAINS = tuple(f"gain_{name}" for name in "zuvw")
 
@@ -117,10 +117,6 @@ def pixel_seen(rig, grid, side=1e-4):
     return side / np.sqrt(min(covered))
 
 
-def test_a_store_holds_the_size_of_a_pixel(reference, rig, grid):
-    assert wf.open_cube(reference).attrs["pixel_size"] == pytest.approx(pixel_seen(rig, grid), rel=1e-4)
-
-
 def record_of(reference):
     return json.loads(wf.open_cube(reference).attrs["recipe"])["record"]
 
@@ -134,16 +130,6 @@ def test_chunked_and_plain_arrays_give_the_same(tank, frames, rig, grid, referen
         # the last two steps of a record have not two frames after them
         assert different(cube.isel(time=slice(0, 3)), wf.open_cube(reference).isel(time=slice(0, 3))) == []
         assert (cube.quality[4].values & Quality.TWO_FRAME_MEAN).all()
-
-
-def test_blank_frames_are_faults_of_their_steps_only(frames, rig, grid, reference):
-    images = {name: frames[name].image.isel(time=slice(0, 9)).load() for name in frames.children}
-    images["cam1"][5] = 0
-    cube = reconstruct(images, rig, grid, record=record_of(reference)).compute(scheduler="sync")
-    faulty = [4, 5]
-    assert list(np.flatnonzero(cube.frame_status != FrameStatus.DONE)) == faulty
-    untouched = slice(0, 2)  # steps 2 and 3 have the blank frame as a neighbour
-    assert different(cube.isel(time=untouched), wf.open_cube(reference).isel(time=untouched)) == []
 
 
 def test_frames_that_do_not_fit_are_refused(frames, rig, grid):
@@ -160,21 +146,6 @@ def test_frames_that_do_not_fit_are_refused(frames, rig, grid):
         reconstruct({**images, "cam2": images["cam2"][:, :, :60]}, rig, grid)
     with pytest.raises(ExperimentError, match="need the same `time`"):
         reconstruct({**images, "cam2": frames["cam2"].image.isel(time=slice(1, 6))}, rig, grid)
-
-
-def test_variables_of_a_chunk_are_measured_together_and_the_record_is_learned_once(
-    frames, rig, grid, monkeypatch
-):
-    chunks, learned = [], []
-    measure, learn = lazy.measure_chunk, lazy._Learner._learn
-    monkeypatch.setattr(lazy, "measure_chunk", lambda *a: chunks.append(a[0].start) or measure(*a))
-    monkeypatch.setattr(lazy._Learner, "_learn", lambda *a: learned.append(1) or learn(*a))
-    cube = reconstruct(frames, rig, grid, steps_per_block=2)
-    with dask.config.set(scheduler="sync"):
-        cube[["z", "w", "frame_status"]].isel(time=slice(4, 6)).compute()
-        assert (chunks, learned) == ([4], [1])
-        cube.u.isel(time=0).compute()
-    assert (chunks, learned) == ([4, 0], [1])
 
 
 def test_a_mask_beside_the_images_is_heeded(frames, rig, grid, reference):

@@ -54,10 +54,3 @@ def test_masks_and_probes_come_with_the_experiment(measured, tmp_path):
     probes.write_text("neither times\nnor elevations\n")
     with pytest.raises(wf.errors.ExperimentError):
         _ = wf.open_run(tmp_path / "cube.zarr", experiment=file).probes
-
-
-def test_an_experiment_is_named_from_the_current_folder(reference, tank, monkeypatch):
-    monkeypatch.chdir(tank.parent.parent)
-    found = wf.open_run(reference, experiment=tank.relative_to(tank.parent.parent)).experiment
-    assert found is not None
-    assert found.path.samefile(tank)

@@ -8,7 +8,6 @@ import pytest
 from cube_cases import FOURS
 
 import wavefield as wf
-from wavefield.pipeline import assess as module
 from wavefield.store import camera_pairs
 from wavefield.store.camera_pairs import GROUP
 
@@ -35,22 +34,6 @@ def test_errors_of_every_pair_are_stored_at_the_end_of_a_run(measured):
     assert (found.rms_all >= 0.999 * found.rms).all()
     share = (found.density.sum("bin") * 0.1)[found.quantity != "sigma_z"]
     np.testing.assert_allclose(share, 1, atol=0.05)
-
-
-def test_statistics_are_those_of_the_diagnosis(measured):
-    from wavefield.measurement.diagnostics import joined, rms_within
-    from wavefield.pipeline.prepare import prepare
-
-    prepared = prepare(measured / "experiment.yaml")
-    found, again = stored(measured / "cube.zarr"), module.pair_statistics(prepared)
-    np.testing.assert_array_equal(found.rms, again.rms.astype("float32"))
-    geometry = module._with_every_motion(prepared.geometry)
-    model = module._learned(prepared, geometry)
-    frames = {n: [one.read(k).image for k in (0, 1)] for n, one in prepared.series.items()}
-    one = wf.measurement.diagnose(frames, geometry, model)
-    for pair, values in one.eps_y.items():
-        row = (again.quantity == "eps_y") & (again.cameras == joined(pair))
-        assert float(again.rms[row.values].item()) == rms_within(values)[0]
 
 
 def test_a_run_killed_while_it_writes_them_writes_them_again(measured, tmp_path, monkeypatch):

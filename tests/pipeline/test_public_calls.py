@@ -201,16 +201,6 @@ def test_a_changed_recipe_goes_beside_the_old(catalog):
     assert intake.open_catalog(str(catalog)).user_parameters["recipe"].options == recipes
 
 
-@pytest.mark.parametrize("digits", ["795126e3", "12345678"])
-def test_a_recipe_of_digits_stays_a_text_in_the_catalog(tmp_path, digits):
-    from wavefield.pipeline.catalog import _editing, _quoted
-
-    with _editing(tmp_path / "lab.yaml") as data:
-        data["user_parameters"]["recipe"]["options"].append(_quoted(digits))
-    options = intake.open_catalog(str(tmp_path / "lab.yaml")).user_parameters["recipe"].options
-    assert options == ["latest", digits]
-
-
 def test_comments_at_the_head_of_a_catalog_stay(catalog, own_tank):
     catalog.write_text("# Our tanks.\n\n" + catalog.read_text())
     catalog_add(catalog, own_tank, "again")

@@ -379,19 +379,6 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
     assert different(out, reference) == []
 
 
-def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
-    calls = []
-
-    def breaking(chunk, geometry, frame_rate, model):
-        calls.append(chunk.start)
-        raise ZeroDivisionError("always")
-
-    monkeypatch.setattr(chunk, "measure_chunk", breaking)
-    with pytest.raises(StoreError, match="always"):
-        run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(1))
-    assert len(calls) == 3
-
-
 # -- a full disk ---------------------------------------------------------------------------------------------
 
 
@@ -436,10 +423,3 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_lost(tank, reference, small_
     filler.unlink()
     run(tank, out=out, workflow=chunks_of(4))
     assert different(out, reference) == []
-
-
-def test_a_disk_that_is_full_from_the_start(tank, small_disk):
-    fill(small_disk)
-    with pytest.raises(StoreError, match="is full"):
-        run(tank, out=small_disk / "cube.zarr", workflow=HERE)
-    assert not (small_disk / "cube.zarr").exists()

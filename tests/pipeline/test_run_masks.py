@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from cube_cases import HERE
 
-from wavefield.errors import StoreError
 from wavefield.pipeline import open_cube, run
 from wavefield.variables import Quality
 
@@ -31,11 +30,3 @@ def test_masked_nodes_stay_empty_in_the_cube_and_the_recipe_holds_what_was_maske
         np.testing.assert_array_equal(np.isnan(cube[name].values), hidden, err_msg=name)
     assert json.loads(cube.attrs["recipe"])["mask"]["water"][0]["cylinder"]["radius"] == 0.015
     assert "masked" in cube.quality.attrs["flag_meanings"]
-
-
-def test_another_mask_is_another_recipe(masked, tmp_path):
-    out = tmp_path / "cube.zarr"
-    run(masked, out=out, workflow=HERE)
-    masked.write_text(masked.read_text().replace("radius: 0.015", "radius: 0.01"))
-    with pytest.raises(StoreError, match=r"mask\.water"):
-        run(masked, out=out, workflow=HERE)

@@ -8,7 +8,6 @@ import pytest
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
-from wavefield.pipeline.still_water import level_at_rest
 from wavefield.quality.remarks import remark_on_rest
 from wavefield.rig import Rig
 from wavefield.series import Experiment
@@ -90,12 +89,6 @@ def test_mistakes_in_it_are_named(lab, tmp_path, rest, expected):
     with pytest.raises(ExperimentError) as caught:
         Experiment.load(path).at_rest()
     assert expected in str(caught.value)
-
-
-def test_a_rest_record_that_is_not_there_is_named(lab):
-    gone = Experiment.load(lab).model_copy(update={"rest": "nowhere/{camera}_{frame:02d}.tif"})
-    with pytest.raises(ExperimentError, match="there is no folder"):
-        level_at_rest(gone.at_rest(), replace(Rig.load(lab.with_name("rig.yaml"))))
 
 
 def test_the_note_on_missing_still_water_gives_the_uncertainty_of_the_level(lab, tmp_path):

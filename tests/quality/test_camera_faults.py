@@ -1,7 +1,6 @@
 """A camera that contradicts the others is named, with what is wrong; sound ones raise no alarm."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,13 +10,10 @@ from wavefield.grid import Grid
 from wavefield.pipeline import check
 from wavefield.quality.cameras import (
     PatchMatcher,
-    _blurred,
     find_camera_faults,
 )
-from wavefield.rig.field import pixel_at
 from wavefield.store.verdict import Remark, Verdict, read_verdict
 from wavefield.tank import Scene, Tank, simulate
-from wavefield.tank.rigs import paper_rig
 
 FRAMES = (1, 4)
 COUNT = 8
@@ -113,12 +109,6 @@ def test_a_line_of_sight_off_by_what_does_not_matter_is_no_motion():
     assert found(SOUND, replace(rig, cameras={**rig.cameras, "cam1": nudged})).remarks == ()
 
 
-def test_what_was_not_examined_is_not_judged():
-    nothing = found(lambda name, frame: None)
-    assert nothing.remarks == ()
-    assert nothing.frames == ()
-
-
 def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
     grave = Remark(
         "cam1",
@@ -140,27 +130,6 @@ def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
     assert read_verdict(tmp_path / "cube.zarr") == verdict
     assert read_verdict(tmp_path / "other.zarr") is None
     assert str(grave) == "cam1: it agrees when mirrored. as calibrated. correct it. [mirrored]"
-
-
-@pytest.mark.parametrize(
-    ("zoom", "blurs", "named"),
-    [
-        (1.0, (1.2, 1.2, 2.4), ["cam3"]),  # blurred
-        (2.0, (1.2, 1.2, 2.4), []),  # smaller pixels on the water: beads are as large as they are
-        (0.5, (2.4, 2.4, 1.2), []),  # larger pixels
-        (1.0, (1.2, 1.2, 1.5), []),
-    ],
-)
-def test_blur_is_compared_on_the_water(zoom, blurs, named):
-    one = paper_rig(0.2)["cam3"]
-    rig = {"cam1": one, "cam2": one, "cam3": replace(one, fx=zoom * one.fx, fy=zoom * one.fy)}
-    matcher = SimpleNamespace(rig=rig, grid=Grid(x=(-0.1, 0.1), y=(-0.1, 0.1), step=0.01))
-    pixels = {name: pixel_at(camera, 0.0, 0.0) for name, camera in rig.items()}
-    assert pixels["cam3"] == pytest.approx(pixel_at(one, 0.0, 0.0) / zoom)
-    table = SimpleNamespace(
-        names=list(rig), patch_matcher=matcher, blur={n: [b] for n, b in zip(rig, blurs, strict=True)}
-    )
-    assert [remark.subject for remark in _blurred(table)] == named
 
 
 @pytest.mark.slow

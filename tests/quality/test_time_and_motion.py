@@ -5,18 +5,12 @@ import pytest
 import xarray as xr
 
 from wavefield.quality.record import (
-    kinematic_misfit,
     remark_on_kinematics,
     rise_ratios,
     steps_to_leave_out,
 )
 from wavefield.quality.remarks import RECORD_LIMITS
-from wavefield.store.layout import StoreLayout, create_store
-from wavefield.store.read import open_cube
-from wavefield.store.recipe import Recipe
-from wavefield.store.verify import verify
-from wavefield.store.write_cube import clear_steps, write_chunk
-from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality
+from wavefield.variables import Quality
 
 SHAPE, NODE, NOISE, RATE = (30, 40), 0.01, 0.004, 20.0
 EVEN = np.arange(13.0)
@@ -79,14 +73,6 @@ def test_jitter_of_the_frame_times_is_measured(size):
     assert found.jitter() == pytest.approx(size, rel=0.4)
 
 
-def test_fields_with_few_measured_nodes_or_steps_are_not_judged():
-    cube = sea(2)
-    assert np.isnan(rise_ratios(cube.assign(quality=0 * cube.quality)).ratio).all()
-    assert rise_ratios(cube.isel(time=slice(0, 2))).discontinuous().size == 0
-    nothing = np.zeros(cube.z.shape, bool)
-    assert np.isnan(kinematic_misfit({n: cube[n].values for n in cube}, nothing, NODE, RATE)).all()
-
-
 def test_water_that_rises_otherwise_than_its_surface_is_remarked_upon():
     cube = sea(1)
     assert list(remark_on_kinematics(cube)) == []
@@ -101,21 +87,3 @@ def test_steps_with_frames_on_both_sides_are_left_out_unless_they_are_most_of_th
     found = steps_to_leave_out(np.array(places, int), 24).tolist()
     near = [k for k in range(24) if any(abs(k - place) <= 2 for place in places)]
     assert found == (near if len(places) < 4 else [])
-
-
-@pytest.mark.parametrize("packing", ["float32", "int16"])
-def test_cleared_steps_are_nan_for_every_reader_and_the_store_stays_whole(tmp_path, packing):
-    path = tmp_path / "cube.zarr"
-    recipe = Recipe("basin", {}, (0, 4), 20.0, {}, {}, {}, packing=packing)
-    create_store(path, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, StoreLayout(4, 2, ("a", "b"), 0), {})
-    fields = {name: np.full((2, 3, 4), 1 if name == "quality" else 0.01) for name in CUBE_FIELDS}
-    write_chunk(path, 0, fields, np.array([1, 2]), {})
-    write_chunk(path, 2, fields, np.array([3, 1]), {})
-    for _ in range(2):
-        clear_steps(path, [1, 2])
-        for cube in (open_cube(path), xr.open_zarr(path), xr.open_dataset(path, engine="wavefield")):
-            assert cube.frame_status.values.tolist() == [1, FrameStatus.DISCONTINUOUS, 3, 1]
-            for name in CUBE_FIELDS:
-                kept = cube[name].notnull() & (cube[name] != 0)
-                assert kept.all(("y", "x")).values.tolist() == [True, False, True, True], name
-        assert verify(path).sound
