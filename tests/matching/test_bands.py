@@ -1,13 +1,12 @@
 """Spectra with bands of waves anywhere: what is learned of them, and what is stated of the fields."""
 
 import numpy as np
-import pytest
 import scipy.fft
 
 from wavefield.matching.learned_spectrum import refined_prior
 from wavefield.matching.map_field import Modes
 from wavefield.matching.map_variance import PosteriorVariance
-from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, SHORTEST_WAVENUMBER, Prior, footprint
+from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, Prior, footprint
 
 SHAPE = (60, 66)
 BLOCK = 9e-3  # metres: blocks of 5 px of 1.8 mm
@@ -60,24 +59,6 @@ def learned(blocks, thought=3.0):
         waves = most_probable(modes, blocks)
         prior = refined_prior(prior, modes, waves, 1 / NOISE**2)
     return prior
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_bands_are_found_wherever_they_are(seed):
-    power, rng = drawn(seed)
-    prior = learned(fields(power, rng)[1])
-    k = np.array(prior.k)
-    k = k[k < SHORTEST_WAVENUMBER - 0.2]
-    turns = np.linspace(0.1, 1.5, 6)[:, None]
-    found = prior.spectrum(k * np.cos(turns), k * np.sin(turns))[0].mean(axis=0)
-    step = 0.5 * (k[1] - k[0])
-    ring = np.mean([power(k + part * step) for part in np.linspace(-1, 1, 9)], axis=0)
-    ratio = ring / (NOISE**2 / footprint(k, np.zeros(1)) ** 2)
-    clear = (ratio > 5.0) & (k > 2 * step)
-    assert np.all(np.abs(np.log(found / ring)[clear]) < np.log(4.0)), (found / ring)[clear]
-    # what noise hides in a gap is allowed for
-    gap = (ratio < 0.2) & (k > 2 * step) & (np.arange(k.size) < np.flatnonzero(ratio > 5.0).max(initial=0))
-    assert np.all((found / ring)[gap] > 0.5), (found / ring)[gap]
 
 
 def test_stated_uncertainties_hold_for_bands_anywhere():

@@ -7,7 +7,6 @@ import scipy.fft
 from wavefield.matching import Prior
 from wavefield.matching.map_field import Modes, cosines
 from wavefield.matching.map_variance import PosteriorVariance
-from wavefield.matching.noise import noise_of_scores
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 
@@ -82,7 +81,6 @@ def test_a_gap_is_filled_as_well_as_its_uncertainty_states_and_better_than_by_no
 
 @pytest.mark.parametrize("waves", [0.0, 0.01, 0.1, 1.0])
 def test_noise_makes_no_slopes_at_the_edge(waves):
-    """Slopes at the edge are no wave of the spectrum: on still water they were most of the error."""
     rng, shape, noise = np.random.default_rng(2), (50, 60), 0.3
     prior = prior_of(lambda k: waves * steep_law(k) + 1e-4, information=1 / noise**2)
     modes, a = Modes(prior, shape), np.full(shape, 1 / noise**2, np.float32)
@@ -98,17 +96,3 @@ def test_noise_makes_no_slopes_at_the_edge(waves):
         [ratio[:, :3].ravel(), ratio[:, -3:].ravel(), ratio[:3].ravel(), ratio[-3:].ravel()]
     )
     assert 0.6 < edge.mean() < 1.6  # variance is that of the middle; lattices reach beyond the grid
-
-
-def test_the_noise_of_scores_is_found_where_it_is():
-    rng = np.random.default_rng(3)
-    shape = (80, 100)
-    trace = rng.uniform(0.5, 1.5, shape).astype(np.float32)
-    nu = np.where(np.arange(shape[1]) < 50, 0.5, 2.0)
-    # of each of two components half the trace
-    score = rng.standard_normal((2, *shape)) * np.sqrt(0.5 * nu * trace)
-    counts = np.ones(shape, np.float32)
-    counts[30:40, 20:30] = 0
-    found = noise_of_scores(score.astype(np.float32), trace, counts, 1.0)
-    assert np.median(found[:, :35]) == pytest.approx(0.5, rel=0.3)
-    assert np.median(found[:, 65:]) == pytest.approx(2.0, rel=0.2)

@@ -13,11 +13,9 @@ from wavefield.measurement.error_budget import (
     changed_waves,
     lost_by_elevation,
     lost_by_paths,
-    ripples,
 )
 from wavefield.tank import Scene, Tank
 from wavefield.variables import Quality
-from wavefield.water import dispersion
 
 TIMES = np.arange(6) - 2.5
 LENGTHS = (0.7, 0.4, 0.2, 0.13, 0.1)
@@ -75,7 +73,6 @@ def test_what_paths_cannot_follow_of_the_rise_is_foreseen(rate):
 
 
 def test_waves_that_start_within_the_frames_are_stated_and_steady_ones_are_not():
-    """z by six frames departs from that by four by more than the spectrum foresees."""
     waves, noise = rings(20.0, [(0.3, 0.01, 0, 0), (0.12, 0.002, 0, 0)]), 1e-10
     now = np.linspace(0, 30, 400)[:, None]
 
@@ -105,24 +102,6 @@ def test_waves_that_start_within_the_frames_are_stated_and_steady_ones_are_not()
         std = np.sqrt(change + lost_by_elevation(waves, 6) + noise)
         assert error < 5 * std
         assert std < 10 * max(error, np.sqrt(noise))
-
-
-def of_height_1(length, rate):
-    """Rise of a wave of height 1 from frame to frame, and per frame at mid-time."""
-    phase = dispersion(2.0 * np.pi / length) / rate
-    return np.sqrt(2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi)))), phase
-
-
-@pytest.mark.parametrize("rate", [10.0, 30.0, 200.0])
-@pytest.mark.parametrize("typical", [0.01, 0.03, 0.06])  # of 2.5 blocks
-def test_height_and_velocity_of_any_ripple_are_contained(typical, rate):
-    for length in typical * np.linspace(1.0, 1.6, 7):  # up to four blocks
-        rise, _ = of_height_1(length, rate)
-        assert 1.0 - 1e-6 < np.sqrt(ripples((rise, typical), rate)[0]) < 2.1
-    for length in np.linspace(max(0.4 * typical, 0.01), 1.6 * typical, 7):  # from one block
-        rise, at_mid_time = of_height_1(length, rate)
-        stated = np.sqrt(ripples((rise, typical), rate)[3])
-        assert 0.99 * at_mid_time < stated < 8.0 * at_mid_time
 
 
 def test_the_stated_uncertainty_is_the_sum_of_the_terms(series, geometry, model):

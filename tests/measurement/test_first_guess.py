@@ -51,7 +51,7 @@ def test_what_the_usual_search_holds_changes_nothing():
     assert "only 0 of 36" in FirstGuess((0, 0), (0, 0), 0, 36).sentence
 
 
-@pytest.mark.parametrize("shift", [5, 30, 90, 200])
+@pytest.mark.parametrize("shift", [30, 200])
 def test_real_texture_is_measured_however_far_it_moves(shared, shift):
     from wavefield.images import read_image
 

@@ -70,7 +70,7 @@ def at_sea(seed):
     return Rig(cameras), height
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_horizon_in_view_does_not_flatten_what_is_measured(seed):
     rig, height = at_sea(seed)
     assert not all(np.isfinite(camera.corners()).all() for camera in rig.cameras.values())

@@ -64,9 +64,8 @@ def test_steep_short_waves_keep_their_harmonics():
     assert lost**2 - kept**2 > 0.5 * rms(true - water.midway(*blocks())) ** 2
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_current_however_fast_leaves_the_waves_as_exact_as_they_are(seed):
-    """Its displacement of 15 to 50 px, half of that times their slopes, was taken for harmonics."""
     water, rng = Water(70 + seed, 0.15), np.random.default_rng(seed)
     speed, towards = rng.uniform(15.0, 50.0), rng.uniform(0, 2 * np.pi)
     k = np.append(0.0, np.linspace(0.04, 3.1, 40))

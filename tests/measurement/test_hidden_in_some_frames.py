@@ -8,7 +8,6 @@ from wavefield.variables import Quality
 
 
 def test_water_that_a_current_brings_into_view_is_measured_by_the_frames_that_show_it():
-    """Frames before and after were read beyond the view, where fields are extrapolated."""
     seed = 2
     rng = np.random.default_rng(seed)
     speed, towards = rng.uniform(0.6, 0.8), rng.uniform(0, 2 * np.pi)

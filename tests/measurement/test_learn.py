@@ -30,7 +30,6 @@ def test_water_at_rest_has_no_waves_and_its_uncertainty_is_that_of_noise(model):
 
 
 def test_short_waves_of_two_cameras_are_not_taken_for_noise():
-    """Waves that a field loses are noise to its scores, and more noise takes more waves, to the last one."""
     grid = {"x": (-0.28, 0.28), "y": (-0.21, 0.21), "step": 0.01}
     sea = {"kind": "random", "rms": 0.00124, "spectrum": {"kind": "jonswap", "peak": 4.6, "enhancement": 1.6}}
     sea |= {"direction": 112.0, "spread": 0.0, "shortest": 0.04, "period": 2.0}

@@ -69,7 +69,6 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, geometry, mode
 
 @pytest.mark.slow
 def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked(series):
-    """Blocks hold as much, and waves are as high, beneath a mask as beside it."""
     geometry = GridGeometry(series.rig, series.grid)
     steps = [({n: f[0] for n, f in series.frames.items()}, {n: f[1] for n, f in series.frames.items()})]
     masks = {name: np.zeros(camera.size[::-1], bool) for name, camera in series.rig.cameras.items()}

@@ -48,14 +48,9 @@ def test_a_wave_keeps_what_theory_states_of_how_it_turns_beside_the_mean_flow(fr
         assert kept == pytest.approx(float(elevation_gain(np.array([turns]), frames)[0]), abs=1e-6)
 
 
-CURRENTS = [(0.0, 0.0), (0.4, -0.2), (0.66, 0.45)]
-
-
-@pytest.mark.parametrize("current", CURRENTS)
-@pytest.mark.parametrize(("rate", "longest"), [(20.0, 0.08), (40.0, 0.06), (100.0, 0.05)])
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("current", [(0.0, 0.0), (0.66, 0.45)])
+@pytest.mark.parametrize(("rate", "longest", "order"), [(20.0, 0.08, 2), (100.0, 0.05, 1)])
 def test_surface_and_kinematics_are_exact_to_the_interpolation_on_any_current(current, rate, longest, order):
-    """Surfaces and paths without noise: z, z_t and the residual are those of the sea."""
     sea = {"kind": "random", "rms": 0.006, "shortest": longest, "period": 2.0, "order": order}
     sea |= {"current": current, "spectrum": {"kind": "jonswap", "peak": 1.5}}
     sea = Scene.load("demo").with_(sea=sea, seed=int(rate)).build_sea()

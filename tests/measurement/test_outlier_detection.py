@@ -36,7 +36,6 @@ def test_what_a_lying_camera_spoils_is_not_called_measured(series, geometry, mod
 
 
 def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model):
-    """Half of its picture stands still while the water moves on: as behind a drop on the window."""
     frames = {name: list(images) for name, images in series.frames.items()}
     width = frames["cam1"][0].shape[1] // 2
     for k, image in enumerate(frames["cam1"][1:], 1):
@@ -66,7 +65,6 @@ def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model)
 
 @pytest.mark.parametrize("axis", [1, 0])
 def test_no_camera_is_accused_where_any_two_of_three_agree(series, geometry, model, axis):
-    """Moved by a pixel along the line on which the cameras stand, from one frame on: not so across it."""
     frames = {name: list(images) for name, images in series.frames.items()}
     frames["cam1"] = [np.roll(image, int(k >= 3), axis=axis) for k, image in enumerate(frames["cam1"])]
     quality = measure(around(frames, 1), geometry, RATE, model)["quality"][0][series.inside]

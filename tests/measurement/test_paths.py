@@ -43,7 +43,6 @@ def test_a_turning_body_keeps_third_order_in_time():
 
 
 def test_weights_of_paths_are_exact_to_their_degree():
-    """Of a place t^n its displacements give the rate at mid-time, 0 but for n = 1."""
     for frames, degree in {2: 2, 4: 4, 6: 4, EXACT_SIX: 6}.items():
         t, weights = place_weights(frames)
         off = [abs(weights @ t**n - (n == 1)) for n in range(degree + 2)]
@@ -55,7 +54,6 @@ def test_weights_of_paths_are_exact_to_their_degree():
 
 
 def test_water_that_was_not_in_the_image_was_not_measured():
-    """A current carries it in and out: fields are not asked beyond their edge."""
     rng = np.random.default_rng(3)
     at = rng.uniform(0.0, 299.0, (2, 400)).astype(np.float32)
     moved = rng.uniform(-50.0, 50.0, 2)

@@ -68,7 +68,6 @@ def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_no
 
 
 def test_what_cameras_see_from_the_same_side_is_not_taken_for_waves(monkeypatch):
-    """Two cameras at sea see the same reflections change: nothing shows that water rises."""
     turned = np.array(SIGHTS["cam1"]) @ [[1, 0, 0], [0, 1, 0.05], [0, 0, 1]]
     monkeypatch.setitem(SIGHTS, "beside", turned.tolist())
     rise, wavelength = found(1, 1e-3, 0.1, ("cam1", "beside"))

@@ -68,7 +68,6 @@ def test_smooth_paths_are_taken_where_waves_turn_slowly(fast, cube):
 
 @pytest.mark.slow
 def test_exact_paths_are_taken_where_waves_turn_fast():
-    """Waves of 8 cm, of whose velocity paths of four frames leave out 2 % at 20 frames/s."""
     tank, frames, geometry, model = taken(20.0, STEPS + 5, sea=WAVE)
     assert model.record.path_frames == EXACT_SIX
     exact = errors(measure(frames, geometry, 20.0, model), tank)
@@ -90,7 +89,6 @@ def test_beside_a_lost_frame_paths_have_four(fast, cube):
 
 
 def test_a_knock_is_not_spread_along_paths(fast):
-    """One camera's picture jumps between the last two frames of a step's six: it does not enter four."""
     _, frames, geometry, model = fast
     moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.6]])
     knocked = {name: list(images) for name, images in frames.items()}

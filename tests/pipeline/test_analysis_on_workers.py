@@ -15,7 +15,7 @@ from wavefield.errors import CubeError, RunStopped, StoreError
 SEGMENT = 16
 
 
-def sea(steps=240, gap=0):
+def sea(steps=240):
     """Waves of all directions with noise, in several runs, and errors to count."""
     rng = np.random.default_rng(3)
     axes = {"time": np.arange(steps) * 0.05, "y": np.arange(20) * 0.02, "x": np.arange(24) * 0.02}
@@ -29,7 +29,6 @@ def sea(steps=240, gap=0):
     )
     cube["z"][120:125] = np.nan  # two runs
     cube["z"][90, 3, 4] = np.nan
-    cube["w"][steps - gap :] = np.nan
     return cube.assign_attrs(water_depth=0.7)
 
 
@@ -77,15 +76,6 @@ def test_the_command_analyses_where_its_workflow_states(reference, tmp_path):
     assert result.exit_code == 0, result.output
     assert "/spectra" in xr.open_datatree(out, engine="zarr").groups
     assert (tmp_path / "waves.log").exists(), "what was done on workers is in a log"
-
-
-@pytest.mark.slow
-def test_a_field_that_lacks_more_than_the_elevation_is_found_on_workers_too(tmp_path):
-    sea(steps=200, gap=9).to_zarr(tmp_path / "cube.zarr", consolidated=False)
-    wf.analyze(tmp_path / "cube.zarr", tmp_path / "one.zarr", segment=SEGMENT)
-    workflow = wf.Workflow(cluster="local", workers=2)
-    wf.analyze_on_workers(tmp_path / "cube.zarr", tmp_path / "two.zarr", workflow, segment=SEGMENT)
-    assert unlike(tmp_path / "one.zarr", tmp_path / "two.zarr") == []
 
 
 @pytest.mark.slow

@@ -97,22 +97,18 @@ def test_packing_rounds_as_documented(tank, reference, tmp_path):
     assert zarr.open_group(tmp_path / "cube.zarr", mode="r")["z"].dtype == "int16"
 
 
-def test_default_place_progress_and_log(own_tank):
+def test_a_run_goes_beside_its_experiment_reports_is_logged_and_smooths_if_asked(own_tank):
+    own_tank.write_text(own_tank.read_text() + "smooth: true\n")
     reported = []
     state = run(own_tank, workflow=chunks_of(8), progress=lambda *args: reported.append(args))
-    assert state.store == own_tank.parent / "cube.zarr"
+    cube = own_tank.parent / "cube.zarr"
+    assert state.store == cube
     assert state.complete
     assert [done for done, _, _ in reported][-1] == STEPS
     assert any("left" in sentence for _, _, sentence in reported)
     log = (own_tank.parent / "cube.log").read_text()
     assert f"{STEPS} of {STEPS} steps" in log
     assert state.recipe_hash in log
-
-
-def test_a_run_smooths_its_cube_if_the_experiment_asks_for_it(own_tank):
-    own_tank.write_text(own_tank.read_text() + "smooth: true\n")
-    run(own_tank, workflow=chunks_of(8))
-    cube = own_tank.with_name("cube.zarr")
     assert main(["-q", "smooth", str(cube), "-o", str(cube.with_name("again.zarr"))]) == 0
     stored, again = (xr.open_zarr(cube.with_name(name)).load() for name in ("smooth.zarr", "again.zarr"))
     assert "smoothed" in stored.attrs
@@ -164,7 +160,6 @@ def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
 
 
 def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_path, monkeypatch):
-    """The writer dies in the middle of a chunk: the ledger does not hold the chunk."""
     out = tmp_path / "cube.zarr"
 
     def dying(*arguments):
@@ -265,7 +260,6 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
 
 
 def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_they_are(own_tank, reference):
-    """Spectra and noise are learned in sample steps: a repeated frame there has neither motion nor noise."""
     number = sample_steps(16)[1]
     repeat(own_tank.parent / "cam1" / f"img_{number:05d}.tif")
     cube, good = open_cube(run(own_tank, workflow=chunks_of(8)).store).load(), open_cube(reference).load()

@@ -43,7 +43,6 @@ def test_water_is_found_however_high_it_stands(level):
 
 
 def test_elevations_that_are_found_in_coarse_steps_are_searched_a_step_further():
-    """Cameras next to each other above the sea: a pixel of parallax is decimetres of elevation."""
     found = FirstHeights((-0.43, 0.0), 140, 144, (-0.64, 0.64), 0.41)
     settings, found = high_enough(Settings(), found)
     assert settings.z_range == found.searched == pytest.approx((-0.84, 0.41))
@@ -51,7 +50,6 @@ def test_elevations_that_are_found_in_coarse_steps_are_searched_a_step_further()
 
 
 def test_check_counts_only_what_was_measured(own_tank):
-    """Half of every image shows nothing: its nodes are filled, finite, and do not count."""
     for path in own_tank.parent.glob("cam*/*.tif"):
         image = read_image(path)
         image[:, image.shape[1] // 2 :] = np.median(image)

@@ -89,12 +89,3 @@ def test_mistakes_in_it_are_named(lab, tmp_path, rest, expected):
     with pytest.raises(ExperimentError) as caught:
         Experiment.load(path).at_rest()
     assert expected in str(caught.value)
-
-
-def test_the_note_on_missing_still_water_gives_the_uncertainty_of_the_level(lab, tmp_path):
-    plain = tmp_path / "experiment.yaml"
-    plain.write_text(lab.read_text().replace(REST, ""))
-    found = remark_on_rest(Experiment.load(plain), Rig.load(lab.with_name("rig.yaml")), 0.00044)
-    assert found.weight == "note"
-    assert "0.44 mm" in found.means
-    assert found.values == {"level_std_m": 0.00044}
