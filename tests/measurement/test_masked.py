@@ -67,25 +67,6 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, geometry, mode
     assert min(worse.values()) > 1.1
 
 
-@pytest.mark.slow
-def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked(series):
-    geometry = GridGeometry(series.rig, series.grid)
-    steps = [({n: f[0] for n, f in series.frames.items()}, {n: f[1] for n, f in series.frames.items()})]
-    masks = {name: np.zeros(camera.size[::-1], bool) for name, camera in series.rig.cameras.items()}
-    for mask in masks.values():
-        mask[:, : mask.shape[1] // 2] = True
-    whole, beside = learn(steps, geometry), learn(steps, geometry, [(masks, masks)])
-    pairs = [(whole.elevation, beside.elevation)]
-    pairs += [
-        (one, other) for (_, one), (_, other) in zip(whole.displacement, beside.displacement, strict=True)
-    ]
-    ratios = [other.information / one.information for one, other in pairs]
-    rings = np.s_[..., 2:9]
-    high = [np.exp(np.mean(np.log(o.power)[rings] - np.log(p.power)[rings])) for p, o in pairs]
-    assert 0.75 < np.exp(np.mean(np.log(ratios))) < 1.3, ratios
-    assert 0.75 < np.mean(high) < 1.3, high
-
-
 def test_masked_nodes_hold_nothing_and_are_flagged(series, geometry, model, drawn):
     with_mask = GridGeometry(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
     found = measure(around(drawn[0]), with_mask, RATE, Model(with_mask, model.record), around(drawn[1]))

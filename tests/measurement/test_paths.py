@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from wavefield.measurement.paths import path_weights, place_weights, read_path
+from wavefield.measurement.paths import path_weights, read_path
 from wavefield.measurement.regrid import BlockLattice, coefficients
-from wavefield.variables import EXACT_SIX
 
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (60, 60))
 MIDDLE = 150.0
@@ -40,17 +39,6 @@ def test_a_turning_body_keeps_third_order_in_time():
         there = [True] * (places - 1)
         assert error(0.2, *there) < 0.2**4
         assert error(0.1, *there) < 0.1 * error(0.2, *there)
-
-
-def test_weights_of_paths_are_exact_to_their_degree():
-    for frames, degree in {2: 2, 4: 4, 6: 4, EXACT_SIX: 6}.items():
-        t, weights = place_weights(frames)
-        off = [abs(weights @ t**n - (n == 1)) for n in range(degree + 2)]
-        assert max(off[: degree + 1]) < 1e-12
-        assert off[degree + 1] > 1e-3
-    beside = (True,) * 5
-    assert error(0.4, *beside, frames=EXACT_SIX) < 0.7 * error(0.4, *beside)  # places are those of a cubic
-    assert error(0.4, *beside[:3], frames=EXACT_SIX) == error(0.4, *beside[:3])
 
 
 def test_water_that_was_not_in_the_image_was_not_measured():

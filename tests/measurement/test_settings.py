@@ -29,8 +29,6 @@ def test_part_of_a_matching_is_enough():
     ("data", "message"),
     [
         ({"pears": []}, "settings.pears is not a known key; did you mean 'pairs'"),
-        ({"colour": 1}, "settings.colour is not a known key; known keys here: pairs, "),
-        ({"pairs": [["cam1"]]}, r"settings.pairs.0.1 is missing"),
         ({"pairs": [["cam1", "cam1"]]}, "not a pair"),
         ({"pairs": "cam1"}, "settings.pairs should be a valid tuple, not 'cam1'"),
         ({"velocity_cameras": ["cam1"]}, "at least two"),
@@ -38,7 +36,6 @@ def test_part_of_a_matching_is_enough():
         ({"preset": "slow"}, "choose one of floating, sheet, texture, not 'slow'"),
         ({"pixel": 0.0}, "above 0 m"),
         ({"smoothing": -1.0}, "smoothing must be 0 or more"),
-        ({"piv": {"windows": 3}}, "settings.piv.windows is not a known key; did you mean 'window'"),
         ({"piv": {"window": -3.0}}, "window"),
     ],
 )

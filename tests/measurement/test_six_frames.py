@@ -9,7 +9,7 @@ import pytest
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
 from wavefield.tank import Scene, Tank
-from wavefield.variables import EXACT_SIX, Quality
+from wavefield.variables import EXACT_SIX
 
 RATE = 40.0
 STEPS = 3
@@ -75,17 +75,6 @@ def test_exact_paths_are_taken_where_waves_turn_fast():
     four = errors(measure(frames, geometry, 20.0, Model(geometry, record)), tank)
     assert exact["u"] < 0.95 * four["u"]
     assert exact["w"] < four["w"]
-
-
-def test_beside_a_lost_frame_paths_have_four(fast, cube):
-    _, frames, geometry, model = fast
-    lost = {name: [None, *images[1:]] for name, images in frames.items()}
-    out = measure(lost, geometry, RATE, model)
-    four = measure(lost, geometry, RATE, Model(geometry, replace(model.record, path_frames=4)))
-    for name in (*NAMES, "w_std"):
-        np.testing.assert_array_equal(out[name][0], four[name][0])
-        np.testing.assert_array_equal(out[name][1:], cube[name][1:])
-    assert not (out["quality"][0] & Quality.TWO_FRAME_MEAN)[5:-5, 5:-5].any()
 
 
 def test_a_knock_is_not_spread_along_paths(fast):

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import wavefield as wf
 from wavefield.commands.cli import cli
-from wavefield.errors import CubeError, RunStopped, StoreError
+from wavefield.errors import RunStopped
 
 SEGMENT = 16
 
@@ -76,16 +76,6 @@ def test_the_command_analyses_where_its_workflow_states(reference, tmp_path):
     assert result.exit_code == 0, result.output
     assert "/spectra" in xr.open_datatree(out, engine="zarr").groups
     assert (tmp_path / "waves.log").exists(), "what was done on workers is in a log"
-
-
-@pytest.mark.slow
-def test_what_cannot_be_analysed_is_reported_as_by_one_process(store, tmp_path):
-    workflow = wf.Workflow(cluster="local", workers=2)
-    with pytest.raises(CubeError, match="less than one segment"):
-        wf.analyze_on_workers(store, tmp_path / "waves.zarr", workflow, segment=4000)
-    with pytest.raises(StoreError, match="cannot be read as a cube"):
-        wf.analyze_on_workers(tmp_path / "none.zarr", tmp_path / "waves.zarr", workflow)
-    assert [path.name for path in tmp_path.iterdir()] == ["waves.log"]
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ import zarr
 from cube_cases import FRAMES, HERE, different, far_apart
 
 from wavefield.commands.cli import main
-from wavefield.errors import ExperimentError, RigError, RunStopped, StoreError
+from wavefield.errors import RunStopped, StoreError
 from wavefield.execution.lock import Lock
 from wavefield.measurement import sample_steps
 from wavefield.pipeline import Workflow, chunk, open_cube, run, status
@@ -56,9 +56,6 @@ def stop_after(steps):
             raise KeyboardInterrupt
 
     return progress
-
-
-# -- the cube ------------------------------------------------------------------------------------------------
 
 
 def test_a_cube_explains_itself(reference):
@@ -116,9 +113,6 @@ def test_a_run_goes_beside_its_experiment_reports_is_logged_and_smooths_if_asked
     assert stored.drop_attrs().identical(again.drop_attrs())
     with open_cube(cube) as measured_cube:
         assert (stored.u_std <= measured_cube.u_std).where(measured_cube.u_std.notnull()).mean() == 1
-
-
-# -- stopping and going on -----------------------------------------------------------------------------------
 
 
 def test_an_interrupted_run_goes_on_with_what_is_missing(tank, reference, tmp_path, measured):
@@ -191,24 +185,11 @@ def test_two_recipes_are_not_mixed(tank, tmp_path):
     assert status(out) == before
 
 
-def test_what_is_not_a_cube_is_not_overwritten(tank, tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "data.txt").write_text("precious")
-    with pytest.raises(StoreError, match=r"is not a cube|cannot be opened"):
-        run(tank, out=tmp_path / "mine", workflow=HERE)
-    assert (tmp_path / "mine" / "data.txt").read_text() == "precious"
-    with pytest.raises(StoreError, match="no such store; make one with `wavefield run`"):
-        open_cube(tmp_path / "none.zarr")
-
-
 def test_two_runs_do_not_write_one_store(tank, tmp_path):
     out = tmp_path / "cube.zarr"
     with Lock.hold(out), pytest.raises(StoreError, match="another run is writing"):
         run(tank, out=out, workflow=HERE)
     assert not out.exists()
-
-
-# -- bad frames ----------------------------------------------------------------------------------------------
 
 
 def truncate(path):
@@ -330,28 +311,6 @@ def test_steps_without_enough_cameras_fail_and_are_reported(own_tank):
     assert np.isnan(open_cube(state.store).z[1:3]).all()
 
 
-# -- what cannot work is refused before anything is written --------------------------------------------------
-
-
-def test_what_cannot_work_is_refused_first(own_tank, tmp_path):
-    out = tmp_path / "cube.zarr"
-    text = own_tank.read_text()
-    for old, new, error, expected in [
-        ("rig: rig.yaml", "rig: lost.yaml", RigError, "lost.yaml"),
-        ("x: [-0.04, 0.04]", "x: [50.04, 50.14]", ExperimentError, "no camera sees the grid"),
-        ("water:", "settings: {sharpness: 3}\nwater:", ExperimentError, "sharpness"),
-        ("cam2/img", "cam7/img", ExperimentError, "no folder .*cam7"),
-    ]:
-        own_tank.write_text(text.replace(old, new))
-        with pytest.raises(error, match=expected):
-            run(own_tank, out=out, workflow=HERE)
-        assert not out.exists()
-    own_tank.write_text(text)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="cannot be written"):
-        run(own_tank, out=tmp_path / "file" / "cube.zarr", workflow=HERE)
-
-
 def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, tmp_path, monkeypatch):
     out = tmp_path / "cube.zarr"
 
@@ -371,9 +330,6 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
     assert "deep inside" in (tmp_path / "cube.log").read_text()
     run(tank, out=out, workflow=chunks_of(4))
     assert different(out, reference) == []
-
-
-# -- a full disk ---------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -83,12 +83,6 @@ def test_a_run_in_which_nothing_could_be_measured_failed(lab, capsys):
     assert main(["-q", "status", str(lab.with_name("cube.zarr"))]) == 1
 
 
-def test_a_sound_record_stops_nothing(lab, capsys):
-    here = ["--workflow", str(lab.with_name("here.yaml"))]
-    assert main(["-q", "run", str(lab), *here]) == 0
-    assert capsys.readouterr().out.startswith("verdict: sound\n")
-
-
 def test_waves_that_images_do_not_resolve_are_remarked_upon_by_their_share():
     def weights(unresolved, w, w_std):
         return [one.weight for one in remark_on_unresolved_waves(unresolved, 0.02, w, w_std)]
