@@ -1,4 +1,4 @@
-"""Spectra with bands of waves anywhere: what is learned of them, and what is stated of the fields."""
+"""Spectra with bands of waves anywhere: what is stated of the fields."""
 
 import numpy as np
 import scipy.fft

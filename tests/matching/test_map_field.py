@@ -1,4 +1,4 @@
-"""The most probable field: against a dense solve, with a gap, with a slope at the edge; noise, spectrum."""
+"""The most probable field: against a dense solve, with a gap, of noise."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-"""The terms of the standard uncertainty: each is the variance that it states."""
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The range of displacements is found from the images, before anything is measured."""
-
 from dataclasses import replace
 
 import numpy as np

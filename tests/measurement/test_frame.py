@@ -1,5 +1,3 @@
-"""Brightness evened out before matching."""
-
 import numpy as np
 
 from wavefield.matching import match

@@ -1,5 +1,3 @@
-"""Water that some of the six frames around a step do not show."""
-
 import numpy as np
 
 from wavefield.measurement import GridGeometry, measure

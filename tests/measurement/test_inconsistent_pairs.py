@@ -1,5 +1,3 @@
-"""Pairs of cameras that contradict each other about the surface."""
-
 import numpy as np
 from measurement_cases import RATE
 

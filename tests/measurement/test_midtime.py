@@ -1,5 +1,3 @@
-"""z at mid-time from the frames around."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Least squares over the cameras at the nodes."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Velocity along paths: a cubic in time by four or six places."""
-
 import numpy as np
 import pytest
 
@@ -17,17 +15,11 @@ def turned(angle):
     return coefficients(np.stack([c * x - s * y, s * x + c * y], axis=-1).astype(np.float32))
 
 
-def error(angle, *there, frames=6):
+def error(angle, *there):
     spline, all_of_it = turned(angle), np.ones(LATTICE.shape, bool)
     X, Y = np.meshgrid(np.linspace(110.0, 190.0, 7), np.linspace(110.0, 190.0, 7))
-    d, _ = read_path(
-        [spline if q else None for q in there],
-        [all_of_it if q else None for q in there],
-        LATTICE,
-        X,
-        Y,
-        path_weights(frames=frames),
-    )
+    splines, measured = ([one if q else None for q in there] for one in (spline, all_of_it))
+    d, _ = read_path(splines, measured, LATTICE, X, Y, path_weights(frames=6))
     exact = angle * np.stack([-(Y - MIDDLE), X - MIDDLE])
     return float(np.abs(d[:2] - exact).max() / np.abs(exact).max())
 

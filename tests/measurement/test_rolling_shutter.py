@@ -1,5 +1,3 @@
-"""Rolling shutters: elevations are those of mid-time, whichever row shows them."""
-
 import numpy as np
 import pytest
 

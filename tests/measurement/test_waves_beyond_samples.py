@@ -1,5 +1,3 @@
-"""Waves much higher than in the steps from which spectra were learned are not measured wrong."""
-
 import numpy as np
 import pytest
 from measurement_cases import RATE

@@ -1,5 +1,3 @@
-"""The waves of a cube on workers: what one process finds, to the bit."""
-
 import signal
 import threading
 

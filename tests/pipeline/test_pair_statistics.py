@@ -1,5 +1,3 @@
-"""Errors of camera pairs, stored when a run ends."""
-
 import shutil
 import sys
 

@@ -5,9 +5,7 @@ import shutil
 import signal
 import subprocess
 from contextlib import suppress
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -203,27 +201,14 @@ def dim(path):
     tifffile.imwrite(path, image)
 
 
-def shrink(path):
-    tifffile.imwrite(path, cv2.resize(tifffile.imread(path), (100, 100)))
-
-
 def repeat(path):
     """The image of the frame before it, as recorders leave it when they lose one."""
     path.write_bytes((path.parent / f"img_{int(path.stem[4:]) - 1:05d}.tif").read_bytes())
 
 
-@pytest.mark.parametrize(
-    ("spoil", "faults"),
-    [
-        ((truncate, Path.unlink), (FrameFault.UNREADABLE, FrameFault.MISSING)),
-        ((dim, shrink), (FrameFault.BLANK, FrameFault.WRONG_SIZE)),
-    ],
-    ids=["truncated, missing", "dim, wrong size"],
-)
-def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil, faults):
-    numbers = (5, 11)
-    for number, spoil_one in zip(numbers, spoil):
-        spoil_one(own_tank.parent / "cam2" / f"img_{number:05d}.tif")
+def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference):
+    dim(own_tank.parent / "cam2" / "img_00005.tif")
+    truncate(own_tank.parent / "cam2" / "img_00011.tif")
     state = run(own_tank, workflow=chunks_of(4))
     cube, good = open_cube(state.store).load(), open_cube(reference).load()
     touched = [4, 5, 10, 11]  # the two steps of each frame
@@ -233,7 +218,7 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
     for steps in (slice(0, 2), slice(14, 16)):
         assert far_apart(cube, good, steps) == []
     reported = {(b.camera, b.fault): b.numbers for b in state.bad_frames}
-    assert reported == {("cam2", fault): (number,) for fault, number in zip(faults, numbers)}
+    assert reported == {("cam2", FrameFault.BLANK): (5,), ("cam2", FrameFault.UNREADABLE): (11,)}
     assert "cam2: " in str(state)
     assert "frame 5" in str(state)
     assert "frame 11" in str(state)
@@ -278,9 +263,6 @@ def test_repeated_frames_of_all_cameras_leave_no_values_whatever_the_chunks(own_
     assert {bad.fault for bad in state.bad_frames} == {FrameFault.REPEATED}
     other = run(own_tank, tmp_path / "other.zarr", workflow=chunks_of(8))
     assert different(other.store, state.store) == []
-    before = dict(state.bad_frames[0].__dict__)
-    again = run(own_tank, workflow=chunks_of(4))
-    assert before == dict(again.bad_frames[0].__dict__)
 
 
 def test_a_frame_that_was_copied_again_is_measured(own_tank, reference, measured):

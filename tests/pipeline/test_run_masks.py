@@ -1,5 +1,3 @@
-"""A run with something in the water, and cubes from before there were masks."""
-
 import json
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Steps from which spectra are learned: in the part of a record with waves, wherever that is."""
-
 from types import SimpleNamespace
 
 import cv2

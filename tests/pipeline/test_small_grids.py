@@ -1,5 +1,3 @@
-"""Grids that are small beside the patches and blocks that are matched."""
-
 import re
 
 import pytest

@@ -1,5 +1,3 @@
-"""Runs whose frames have time stamps at uneven times."""
-
 import json
 
 import numpy as np

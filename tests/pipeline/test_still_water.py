@@ -1,5 +1,3 @@
-"""A record at rest levels the rig; whoever has none is asked for it."""
-
 from dataclasses import replace
 
 import numpy as np

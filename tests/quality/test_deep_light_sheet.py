@@ -1,5 +1,3 @@
-"""Cameras that see a light sheet deeper than its particles are apart cannot be compared patch by patch."""
-
 import numpy as np
 import pytest
 import yaml

@@ -1,5 +1,3 @@
-"""A camera that is knocked while it records: dated, named, and turned back where that is asked for."""
-
 from dataclasses import replace
 
 import numpy as np
