@@ -22,10 +22,8 @@ SIGHTS = {  # px per metre: two cameras at 45 degrees along x, one above
 }
 
 
-def in_one_step(seed, waves, noise, cameras, removed=0.0):
-    """What is in common where beads move by short waves with this std of the rise, m, and by noise, px.
-    The prior removes waves whose rise has the std removed, m.
-    """
+def found(seed, waves, noise, cameras):
+    """Std of the rise that is stated, and wavelength, m: beads move by short waves, m, and by noise, px."""
     rng = np.random.default_rng(seed)
     water = rng.normal(0, waves, (3, SIDE, SIDE)) * np.sqrt([0.5, 0.5, 1.0])[:, None, None]
     valid = rng.random((SIDE, SIDE)) > 0.1
@@ -41,22 +39,16 @@ def in_one_step(seed, waves, noise, cameras, removed=0.0):
             hessian=hessian, score=np.stack([xx * u + xy * v, xy * u + yy * v]), valid=valid
         )
         estimates[name] = SimpleNamespace(found=one)
-        part = np.square(J) @ [0.5, 0.5, 1.0] * removed**2
-        missing[name] = np.broadcast_to(part[:, None, None], (2, SIDE, SIDE))
+        missing[name] = np.zeros((2, SIDE, SIDE))
         at = np.concatenate([np.stack([x, y]), np.broadcast_to(J.reshape(6, 1, 1), (6, SIDE, SIDE))])
         sights[name] = SimpleNamespace(at=lambda z, at=at: at, lattice=LATTICE)
     geometry = SimpleNamespace(sights=sights)
-    return shared_motion(estimates, missing, np.zeros((SIDE, SIDE)), geometry)
-
-
-def found(*conditions):
-    """Standard deviation of the rise that is stated, and the wavelength, metres."""
-    return ripple_rise(in_one_step(*conditions))
+    return ripple_rise(shared_motion(estimates, missing, np.zeros((SIDE, SIDE)), geometry))
 
 
 @pytest.mark.parametrize("cameras", [("cam1", "cam2"), ("cam1", "cam3"), ("cam1", "cam2", "cam3")])
 def test_waves_that_all_cameras_see_are_found_in_any_noise_and_noise_alone_is_not(cameras):
-    for seed in range(6):
+    for seed in range(3):
         noise = float(np.random.default_rng(seed).uniform(0.01, 0.3))
         assert found(seed, 0.0, noise, cameras)[0] == 0.0
         size = 2.0 * noise / 500.0
