@@ -101,6 +101,12 @@ def test_displacements_beyond_the_search_range_are_marked():
     assert ((d.reason[inside] & Reason.RANGE) > 0).mean() > 0.95
 
 
+def test_a_lonely_wrong_block_is_marked_by_its_neighbours(pair):
+    a, b, _ = pair
+    d = match(a, b, MatchSettings.piv(max_deviation=1e-4))
+    assert (d.reason & Reason.NEIGHBOURS).any()
+
+
 @pytest.mark.parametrize(
     ("image", "words"),
     [

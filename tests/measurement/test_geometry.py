@@ -55,6 +55,15 @@ def test_cameras_left_over_pair_up_when_the_reference_is_missing(rig):
     assert geometry.pairs_for(("cam2",)) == ()
 
 
+def test_a_sharper_camera_is_binned_and_blurred_until_beads_look_alike():
+    geometry = GridGeometry(paper_rig(1.0, crop=0.3), GRID)
+    assert [geometry.sights[name].binning for name in ("cam1", "cam2", "cam3")] == [1, 1, 2]
+    blur = {name: geometry.views[name].blur for name in ("cam1", "cam3")}
+    assert blur["cam3"][0] == pytest.approx(0.8, abs=0.2)  # along x, where the others look obliquely
+    assert blur["cam1"][1] == pytest.approx(0.6, abs=0.2)  # along y binned pixels are the widest
+    assert max(blur["cam3"][1], blur["cam1"][0]) < 0.3
+
+
 def at_sea(seed):
     """Two cameras side by side, the horizon in both of their images, heights and lenses at random."""
     rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from measurement_cases import RATE, around
 
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, learn, measure
 from wavefield.series.frames import CameraMask
 from wavefield.series.masks import MaskSection, footprints, outline_in_image
 from wavefield.variables import Quality
@@ -101,6 +101,18 @@ def test_what_a_mask_covers_changes_no_bit(series, geometry, model, drawn):
     again = measure(around(overdrawn(*drawn)), geometry, RATE, model, around(copies))
     for name, field in one.items():
         np.testing.assert_array_equal(field, again[name], err_msg=name)
+
+
+def test_pairs_are_compared_without_what_is_covered(series, drawn):
+    frames, masks = drawn
+    geometry = GridGeometry(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
+    hidden = {n: m[:2] for n, m in masks.items()}
+    one, again = (
+        diagnose({n: f[1:3] for n, f in some.items()}, geometry, masks=hidden)
+        for some in (frames, overdrawn(*drawn))
+    )
+    for pair, eps in one.eps_y.items():
+        np.testing.assert_array_equal(eps, again.eps_y[pair])
 
 
 def test_a_record_is_learned_without_what_is_covered(series, drawn):

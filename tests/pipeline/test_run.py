@@ -314,6 +314,19 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
     assert different(out, reference) == []
 
 
+def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
+    calls = []
+
+    def breaking(chunk, geometry, frame_rate, model):
+        calls.append(chunk.start)
+        raise ZeroDivisionError("always")
+
+    monkeypatch.setattr(chunk, "measure_chunk", breaking)
+    with pytest.raises(StoreError, match="always"):
+        run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(1))
+    assert len(calls) == 3
+
+
 @pytest.fixture
 def small_disk(tmp_path):
     """A file system of 1000 kB."""

@@ -69,6 +69,7 @@ def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
     absent = remark_on_rest(Experiment.load(plain), rig)
     assert (absent.kind, absent.weight) == ("water level", "note")
     assert "name them with the key `rest`" in str(absent)
+    assert "0.44 mm" in remark_on_rest(Experiment.load(plain), rig, 0.00044).means
     with pytest.raises(ExperimentError, match="names no record at rest"):
         Experiment.load(plain).at_rest()
 
