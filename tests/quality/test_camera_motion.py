@@ -14,6 +14,7 @@ from wavefield.quality.camera_motion import (
     camera_motion,
     delays,
     is_determined,
+    jump,
     knocks,
     level_motion,
     regress,
@@ -21,7 +22,7 @@ from wavefield.quality.camera_motion import (
     remarks_on_clocks,
     shaking,
 )
-from wavefield.quality.cameras import PatchMatcher
+from wavefield.quality.cameras import PatchMatcher, rms_over_field
 from wavefield.store.read import open_cube
 from wavefield.tank import Scene, Tank
 
@@ -56,6 +57,56 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
     assert still < 0.05
     assert rms == pytest.approx(np.sqrt(0.2**2 + 0.3**2 / 3), rel=0.4)
     assert 0 < std < rms / 2
+
+
+def test_a_steady_record_has_no_knock(cube):
+    found = camera_motion(cube)
+    assert len(found.steps) == 16
+    assert knocks(cube, found) == []
+
+
+def test_a_slow_drift_and_waves_are_no_knock():
+    t = np.linspace(0, 1, 200)[:, None]
+    assert jump(np.hstack([0.2 * np.sin(60 * t), 0 * t, 0 * t])) is None
+    assert rms_over_field(np.array([0.3, 0.0, 0.0])) == pytest.approx(0.3)
+
+
+def samples(delay, rng, instants=10, shake=0.3):
+    out = []
+    for _ in range(instants):
+        x, y = rng.uniform(-1, 1, (2, 300))
+        low = np.stack([np.ones(300), x, y], axis=-1)
+        velocity = np.sin(5 * x + 3 * y + rng.uniform(0, 6)) + 0.3 * rng.standard_normal(300)
+        miss = delay * velocity + low @ (shake * rng.standard_normal(3)) + 0.03 * rng.standard_normal(300)
+        miss[:6] += 3.0  # wrong matches
+        out.append(Sample(miss, velocity, low))
+    return out
+
+
+def test_a_delay_is_found_whatever_the_cameras_shake():
+    rng = np.random.default_rng(5)
+    misses = []
+    for _ in range(40):
+        found, std = regress(samples(0.004, rng))
+        misses.append((found - 0.004) / std)
+        assert std < 0.002
+    assert np.std(misses) == pytest.approx(1.0, abs=0.35)  # the uncertainty holds
+    assert regress(samples(0.004, rng, instants=1)) is None
+
+
+def test_instants_that_show_the_same_beads_do_not_make_a_delay_more_certain_than_one():
+    """In short records the beads hardly move, nor do waves longer than the field change."""
+    rng = np.random.default_rng(0)
+    misses = []
+    for _ in range(200):
+        x, y = rng.uniform(-1, 1, (2, 30))
+        low, noise = np.stack([np.ones(30), x, y], axis=-1), 0.03 * rng.standard_normal(30)
+        phase, k = rng.uniform(0, 6), rng.uniform(1, 3, 2)
+        velocities = [np.sin(k[0] * x + k[1] * y + phase + 0.1 * n) for n in range(4)]
+        found, std = regress([Sample(0.1 * v + noise, v, low) for v in velocities])
+        misses.append((found - 0.1) / std)
+    assert 0.7 < np.sqrt(np.mean(np.square(misses))) < 1.3
+    assert np.mean(np.abs(misses) > SIGNIFICANCE) < 0.02
 
 
 def test_no_delay_follows_from_a_specimen_that_hardly_moves():
