@@ -139,50 +139,6 @@ class Sea:
         return sum(raw[:, i : i + ny, j : j + nx] for i in range(n) for j in range(n)) / np.float32(n)
 
 
-def family(name, seed):
-    """A sea drawn at random from a family: its settings."""
-    rng = np.random.default_rng([seed, FAMILIES.index(name)])
-    speed, towards, heading = rng.uniform(0, 0.4), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
-    s = rng.choice([0.0, 2.0, 5.0, 10.0, 20.0, 50.0])
-    settings = {
-        "current": (speed * np.cos(towards), speed * np.sin(towards)),
-        "depth": rng.choice([0.1, 0.7, np.inf]),
-        "directions": ((heading, s, 1.0),),
-        "height": rng.uniform(0.005, 0.012),
-        "shape": (int(20 * rng.uniform(16, 60)), int(rng.integers(60, 76)), int(rng.integers(80, 101))),
-        "noise_nodes": int(rng.integers(1, 4)),
-        "lowest": rng.uniform(1.0, 1.4),
-        "seed": seed,
-    }
-    if name == "noisy tail":
-        settings |= {"noise": rng.uniform(2e-4, 5e-4)}
-    elif name == "roll-off":
-        settings |= {"roll_off": rng.uniform(2.5, 3.2), "noise": rng.uniform(0, 3e-4)}
-    elif name == "narrow band":
-        settings |= {
-            "highest": rng.uniform(2.5, 4.0),
-            "slope": rng.uniform(2, 6),
-            "noise": rng.uniform(0, 3e-4),
-        }
-    elif name == "bimodal":
-        other = heading + rng.uniform(1.0, np.pi)
-        settings |= {
-            "directions": ((heading, max(s, 5.0), 0.6), (other, rng.choice([5.0, 20.0]), 0.4)),
-            "noise": rng.uniform(0, 5e-4),
-            "highest": rng.uniform(3.0, 6.0),
-        }
-    elif name == "shallow":
-        settings |= {
-            "depth": rng.uniform(0.08, 0.12),
-            "noise": rng.uniform(0, 4e-4),
-            "highest": rng.uniform(2.5, 6.0),
-        }
-    return Sea(**settings)
-
-
-FAMILIES = ("broad and clean", "noisy tail", "roll-off", "narrow band", "bimodal", "shallow")
-
-
 @dataclass(frozen=True)
 class LatticeSea:
     """Settings of a Gaussian sea without end: random amplitudes on a fine lattice of wave vectors.

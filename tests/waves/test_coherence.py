@@ -1,6 +1,3 @@
-import importlib
-from itertools import combinations
-
 import dask
 import numpy as np
 import pytest
@@ -9,48 +6,6 @@ from independent_seas import LatticeSea, random_lattice_sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
-
-coherence_module = importlib.import_module("wavefield.waves.cross")
-NAMES, PAIRS = ("rise", "w", "nl"), (("rise", "w"), ("rise", "nl"), ("w", "nl"))
-
-
-def white_cube(seed, steps=512, ny=24, nx=30):
-    rng = np.random.default_rng(seed)
-    t, y, x = axes(steps, ny, nx, 0.05, 0.04)
-    fields = {n: rng.standard_normal((steps, ny, nx), dtype="f4") for n in ("z", "z_t", "u", "v", "w")}
-    return cube(fields, t, y, x)
-
-
-@pytest.mark.slow
-def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predicted():
-    names = ("rise", "u", "v", "w")
-    pairs = tuple(combinations(names, 2))
-    means, hits, hits_k, over_k = [], [], [], []
-    for seed in range(12):
-        ring = wv.cross_spectra(white_cube(seed, steps=256), names, pairs, segment=64)
-        inside = (ring.k > 10) & (ring.k < np.pi / 0.04)
-        use = inside & (ring.omega > 5) & (ring.omega < 58)
-        for a, b in pairs:
-            samples = (ring[f"dof_{a}"] * ring[f"dof_{b}"]) ** 0.5 / 2
-            level = coherence_module.significance_level(samples)
-            gamma2 = np.abs(ring[f"S_{a}_{b}"]) ** 2 / (ring[f"E_{a}"] * ring[f"E_{b}"])
-            means.append((gamma2 * samples).where(use).mean().item())
-            hits.append((gamma2 > level).where(use).mean().item())
-        # u in the place of the nonlinear term: any two unrelated signals
-        names_of_nl = {
-            name: name.removesuffix("_u") + "_nl" for name in ("samples_rise_u", "samples_k_rise_u")
-        }
-        made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_rise_u="S_rise_nl", **names_of_nl)
-        made = made.assign(S_w_nl=ring.S_u_w.conj())
-        C = coherence_module.coherence_group(made)
-        for name in ("w", "nl"):
-            over_k.append((C[f"gamma2_{name}"] * C[f"samples_{name}"]).where(inside).mean().item())
-            hits_k.append((C[f"gamma2_{name}"] > C[f"level_{name}"]).where(inside).mean().item())
-    assert np.mean(means) == pytest.approx(1, abs=0.02)
-    assert np.mean(hits) == pytest.approx(0.05, abs=0.004)
-    # one number for all frequencies: 600 values where there are 50 000 above
-    assert np.mean(over_k) == pytest.approx(1, abs=0.1)
-    assert np.mean(hits_k) == pytest.approx(0.05, abs=0.025)
 
 
 @pytest.fixture(scope="module")
@@ -96,12 +51,6 @@ def test_chunks_do_not_matter_and_lazy_stays_lazy(sea):
     xr.testing.assert_equal(lazy.compute(), wv.coherence(sea, segment=128))
 
 
-def test_cross_spectra_are_the_power_for_a_field_with_itself(sea):
-    ring = wv.cross_spectra(sea, NAMES, (("w", "w"), *PAIRS), segment=128)
-    np.testing.assert_allclose(ring.S_w_w.real, ring.E_w, rtol=1e-6)
-    assert float(np.abs(ring.S_w_w.imag).max()) < 1e-9 * float(ring.E_w.max())
-
-
 def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
     sea = linear_cube(random_waves(n=150), 400, 40, 50, dx=0.02)
     ring = wv.cross_spectra(sea, ("z", "z_t"), (("z", "z_t"),), segment=128)
@@ -110,23 +59,6 @@ def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
     # z at frame times is half a step early
     half_step = float(line.omega) * 0.05 / 2
     assert np.angle(S) == pytest.approx(-np.pi / 2 - half_step, abs=0.05)
-
-
-def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
-    names = ("rise", "w", "u")
-    ring = wv.cross_spectra(white_cube(0, steps=128), names, tuple(combinations(names, 2)), segment=32)
-    nil = {
-        "E_nl": 0 * ring.E_u,
-        "S_rise_nl": 0 * ring.S_rise_u,
-        "S_w_nl": 0 * ring.S_w_u,
-        "samples_rise_nl": ring.samples_rise_u,
-        "samples_k_rise_nl": ring.samples_k_rise_u,
-    }
-    # in pieces, since xarray keeps silent about what it divides at once; any warning is an error here
-    C = coherence_module.coherence_group(ring.assign(nil).chunk()).compute()
-    assert np.isnan(C["gamma2_nl"]).all()
-    assert np.isnan(C["gamma2_nl_komega"]).all()
-    assert np.isfinite(C["gamma2_w"]).sum() == np.isfinite(C["gamma2_tot"]).sum() > 0
 
 
 @pytest.mark.slow

@@ -24,9 +24,8 @@ def of(fields, **more):
     return wf.cube(*(fields[name] for name in "zuvw"), **{"velocity": "instantaneous"} | more)
 
 
-@pytest.mark.parametrize("seed", [101, 102])
-def test_the_elevation_from_instantaneous_velocities_is_that_of_the_elevation_itself(seed):
-    waves = random_waves(seed, n=60, lowest=1.0, highest=5.5, power=3)
+def test_the_elevation_from_instantaneous_velocities_is_that_of_the_elevation_itself():
+    waves = random_waves(101, n=60, lowest=1.0, highest=5.5, power=3)
     fields = instantaneous(waves)
     found = wv.fused_spectra(of(fields, depth=0.7), segment=128)
     truth = wv.E_omega(wv.komega(fields["z"], segment=128).drop_vars("E_nodes")).E.values
@@ -37,21 +36,6 @@ def test_the_elevation_from_instantaneous_velocities_is_that_of_the_elevation_it
         at_high = found[name].values[high].sum() / truth[high].sum()
         assert abs(ratio - 1) < 0.02, name
         assert abs(at_high - 1) < 0.02, name
-
-
-def test_without_the_statement_the_same_velocities_are_taken_for_displacements():
-    fields = instantaneous(random_waves(104, n=40, lowest=1.0, highest=5.5, power=3))
-    declared = of(fields, depth=0.7)
-    bare = declared.drop_vars("path_frames")
-    stated = bare.copy()
-    del bare.attrs["velocity"]
-    found = {
-        name: wv.fused_spectra(one, segment=128)
-        for name, one in {"declared": declared, "attribute": stated, "bare": bare}.items()
-    }
-    xr.testing.assert_allclose(found["declared"].Ez_w, found["attribute"].Ez_w)
-    high = (found["bare"].frequency > 4) & (found["bare"].frequency < 5)
-    assert float(found["bare"].Ez_w[high].sum() / found["declared"].Ez_w[high].sum()) > 1.12
 
 
 def test_the_argument_of_analyze_states_what_a_cube_does_not():

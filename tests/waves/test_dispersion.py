@@ -69,20 +69,6 @@ def test_waves_too_long_for_the_rectangle_are_left_out(quiet):
     assert float(np.abs(band[1:]).max()) < 0.005
 
 
-def test_most_of_the_energy_is_on_the_ridge(fit):
-    assert 0.9 < float(fit.ridge_fraction) <= 1
-
-
-def test_the_sea_has_no_direction(spectrum):
-    D = wv.directions(spectrum.E, [2.0, 2.8], 0.7, dof=float(spectrum.dof), current=(0.0, 0.0))
-    np.testing.assert_allclose(D.D.sum("theta") * 2 * np.pi / 24, 1.0)
-    assert float(D.isotropy.min()) > 0.7
-    # one sea of finite size: its waves are few per sector, and stay the same all the time
-    assert np.exp(np.abs(np.log(D.D * 2 * np.pi)).mean()) < 1.6
-    assert bool((D.low < 1).all())
-    assert bool((D.high > 1).all())
-
-
 def test_an_isotropic_sea_is_even_over_the_directions_of_a_rectangle():
     E = GaussianSea().expected_map(38, 50, 128)
     D = wv.directions(E, [2.0, 2.4, 2.8], 0.7, current=(0.0, 0.0))
@@ -90,7 +76,7 @@ def test_an_isotropic_sea_is_even_over_the_directions_of_a_rectangle():
     assert float(D.isotropy.min()) > 0.99
 
 
-@pytest.mark.parametrize(("power", "heading"), [(2, 0.3), (10, 0.0), (10, 0.8), (10, 2.0), (30, 5.1)])
+@pytest.mark.parametrize(("power", "heading"), [(2, 0.3), (30, 5.1)])
 def test_mean_direction_and_spread_of_a_known_sea_come_back(power, heading):
     # the mean of the estimate, so that no sampling hides a bias: 1.5 x 2 m, 1.7 Hz is a wave of .54 m
     E = GaussianSea(spread=power, heading=heading).expected_map(38, 50, 128)
@@ -99,16 +85,6 @@ def test_mean_direction_and_spread_of_a_known_sea_come_back(power, heading):
     expected = np.sqrt(2 / (power + 1))  # of cos(theta / 2)^(2 power): first harmonic power / (power + 1)
     np.testing.assert_allclose(D.spread, expected, rtol=0.1)
     np.testing.assert_allclose(D.spread[1:], expected, rtol=0.03)
-
-
-def test_mean_direction_and_spread_come_back_from_a_record():
-    sea = GaussianSea(spread=10, heading=0.8)
-    t, y, x = (np.arange(n) * step for n, step in ((576, 0.05), (90, 0.04), (90, 0.04)))
-    drawn = sea.draw(0)[:, :90, :90]
-    E = wv.spectrum(xr.DataArray(drawn, {"time": t, "y": y, "x": x}, ("time", "y", "x")), segment=128).E
-    D = wv.directions(E, [2.0, 2.4, 2.8], 0.7, bandwidth=0.4, current=(0.0, 0.0))
-    assert np.degrees(float(D.direction.mean()) - 0.8) == pytest.approx(0, abs=1)
-    assert float(D.spread.mean()) == pytest.approx(np.sqrt(2 / 11), rel=0.1)
 
 
 def test_a_swell_has_a_direction():
@@ -137,16 +113,15 @@ def labelled(values, dx=0.02, dt=0.05):
 
 
 @pytest.mark.parametrize("smooth", [0, 2])
-@pytest.mark.parametrize("seed", [11, 12, 13])
-def test_noise_states_no_current(seed, smooth):
+def test_noise_states_no_current(smooth):
     # its best current was 20 to 170 mm/s, stated to 2 to 10
-    noise = np.random.default_rng(seed).standard_normal((200, 36, 48))
+    noise = np.random.default_rng(11).standard_normal((200, 36, 48))
     E = wv.spectrum(labelled(gaussian_filter(noise, (0, smooth, smooth))), segment=64).E
     with pytest.raises(CubeError, match="no dispersion relation was found"):
         wv.fit_dispersion(E, 0.7)
 
 
-@pytest.mark.parametrize(("noise", "measured"), [(0.001, True), (0.01, False), (0.03, False)])
+@pytest.mark.parametrize(("noise", "measured"), [(0.001, True), (0.01, False)])
 def test_a_small_noisy_field_without_a_current_states_none_or_holds_it_within_its_error(noise, measured):
     for seed in range(21, 24):
         w = PeriodicSea(seed=seed, n=128).cube(300, 30, 40, noise_dz=noise).w
@@ -158,19 +133,6 @@ def test_a_small_noisy_field_without_a_current_states_none_or_holds_it_within_it
         fit = wv.fit_dispersion(E, 0.7)
         for name in ("current_x", "current_y"):
             assert abs(float(fit[name])) < 3 * float(fit[f"{name}_std"])
-
-
-def test_the_interval_of_directions_holds_them_where_the_ridge_is_thinner_than_a_cell():
-    sea = GaussianSea(n=60, steps=320, dx=0.06, dt=0.1, spread=4, width=0.35)
-    found = []
-    for seed in range(20):
-        S = wv.spectrum(sea.field(seed).isel(y=slice(0, 26), x=slice(0, 32)), segment=64)
-        found.append(wv.directions(S.E, [1.8, 2.3, 2.8], 0.7, dof=float(S["dof"]), current=(0.0, 0.0)))
-    D = np.array([one.D.values for one in found])
-    strong = D.mean(axis=0) > 0.05 * D.mean(axis=0).max()
-    relative = (D.var(axis=0, ddof=1) / D.mean(axis=0) ** 2)[strong].mean()
-    dof = 1 / np.mean([1 / one.dof.values[strong] for one in found])
-    assert 0.8 < dof * relative / 2 < 1.25  # 1.43 as the windows' own correlation counts them
 
 
 def head_on(seed, speed, depth=0.06, steps=640, lines=160, step=0.025):
@@ -194,23 +156,12 @@ def head_on(seed, speed, depth=0.06, steps=640, lines=160, step=0.025):
     return labelled(w, step), current
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_current_that_carries_waves_back_is_found(seed):
+def test_a_current_that_carries_waves_back_is_found():
     # of 0.5 m/s, in a field without noise: its least noise, which other seas need, costs up to 3.3 mm/s
-    w, current = head_on(seed, 0.5)
+    w, current = head_on(1, 0.5)
     fit = wv.fit_dispersion(wv.spectrum(w, segment=256).E, 0.06)
     for i, name in enumerate(("current_x", "current_y")):
         assert abs(float(fit[name]) - current[i]) < min(0.0035, 3.5 * float(fit[f"{name}_std"]))
-
-
-@pytest.mark.slow
-def test_the_direction_of_an_isotropic_sea_is_as_uncertain_as_it_differs_between_records():
-    sea = LatticeSea(side=180, shape=(320, 24, 30))
-    lines = np.arange(1.4, 2.5, 0.25)  # beyond, the grid resolves no direction
-    found = [wv.directions(sea.cube(draw, ("w",)).w, lines, sea.depth) for draw in range(8)]
-    angle, std = (np.array([one[name] for one in found]) for name in ("direction", "direction_std"))
-    apart = np.angle(np.exp(1j * (angle[1:] - angle[:-1])))
-    assert np.mean(np.abs(apart) < 1.96 * np.hypot(std[1:], std[:-1])) > 0.9
 
 
 @pytest.mark.slow

@@ -82,17 +82,6 @@ def test_an_estimator_computes_or_states_in_one_sentence_what_it_needs(inputs, n
         assert not computed
 
 
-def test_depth_and_degrees_of_freedom_are_those_that_the_input_states(inputs):
-    cube = inputs["cube"].assign_attrs(water_depth=0.05)
-    spectrum = wf.spectrum(cube.w)
-    given = wf.directions(spectrum.E, [1.5, 2.0], 0.05, current=STILL, dof=spectrum.degrees_of_freedom)
-    read = wf.directions(spectrum.assign_coords(water_depth=0.05), [1.5, 2.0], current=STILL)
-    deep = wf.directions(spectrum, [1.5, 2.0], current=STILL)
-    xr.testing.assert_identical(read, given)
-    assert not np.allclose(deep.D, given.D)
-    assert np.isfinite(deep.dof).all()
-
-
 def test_a_variable_and_its_spectrum_keep_the_depth_of_their_cube(inputs):
     z, w = inputs["cube"].z, inputs["cube"].w
     shallow = wf.cube(z, w=w, velocity="instantaneous", depth=0.05)

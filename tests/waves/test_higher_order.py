@@ -14,12 +14,11 @@ def gaussian_lines(rng, n, samples):
     return (rng.standard_normal((n, samples)) + 1j * rng.standard_normal((n, samples))).astype("c8")
 
 
-@pytest.mark.parametrize("amplitude", [0.1, 0.3, 1.0])
-def test_the_share_of_a_bound_wave_comes_back(amplitude):
+def test_the_share_of_a_bound_wave_comes_back():
     rng = np.random.default_rng(0)
     z = gaussian_lines(rng, 12, 60000)
     free = z[9].copy()
-    bound = amplitude * z[4] * z[5] / 2
+    bound = 0.3 * z[4] * z[5] / 2
     z[9] = free + bound
     share = np.sqrt((np.abs(bound) ** 2).mean() / (np.abs(z[9]) ** 2).mean())
     b = module.bicoherence_of(z)
@@ -27,17 +26,6 @@ def test_the_share_of_a_bound_wave_comes_back(amplitude):
     assert b[5, 4] == b[4, 5]
     others = b[1:5, 1:4]
     assert np.nanmax(others) < 0.02
-
-
-def test_coherences_stay_between_zero_and_one():
-    rng = np.random.default_rng(1)
-    z = gaussian_lines(rng, 14, 30)
-    z[8] = z[3] * z[5]
-    for values in (module.bicoherence_of(z), module.tricoherence_of(z)[0]):
-        finite = values[np.isfinite(values)]
-        assert finite.min() >= 0
-        assert finite.max() <= 1 + 1e-6
-    assert module.bicoherence_of(z)[3, 5] == pytest.approx(1, abs=0.2)
 
 
 def test_four_waves_are_found_and_trivial_pairings_are_not():
@@ -51,24 +39,6 @@ def test_four_waves_are_found_and_trivial_pairings_are_not():
     elsewhere = value[np.isfinite(value) & (np.add.outer(np.arange(20), np.arange(20)) != 17)]
     assert np.median(elsewhere) < 0.03
     assert np.nanmax(np.abs(value - value.T)) == 0
-
-
-def test_surrogates_exceed_the_level_in_five_percent():
-    rng = np.random.default_rng(3)
-    steps, points = 2000, 30
-    # waves correlated between points, no coupling between frequencies
-    common = rng.standard_normal((steps, 1)) + 0.5 * rng.standard_normal((steps, points))
-    exceeded = []
-    for seed in range(3):
-        series = np.roll(common, 17 * seed, axis=0) + 0.3 * rng.standard_normal((steps, points))
-        settings = wv.HigherOrderSettings(highest=5, lines=24)
-        out = wv.higher_order(series, 0.05, 100, settings)
-        defined = np.isfinite(out.bicoherence)
-        z = module.fourier_lines(series, int(out.attrs["segment"]), out.sizes["omega1"])
-        for _ in range(8):
-            fake = module.bicoherence_of(module.shuffle_phases(z, points, rng))
-            exceeded.append((fake > out.bicoherence_level.values)[defined.values].mean())
-    assert np.mean(exceeded) == pytest.approx(0.05, abs=0.015)
 
 
 def test_lines_beyond_the_ends_of_a_sea_do_not_seem_coupled():

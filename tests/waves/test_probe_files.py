@@ -24,8 +24,8 @@ def spectra(time, z, span=None):
     return probe_spectra(xr.Dataset({"elevation": (("probe", "time"), z)}, coords), omega, span or (0, 299))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_of_a_record_with_gaps_the_longest_whole_part_is_used(seed):
+def test_of_a_record_with_gaps_the_longest_whole_part_is_used():
+    seed = 0
     rng = np.random.default_rng(seed)
     time, z = waves(2.0, 5.0, seed=seed)
     first = int(rng.integers(200, 500))

@@ -52,27 +52,6 @@ def test_products_are_computed_in_the_order_of_their_inputs_and_left_out_where_o
     assert [product.name for product in waiting] == ["rests_on_nothing", "later"]
 
 
-def test_an_error_without_a_note_is_raised():
-    with pytest.raises(CubeError, match="too short"):
-        compute_ready([WaveProduct("short", (), refused)], {})
-
-
-def test_a_name_is_taken_once(monkeypatch):
-    monkeypatch.setattr(products, "_REGISTRY", {})
-    register(WaveProduct("one", (), str))
-    with pytest.raises(ValueError, match="'one'"):
-        register(WaveProduct("one", (), int))
-    with pytest.raises(ValueError, match="'cube'"):
-        register(WaveProduct("cube", (), int))
-
-
-def test_every_input_is_given_or_a_product():
-    registered = products.registered()
-    names = {product.name for product in registered} | set(products.GIVEN)
-    for product in registered:
-        assert set(product.inputs) <= names, product.name
-
-
 def test_an_unknown_option_of_the_analysis_is_named():
     with pytest.raises(TypeError, match="segments"):
         wv.analyze(xr.Dataset(), segments=8)

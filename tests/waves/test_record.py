@@ -5,14 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from independent_seas import Sea
-from waves_cases import axes, cube, linear_cube, random_waves
+from waves_cases import cube, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import FrameStatus, Quality
-from wavefield.waves.record import IN_TIME, fill, fill_error
-from wavefield.waves.welch import Reader
 
 
 @pytest.fixture(scope="module")
@@ -69,17 +67,6 @@ def test_short_gaps_are_bridged_and_reported_long_ones_split_the_record(sea):
     assert float(wv.total(E.E) / wv.total(whole.E)) == pytest.approx(1, abs=0.1)
 
 
-def test_a_bridge_keeps_the_wave():
-    t, y, x = axes(64, 12, 16, 0.05, 0.05)
-    wave = np.cos(12 * x - 2 * np.pi * 1.5 * t[:, None, None] + 0 * y[:, None])
-    broken = wave.copy()
-    broken[30:32] = np.nan
-    missing = np.zeros(64, bool)
-    missing[30:32] = True
-    assert np.abs(fill(broken, missing) - wave).max() < 0.03
-    assert fill(wave, np.zeros(64, bool)) is wave
-
-
 def test_steps_that_failed_do_not_count_even_if_they_hold_numbers(sea):
     status = np.full(300, FrameStatus.DONE, "u1")
     status[100:140] = FrameStatus.FAILED
@@ -106,6 +93,7 @@ def test_nodes_that_come_and_go_are_left_out(sea):
         (lambda c: c * np.nan, "no step of the cube holds a single value"),
         (lambda c: c.where((c.x * 100 + c.y * 100) % 12 > 3), "largest rectangle"),
         (lambda c: c.isel(time=slice(0, 1)), "at least two"),
+        (lambda c: xr.Dataset({"other": c.z}), "none of z"),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_sentence(sea, spoil, sentence):
@@ -121,16 +109,6 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(sea, spoil, sentence):
 def test_a_segment_that_does_not_fit_is_refused(sea, segment, sentence):
     with pytest.raises(CubeError, match=sentence):
         wv.komega(sea.w, segment=segment)
-
-
-def test_a_whole_dataset_is_no_field(sea):
-    with pytest.raises(CubeError, match="one variable"):
-        wv.komega(sea)
-
-
-def test_a_cube_without_known_fields_is_refused(sea):
-    with pytest.raises(CubeError, match="none of z"):
-        wv.find_record(xr.Dataset({"other": sea.z}))
 
 
 def test_any_order_of_dimensions_will_do(sea):
@@ -170,61 +148,11 @@ def test_something_masked_that_crosses_the_whole_field_takes_its_steps_instead(s
     assert record.bridged == ()
 
 
-def _blobs(rng, shape, share, size):
-    """Holes of size x size nodes, anew at every step."""
-    hole = np.zeros(shape, bool)
-    for step in hole:
-        for _ in range(max(1, round(share * step.size / size**2))):
-            a, b = (rng.integers(0, n - size + 1) for n in step.shape)
-            step[a : a + size, b : b + size] = True
-    return hole
-
-
-def test_holes_leave_the_floor_as_it_is():
-    seed, dx, highest, noise = 70223, 0.02, 3.5, 5e-5
-    sea = Sea(
-        seed=seed, dx=dx, highest=highest, noise=noise, shape=(200, 48, 64), waves=250, depth=0.7, slope=6
-    )
-    whole = sea.cube(("z",))
-    holes = _blobs(np.random.default_rng(seed), sea.shape, 0.01, 4)
-    holed = whole.where(~xr.DataArray(holes, dims=("time", "y", "x")))
-    spectra = [under_the_window(wv.komega(c.z, segment=80)).E for c in (whole, holed)]
-    floor = (spectra[0].frequency > 5) & (spectra[0].frequency < 7)
-    assert float((spectra[1] / spectra[0]).where(floor).max()) < 2
-
-
-def test_filled_values_do_not_depend_on_the_block_they_are_read_in():
-    sea = Sea(seed=70301, shape=(64, 24, 28), waves=100)
-    holes = _blobs(np.random.default_rng(70301), sea.shape, 0.03, 3)
-    z = sea.cube(("z",)).z.where(~xr.DataArray(holes, dims=("time", "y", "x")))
-    z[30:32] = np.nan
-    record = wv.find_record(z)
-    assert record.bridged == (30, 31)
-    read = Reader([z], record)
-    (whole,) = read(0, 64, (0, 64))
-    for a, b in ((0, 16), (16, 32), (24, 40), (29, 31), (31, 33), (40, 64)):
-        np.testing.assert_array_equal(read(a, b, (0, 64))[0], whole[a:b])
-
-
-@pytest.mark.parametrize("size", [2, 9])
-def test_the_stated_error_of_filled_nodes_is_their_error(size):
-    sea = Sea(seed=70400 + size, shape=(120, 48, 64), waves=200, noise=1e-4)
-    whole = sea.cube(("z",)).z
-    holes = _blobs(np.random.default_rng(70400 + size), sea.shape, 0.02, size)
-    holed = whole.values.copy()
-    holed[holes] = np.nan
-    error = (fill(holed, np.zeros(120, bool)) - whole.values)[IN_TIME:-IN_TIME][holes[IN_TIME:-IN_TIME]].std()
-    steps = range(IN_TIME, 120 - IN_TIME, 9)
-    stated = np.sqrt(np.mean([fill_error(holed[t - IN_TIME : t + IN_TIME + 1]) ** 2 for t in steps]))
-    assert 0.7 < stated / error < 1.4
-
-
 def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum():
-    fraction, noise = 0.1, 5e-5
-    seed = 70500 + int(100 * fraction)
-    sea = Sea(seed=seed, highest=3.5, noise=noise, shape=(160, 48, 64), waves=250, depth=0.7, slope=6)
+    seed = 70510
+    sea = Sea(seed=seed, highest=3.5, noise=5e-5, shape=(160, 48, 64), waves=250, depth=0.7, slope=6)
     whole = sea.cube(("z",)).z
-    missing = xr.DataArray(np.random.default_rng(seed).random(sea.shape) < fraction, dims=whole.dims)
+    missing = xr.DataArray(np.random.default_rng(seed).random(sea.shape) < 0.1, dims=whole.dims)
     holed = whole.where(~missing)
     record = wv.find_record(holed)
     assert record.shape == (48, 64)

@@ -2,41 +2,26 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 from waves_cases import GaussianSea, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.cross import significance_level
 
 THIN = {"width": 0.06, "n": 96, "dx": 0.03, "highest": 4.2, "lowest": 1.2}  # a ridge thinner than a cell
 
 
-def test_mixed_float_types_give_the_spectra_of_one_type():
-    cube = linear_cube(random_waves(n=40), 96, 20, 24, dx=0.03, dtype="f8")
-    expected = wv.cross_spectra(cube, ("z", "w", "nl"), segment=48)
-    for narrow in (("z",), ("z_t", "w"), ("u",)):
-        mixed = cube.assign({name: cube[name].astype("f4") for name in narrow})
-        got = wv.cross_spectra(mixed, ("z", "w", "nl"), segment=48)
-        for name in ("E_z", "E_w", "E_nl"):
-            scale = float(expected[name].max())
-            np.testing.assert_allclose(
-                got[name], expected[name], atol=1e-5 * scale, err_msg=f"{narrow} {name}"
-            )
-
-
 @pytest.fixture(scope="module")
 def directional():
-    """Waves ~ cos^20(theta / 2) without a current, and on one of .3 m/s."""
+    """Waves ~ cos^20(theta / 2) without a current and on one."""
 
     def spectrum(current):
         sea = GaussianSea(spread=10, current=current, steps=512, **THIN).field(3)
         return wv.spectrum(sea.isel(y=slice(0, 64), x=slice(0, 80)), segment=256)
 
-    return {current: spectrum(current) for current in ((0.0, 0.0), (0.3, 0.0), (-0.3, 0.1))}
+    return {current: spectrum(current) for current in ((0.0, 0.0), (-0.3, 0.1))}
 
 
-@pytest.mark.parametrize("current", [(0.0, 0.0), (0.3, 0.0), (-0.3, 0.1)])
+@pytest.mark.parametrize("current", [(0.0, 0.0), (-0.3, 0.1)])
 def test_the_current_of_a_directional_sea_is_found(directional, current):
     S = directional[current]
     fit = wv.fit_dispersion(S.E, 0.7)
@@ -62,25 +47,6 @@ def test_an_isotropic_sea_stays_isotropic_on_a_current():
     assert float(D.D.min()) > 0.4 / (2 * np.pi)
     blind = wv.directions(E, [3.8], 0.7, current=(0.0, 0.0))
     assert float(blind.isotropy.min()) < float(D.isotropy.isel(frequency=2)) - 0.1
-
-
-@pytest.mark.slow
-def test_unrelated_seas_of_one_spectrum_exceed_the_level_in_five_percent():
-    spread = 20
-    # in a small basin waves must be drawn anew before they come round again
-    sea = GaussianSea(spread=spread, steps=640, **THIN | {"width": 0.4})
-    hits = []
-    for seed in range(4):
-        cube = xr.Dataset({"z_t": sea.field(20 + seed), "w": sea.field(40 + seed)})
-        cube = cube.isel(y=slice(0, 40), x=slice(0, 48))
-        ring = wv.cross_spectra(cube, ("z_t", "w"), (("z_t", "w"),), segment=64)
-        gamma2 = np.abs(ring.S_z_t_w) ** 2 / (ring.E_z_t * ring.E_w)
-        level = significance_level((ring.dof_z_t * ring.dof_w) ** 0.5 / 2)
-        where_waves_are = ring.valid & (ring.E_w > 1e-3 * ring.E_w.max("k"))
-        where_waves_are &= (ring.frequency > 1.4) & (ring.frequency < 4)
-        hits.append(float((gamma2 > level).where(where_waves_are).mean()))
-    # few seas, whose cells share waves: with samples counted from geometry 13 to 85 %
-    assert np.median(hits) < 0.1
 
 
 def test_leakage_of_the_peak_is_not_valid():

@@ -42,37 +42,13 @@ def linear_sea(seed, speed, angle, depth):
     return made.assign_coords(path_frames=np.uint8(4)), current
 
 
-def share(sea):
-    (found,) = dask.compute(delayed_current(sea, wv.find_record(sea)))
-    nonlinear = wv.kinematics(sea, tuple(found[0])).nonlinear
-    return float(nonlinear.std() / sea.w.std())
-
-
+@pytest.mark.slow
 def test_waves_are_not_taken_for_a_current():
     # 0.09 mm/s of them passed for coherence of z_t with u . grad z
     sea = LatticeSea(side=200, shape=(640, 24, 30), current=(0.1, 0.05))
     drawn = [sea.cube(draw, ("z", "u", "v")) for draw in range(2)]
     found = [dask.compute(delayed_current(one, wv.find_record(one)))[0][0] for one in drawn]
     assert np.sqrt(np.mean((np.array(found) - sea.current) ** 2)) < 3e-5
-
-
-def test_the_nonlinear_share_of_a_linear_sea_does_not_depend_on_the_current():
-    seed = 0
-    rng = np.random.default_rng(100 + seed)
-    depth, angle = rng.uniform(0.1, 1), rng.uniform(0, 2 * np.pi)
-    still = share(linear_sea(seed, 0.0, angle, depth)[0])
-    for speed in (0.1, 0.35):
-        assert share(linear_sea(seed, speed, angle, depth)[0]) == pytest.approx(still, rel=0.05)
-
-
-def test_the_mean_of_a_still_sea_takes_nothing_off_its_nonlinear_term():
-    sea, _ = linear_sea(7, 0.0, 0.0, 0.7)
-    record = wv.find_record(sea)
-    expected = wv.kinematics(sea).nonlinear
-    (found,) = dask.compute(delayed_current(sea, record))
-    relative = wv.kinematics(sea, tuple(found[0])).nonlinear
-    assert record.steps == _STEPS
-    assert float(relative.std() / expected.std()) == pytest.approx(1, abs=0.005)
 
 
 def test_the_stored_mean_current_and_ratio_are_those_of_the_sea():

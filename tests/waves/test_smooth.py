@@ -49,8 +49,8 @@ def judge(found, cube, truth, where=True):
     return out
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_random_seas_of_any_depth_and_current_are_better_and_the_uncertainties_true(seed):
+def test_a_sea_of_any_depth_and_current_is_better_and_the_uncertainties_true():
+    seed = 0
     rng = np.random.default_rng([41, seed])
     current = tuple(rng.uniform(-0.3, 0.3, 2))
     truth = exact(seed, depth=float(rng.uniform(0.08, 1.0)), current=current, rate=float(rng.uniform(12, 30)))

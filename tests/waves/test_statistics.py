@@ -1,5 +1,3 @@
-import importlib
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,8 +5,6 @@ from waves_cases import axes, cube
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-
-statistics_module = importlib.import_module("wavefield.waves.moments")
 
 
 def test_a_second_order_sea_has_its_skewness_and_kurtosis():
@@ -50,31 +46,11 @@ def test_a_gaussian_field_has_gaussian_densities(gaussian):
     assert float(out["count"][0]) == 300 * 30 * 40
 
 
-def test_moments_agree_with_numpy(gaussian):
-    from scipy import stats
-
-    out = wv.statistics(gaussian)
-    assert float(out["mean"][0]) == pytest.approx(float(gaussian.z.astype(float).mean()), rel=1e-6)
-    # each node about its own mean: what stands still is no wave
-    used = (gaussian.z.astype(float) - gaussian.z.astype(float).mean("time")).values.ravel()
-    assert float(out["std"][0]) == pytest.approx(used.std(), rel=1e-6)
-    assert float(out.skewness[0]) == pytest.approx(stats.skew(used), abs=1e-6)
-    assert float(out.kurtosis[0]) == pytest.approx(stats.kurtosis(used), abs=1e-6)
-
-
 def test_densities_are_scaled_by_the_deviation_that_stands_beside_them(gaussian):
     still = gaussian.assign(z=gaussian.z + 0.03 * np.sin(3 * gaussian.x))
     out = wv.statistics(still).sel(quantity="z")
     assert float(out.pdf_std) == pytest.approx(float(still.z.std()), rel=1e-3)
     assert float(out.pdf_std) ** 2 == pytest.approx(float(out["std"] ** 2 + out.static_std**2), rel=1e-3)
-
-
-def test_slopes_of_a_plane_wave():
-    t, y, x = axes(64, 60, 80)
-    k, a = 25.0, 0.01
-    z = a * np.cos(k * 0.6 * x + k * 0.8 * y[:, None] - 5 * t[:, None, None])
-    out = wv.statistics(cube({"z": z}, t, y, x))
-    assert float(out.mean_square_slope) == pytest.approx((k * a) ** 2 / 2, rel=0.05)
 
 
 def test_chunks_do_not_matter(gaussian):

@@ -226,7 +226,6 @@ class GaussianSea:
         current=(0.0, 0.0),
         depth=0.7,
         width=0.6,
-        felt=None,
     ):
         self.n, self.steps, self.dx, self.dt = n, steps, dx, dt
         self.k = 2 * np.pi * np.fft.fftfreq(n, dx)
@@ -234,8 +233,6 @@ class GaussianSea:
         kx, ky = self.k, self.k[:, None]
         ridge = relation(np.hypot(kx, ky), depth)
         seen_at = ridge + kx * current[0] + ky * current[1]
-        if felt is not None:  # the current along x that waves of wavenumber k feel
-            seen_at = seen_at + kx * felt(np.hypot(kx, ky))
         density = np.exp(-0.5 * ((self.omega[:, None, None] - seen_at) / width) ** 2)
         density *= ((ridge > 2 * np.pi * lowest) & (ridge < 2 * np.pi * highest)) / np.maximum(ridge, 1) ** 5
         density *= np.cos((np.arctan2(ky, kx) - heading) / 2) ** (2 * spread)
@@ -269,19 +266,6 @@ class GaussianSea:
         on_y, on_x = seen(ky, self.k, ny, self.dx), seen(kx, self.k, nx, self.dx)
         E = np.einsum("tw,wab,ya,xb->tyx", on_omega, self.variance, on_y, on_x, optimize=True)
         return xr.DataArray(E, {"omega": omega, "ky": ky, "kx": kx}, ("omega", "ky", "kx"))
-
-    def expected(self, E):
-        """Mean of E(k, omega) as a rectangle and a segment see it, (omega, k)."""
-        from wavefield.waves import rings
-
-        ny, nx = E.attrs["nodes"]
-        table = rings.rings(ny, nx, self.dx, self.dx)
-        on_y, on_x = (seen(rings.wavenumbers(n, self.dx), self.k, n, self.dx) for n in (ny, nx))
-        shares = table.shares.toarray().reshape(ny, nx, -1)
-        on_ring = np.einsum("yxr,ya,xb->rab", shares, on_y, on_x, optimize=True)
-        on_ring *= (2 * np.pi / self.dx) ** 2 / (ny * nx) / table.dk
-        on_omega = seen(E.omega.values, self.omega, E.attrs["segment"], self.dt)
-        return on_omega @ self.variance.reshape(self.omega.size, -1) @ on_ring.reshape(table.k.size, -1).T
 
 
 def second_order_sea(seed=0, n=120, basin=10.0, lowest=0.9, highest=2.6, sigma=0.012, spread=2, **more):
