@@ -19,50 +19,19 @@ def still_frequency(k, depth):
 
 @dataclass(frozen=True)
 class Sea:
-    """Settings of a random sea.
+    """Settings of a random sea."""
 
-    Parameters
-    ----------
-    current : tuple of float
-        Velocity of the water along x and y, m/s.
-    depth : float
-        m; may be infinite.
-    lowest, highest : float
-        Ends of the spectrum, Hz.
-    slope : float
-        The spectrum of elevation falls as f^-slope.
-    roll_off : float
-        Above this frequency, Hz, it falls as a Gaussian of standard deviation 0.35 Hz besides.
-    directions : tuple of (heading, s, weight)
-        Parts of the sea, each cos(theta / 2)^2s wide; s = 0 is isotropic.
-    height : float
-        Standard deviation of elevation, m.
-    noise : float
-        Standard deviation of the noise of a displacement between frames and of elevation, m.
-    noise_nodes : int
-        Nodes along each axis over which noise is the same on average.
-    shape : tuple of int
-        Steps and nodes along y and x.
-    dt, dx : float
-        s, m.
-    waves : int
-        Number of waves.
-    seed : int
-    """
-
-    current: tuple = (0.0, 0.0)
-    depth: float = np.inf
-    lowest: float = 1.2
+    current: tuple = (0.0, 0.0)  # of the water along x and y, m/s
+    depth: float = np.inf  # m
+    lowest: float = 1.2  # ends of the spectrum, Hz
     highest: float = 6.0
-    slope: float = 5.0
-    roll_off: float = np.inf
-    directions: tuple = ((0.0, 0.0, 1.0),)
-    height: float = 0.008
-    noise: float = 0.0
-    noise_nodes: int = 2
-    shape: tuple = (640, 60, 80)
-    dt: float = 0.05
-    dx: float = 0.02
+    slope: float = 5.0  # the spectrum of elevation falls as f^-slope
+    directions: tuple = ((0.0, 0.0, 1.0),)  # parts (heading, s, weight), each cos(theta / 2)^2s wide
+    height: float = 0.008  # standard deviation of elevation, m
+    noise: float = 0.0  # standard deviation of displacements between frames and of elevation, m
+    shape: tuple = (640, 60, 80)  # steps, nodes along y and x
+    dt: float = 0.05  # s
+    dx: float = 0.02  # m
     waves: int = 500
     seed: int = 0
 
@@ -70,9 +39,8 @@ class Sea:
         """Wave vectors kx, ky and complex amplitudes of elevation, each (waves,)."""
         rng = np.random.default_rng(self.seed)
         # evenly over frequency, so that the weak end has as many waves as the peak
-        f = self.lowest + (self.highest - self.lowest) * (np.arange(self.waves) + rng.random(self.waves)) / (
-            self.waves
-        )
+        share = (np.arange(self.waves) + rng.random(self.waves)) / self.waves
+        f = self.lowest + (self.highest - self.lowest) * share
         table = np.linspace(0.05, 700, 70000)
         k = np.interp(2 * np.pi * f, still_frequency(table, self.depth), table)
         weights = np.array([part[2] for part in self.directions])
@@ -85,16 +53,17 @@ class Sea:
                 if rng.random() <= np.cos(turn / 2) ** (2 * s):
                     break
             angle[i] = heading + turn
-        density = f**-self.slope * np.exp(-0.5 * (np.maximum(f - self.roll_off, 0) / 0.35) ** 2)
-        size = np.sqrt(density) * (rng.standard_normal(self.waves) + 1j * rng.standard_normal(self.waves))
+        size = f ** (-self.slope / 2) * (
+            rng.standard_normal(self.waves) + 1j * rng.standard_normal(self.waves)
+        )
         size *= self.height / np.sqrt((np.abs(size) ** 2).sum() / 2)
         return k * np.cos(angle), k * np.sin(angle), size
 
-    def cube(self, names=("z", "w"), displacements=True):
+    def cube(self, names=("z", "w")):
         """Fields at the nodes, (time, y, x), m and m/s.
 
-        Velocities are displacements of the water between frames over dt at mid-time if ``displacements``,
-        otherwise those of the moment. ``z_t`` is the change at a fixed place; ``z`` is at mid-time.
+        Velocities are displacements of the water between frames over dt at mid-time. ``z_t`` is the change
+        at a fixed place; ``z`` is at mid-time.
         """
         kx, ky, a = self.components()
         k = np.hypot(kx, ky)
@@ -103,7 +72,7 @@ class Sea:
         mean = {"u": self.current[0], "v": self.current[1]}
 
         def over_a_step(frequency):
-            return np.sinc(frequency * self.dt / (2 * np.pi)) if displacements else 1.0
+            return np.sinc(frequency * self.dt / (2 * np.pi))
 
         along = sigma / (k * np.tanh(k * self.depth)) * over_a_step(sigma)
         gains = {
@@ -133,10 +102,9 @@ class Sea:
     def _noise(self, rng):
         if not self.noise:
             return np.float32(0)
-        n = self.noise_nodes
         steps, ny, nx = self.shape
-        raw = rng.standard_normal((steps, ny + n - 1, nx + n - 1), dtype="f4")
-        return sum(raw[:, i : i + ny, j : j + nx] for i in range(n) for j in range(n)) / np.float32(n)
+        raw = rng.standard_normal((steps, ny + 1, nx + 1), dtype="f4")  # the same over two nodes on average
+        return sum(raw[:, i : i + ny, j : j + nx] for i in range(2) for j in range(2)) / np.float32(2)
 
 
 @dataclass(frozen=True)
@@ -144,46 +112,21 @@ class LatticeSea:
     """Settings of a Gaussian sea without end: random amplitudes on a fine lattice of wave vectors.
 
     Free waves with linear kinematics on a uniform current; fields at the nodes of a small window. The
-    lattice is fine enough that waves do not come round again within about 30 s.
-
-    Parameters
-    ----------
-    current : tuple of float
-        Velocity of the water along x and y, m/s.
-    depth : float
-        m.
-    lowest, highest : float
-        Ends of the spectrum in still water, Hz; it falls as f^-slope.
-    slope : float
-    directions : tuple of (heading, s, weight)
-        Parts of the sea, each cos(theta / 2)^2s wide; s = 0 is isotropic.
-    height : float
-        Standard deviation of elevation in the mean of draws, m.
-    side : int
-        Nodes along a side of the basin.
-    shape : tuple of int
-        Steps, and nodes along y and x of the window.
-    dt, dx : float
-        s, m.
-    noise : float
-        Standard deviation of the noise of a displacement between frames and of elevation, m.
-    gap : int
-        Steps that are missing in the middle.
-    """
+    lattice is fine enough that waves do not come round again within about 30 s."""
 
     current: tuple = (0.0, 0.0)
     depth: float = 0.7
-    lowest: float = 1.2
+    lowest: float = 1.2  # ends of the spectrum in still water, Hz
     highest: float = 3.0
     slope: float = 5.0
     directions: tuple = ((0.0, 0.0, 1.0),)
-    height: float = 0.008
-    side: int = 420
-    shape: tuple = (640, 28, 34)
+    height: float = 0.008  # standard deviation of elevation in the mean of draws, m
+    side: int = 420  # nodes along a side of the basin
+    shape: tuple = (640, 28, 34)  # of the window
     dt: float = 0.05
     dx: float = 0.07
     noise: float = 0.0
-    gap: int = 0
+    gap: int = 0  # steps that are missing in the middle
 
     def _size(self):
         """Wave vectors, frequencies in still water and amplitudes' standard deviations, (ky, kx)."""

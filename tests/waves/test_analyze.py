@@ -156,18 +156,6 @@ def test_gaps_edges_and_unknown_depth_are_reported(sea):
     assert np.isfinite(out["spectra"].E_komega_w).all()
 
 
-def test_a_field_that_is_missing_for_long_parts_the_record(sea):
-    spoiled = sea.isel(y=slice(0, 20), x=slice(0, 24)).copy(deep=True)
-    spoiled["v"][200:205, 5:] = np.nan
-    record = wv.find_record(spoiled)
-    assert sum(b - a for a, b in record.runs) == 395
-    out = wf.analyze(spoiled, segment=64)
-    assert out.attrs["runs"] == len(record.runs)
-    assert out.attrs["steps_used"] == 395
-    single = wv.komega(sea.z_t, segment=64, record=record).E
-    np.testing.assert_allclose(out["spectra"].E_komega_z_t, single, rtol=1e-6)
-
-
 def test_still_water_does_not_break_it():
     still = linear_cube(random_waves(n=5), 64, 20, 24, dx=0.02) * 0
     out = wf.analyze(still)

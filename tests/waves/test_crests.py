@@ -11,7 +11,7 @@ from wavefield.errors import CubeError
 
 @pytest.fixture(scope="module")
 def gaussian():
-    sea = GaussianSea(n=32, dx=0.06, steps=2400, lowest=0.9, highest=3.0, width=0.6)
+    sea = GaussianSea(n=32, dx=0.06, steps=2400, band=(0.9, 3.0))
     # a piece of the periodic box: over the whole of it triads cancel
     piece = {"time": slice(0, 2000), "y": slice(0, 8), "x": slice(0, 8)}
     return [wv.crest_statistics(sea.field(s, "m").isel(piece).to_dataset(name="z")) for s in range(8)]

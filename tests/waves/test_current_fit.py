@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from independent_seas import Sea, random_lattice_sea
+from independent_seas import Sea
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
@@ -13,16 +13,6 @@ from wavefield.waves.dispersion_points import fit_settings
 def fitted(sea, **settings):
     E = wv.spectrum(sea.cube(("w",))["w"]).E
     return wv.fit_dispersion(E, sea.depth, settings=wv.FitSettings(**settings))
-
-
-@pytest.mark.slow
-def test_strong_directions_of_a_small_window_do_not_bend_the_current_of_a_narrow_sea():
-    # the mean of several draws shows the error that all of them share
-    sea, _ = random_lattice_sea(41005)
-    spectra = [wv.spectrum(sea.cube(draw, ("w",))["w"]).E for draw in range(6)]
-    fit = wv.fit_dispersion(sum(spectra[1:], spectra[0]) / len(spectra), sea.depth)
-    for axis, truth in zip("xy", sea.current):
-        assert abs(float(fit[f"current_{axis}"]) - truth) < 0.001
 
 
 def test_the_band_of_the_fit_can_be_given_and_is_recorded():

@@ -7,14 +7,6 @@ from independent_seas import Sea
 import wavefield as wf
 
 
-def test_the_current_of_a_noise_free_sea_that_ends_early_is_found():
-    seed, highest = 1, 2.5
-    current = 0.08 * np.cos(seed), 0.08 * np.sin(seed)
-    sea = Sea(current, 0.7, highest=highest, directions=((0.7, 5.0, 1.0),), shape=(800, 70, 90), seed=seed)
-    fit = wf.fit_dispersion(wf.spectrum(sea.cube(("w",)).w).E, 0.7)
-    assert np.hypot(float(fit.current_x) - current[0], float(fit.current_y) - current[1]) < 0.005
-
-
 @pytest.fixture(scope="module")
 def coarse():
     """The analysis of a sea that ends at 2.4 Hz, in noise, on a grid that holds waves to 2.6 Hz."""

@@ -5,18 +5,10 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waves_cases import cube
 
 import wavefield as wf
 from wavefield.errors import CubeError
-
-DIMS = ("time", "y", "x")
-
-
-def cube_of(fields, t, y, x, **attrs):
-    units = {name: "m" if name == "z" else "m s-1" for name in fields}
-    return xr.Dataset(
-        {n: (DIMS, f, {"units": units[n]}) for n, f in fields.items()}, {"time": t, "y": y, "x": x}, attrs
-    )
 
 
 @settings(max_examples=5, deadline=None, derandomize=True)
@@ -36,11 +28,11 @@ def test_harmonics_of_a_wave_maker_are_found_in_other_waves(period, noise, secon
     angle = phase[:, None, None] - place
     z = 0.01 * np.cos(angle) + second * 0.01 * np.cos(2 * angle + 0.7)
     z = z + noise * rng.standard_normal(z.shape)
-    cube = cube_of({"z": z}, t, y, x)
+    made = cube({"z": z}, t, y, x, "f8")
     times = np.arange(-20, 2520) * 0.01
     stroke = np.cos(2 * np.pi * (times / period + drift * (times / t[-1]) ** 2 * t[-1] / period))
     probe = xr.DataArray(stroke, {"time": times}, ("time",))
-    found = wf.phase_average(cube, probe=probe)
+    found = wf.phase_average(made, probe=probe)
     size = found.harmonic_amplitude.mean(("y", "x")).values
     # sums of steps scatter by noise sqrt(2 / 500) at each node; the probe's phase adds a little
     error = 4 * noise * np.sqrt(2 / 500)
@@ -54,13 +46,13 @@ def test_standard_uncertainties_of_phase_averages_cover_their_errors():
     rng = np.random.default_rng(5)
     t, y, x = np.arange(600) * 0.05, np.arange(12) * 0.04, np.arange(14) * 0.04
     z = 0.002 * rng.standard_normal((600, 12, 14))
-    found = wf.phase_average(cube_of({"z": z}, t, y, x), 0.83, phases=10)
+    found = wf.phase_average(cube({"z": z}, t, y, x, "f8"), 0.83, phases=10)
     assert 0.62 < float((abs(found.z) < found.z_std).mean()) < 0.74
 
 
 def test_phase_averages_refuse_what_has_no_phase():
     t, y, x = np.arange(100) * 0.05, np.arange(8) * 0.04, np.arange(9) * 0.04
-    cube = cube_of({"z": np.zeros((100, 8, 9))}, t, y, x)
+    made = cube({"z": np.zeros((100, 8, 9))}, t, y, x, "f8")
     probe = xr.DataArray(np.cos(8 * t), {"time": t + 1.0}, ("time",))
     for options, words in (
         ({}, "one of the two"),
@@ -70,4 +62,4 @@ def test_phase_averages_refuse_what_has_no_phase():
         ({"probe": probe}, "must cover"),
     ):
         with pytest.raises(CubeError, match=words):
-            wf.phase_average(cube, **options)
+            wf.phase_average(made, **options)

@@ -93,11 +93,9 @@ def axes(steps, ny, nx, dt=0.05, dx=0.01):
     return np.arange(steps) * dt + dt / 2, np.arange(ny) * dx, np.arange(nx) * dx
 
 
-def linear_cube(
-    waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.0, seed=9, dtype="f4", frames=2
-):
-    """A cube as measured from frames: four-frame z, z_t and w from ``frames``, linear kinematics, u and v
-    at mid-time. Noise is independent between frames (z) and steps (dz), correlated over 4 cm in space."""
+def linear_cube(waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.0, seed=9, dtype="f4"):
+    """A cube as measured from frames: four-frame z, z_t and w over a step, linear kinematics, u and v at
+    mid-time. Noise is independent between frames (z) and steps (dz), correlated over 4 cm in space."""
     from scipy.ndimage import uniform_filter
 
     rng = np.random.default_rng(seed)
@@ -118,17 +116,9 @@ def linear_cube(
     z = (9 * (noisy[2:-3] + noisy[3:-2]) - noisy[1:-4] - noisy[4:-1]) / 16
     rise, sink = np.diff(noisy, axis=0) / dt, np.diff(exact, axis=0) / dt
     sink[2:-2] += noise(noise_dz, steps) / dt
-    weights = {
-        2: (0, 0, 1, 0, 0),
-        4: (0, -1 / 24, 26 / 24, -1 / 24, 0),
-        6: np.array((-3, 10, 34, 10, -3)) / 48,
-    }
-    rise, sink = (
-        sum(weight * d[n : n + steps] for n, weight in enumerate(weights[frames])) for d in (rise, sink)
-    )
+    rise, sink = rise[2:-2], sink[2:-2]
     fields = {"z": z, "z_t": rise, "u": uv["u"], "v": uv["v"], "w": sink}
-    out = cube(fields, t, y, x, dtype, water_depth=waves.depth, frame_rate=1 / dt)
-    return out if frames == 2 else out.assign_coords(path_frames=np.uint8(frames))
+    return cube(fields, t, y, x, dtype, water_depth=waves.depth, frame_rate=1 / dt)
 
 
 def cube(fields, t, y, x, dtype="f4", **attrs):
@@ -213,25 +203,17 @@ class GaussianSea:
     Every (k, omega) is drawn anew, so a record holds as many independent waves as a sea without end.
     """
 
+    dt = 0.05
+
     def __init__(
-        self,
-        n=100,
-        steps=576,
-        dx=0.04,
-        dt=0.05,
-        spread=0,
-        heading=0.0,
-        lowest=1.4,
-        highest=3.3,
-        current=(0.0, 0.0),
-        depth=0.7,
-        width=0.6,
+        self, n=100, steps=576, dx=0.04, spread=0, heading=0.0, band=(1.4, 3.3), current=(0.0, 0.0), width=0.6
     ):
-        self.n, self.steps, self.dx, self.dt = n, steps, dx, dt
+        self.n, self.steps, self.dx = n, steps, dx
+        lowest, highest = band
         self.k = 2 * np.pi * np.fft.fftfreq(n, dx)
-        self.omega = 2 * np.pi * np.arange(steps // 2 + 1) / (steps * dt)
+        self.omega = 2 * np.pi * np.arange(steps // 2 + 1) / (steps * self.dt)
         kx, ky = self.k, self.k[:, None]
-        ridge = relation(np.hypot(kx, ky), depth)
+        ridge = relation(np.hypot(kx, ky), 0.7)
         seen_at = ridge + kx * current[0] + ky * current[1]
         density = np.exp(-0.5 * ((self.omega[:, None, None] - seen_at) / width) ** 2)
         density *= ((ridge > 2 * np.pi * lowest) & (ridge < 2 * np.pi * highest)) / np.maximum(ridge, 1) ** 5
