@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 GRAVITY, TENSION = 9.81, 7.28e-5  # m/s2, m3/s2
+DIMS, UNITS = ("time", "y", "x"), {"z": "m"}
 
 
 def still_frequency(k, depth):
@@ -71,17 +72,10 @@ class Sea:
         omega = sigma + kx * self.current[0] + ky * self.current[1]
         mean = {"u": self.current[0], "v": self.current[1]}
 
-        def over_a_step(frequency):
-            return np.sinc(frequency * self.dt / (2 * np.pi))
-
-        along = sigma / (k * np.tanh(k * self.depth)) * over_a_step(sigma)
-        gains = {
-            "z": np.ones(k.size),
-            "z_t": -1j * omega * over_a_step(omega),
-            "w": -1j * sigma * over_a_step(sigma),
-            "u": kx * along,
-            "v": ky * along,
-        }
+        over_a_step, place_over_a_step = (np.sinc(o * self.dt / (2 * np.pi)) for o in (sigma, omega))
+        along = sigma / (k * np.tanh(k * self.depth)) * over_a_step
+        gains = {"z": np.ones(k.size), "u": kx * along, "v": ky * along}
+        gains |= {"z_t": -1j * omega * place_over_a_step, "w": -1j * sigma * over_a_step}
         t, y, x = (np.arange(n) * step for n, step in zip(self.shape, (self.dt, self.dx, self.dx)))
         ex = np.exp(1j * np.outer(kx, x)).astype("c8")
         ey = np.exp(1j * np.outer(y, ky)).astype("c8")
@@ -92,11 +86,7 @@ class Sea:
             rows = (turned * gains[name].astype("c8"))[:, None, :] * ey
             field = (rows.reshape(-1, k.size) @ ex).real.reshape(self.shape) + np.float32(mean.get(name, 0))
             level = self.noise if name == "z" else self.noise / self.dt
-            out[name] = (
-                ("time", "y", "x"),
-                field + level * self._noise(rng),
-                {"units": "m" if name == "z" else "m s-1"},
-            )
+            out[name] = (DIMS, field + level * self._noise(rng), {"units": UNITS.get(name, "m s-1")})
         return xr.Dataset(out, {"time": t, "y": y, "x": x})
 
     def _noise(self, rng):
@@ -161,10 +151,10 @@ class LatticeSea:
         steps, ny, nx = self.shape
         out = {name: np.empty(self.shape, "f4") for name in names}
         part = np.zeros((self.side, nx), "c8")
-        for t in range(steps):
+        for step in range(steps):
             for name in names:
                 part[rows] = fft.ifft(lines * gains[name], axis=1)[:, :nx]
-                out[name][t] = fft.ifft(part, axis=0).real[:ny]
+                out[name][step] = fft.ifft(part, axis=0).real[:ny]
             lines = lines * turn
         for name in names if self.noise else ():
             level = np.float32(self.noise / (1 if name == "z" else self.dt))
@@ -173,20 +163,13 @@ class LatticeSea:
         for name in names:
             out[name][middle] = np.nan
         mean = {"u": self.current[0], "v": self.current[1]}
-        axes = {
-            n: np.arange(m) * s
-            for n, m, s in zip(("time", "y", "x"), self.shape, (self.dt, self.dx, self.dx))
-        }
+        t, y, x = (np.arange(n) * step for n, step in zip(self.shape, (self.dt, self.dx, self.dx)))
         data = {
-            name: (
-                tuple(axes),
-                values + np.float32(mean.get(name, 0)),
-                {"units": "m" if name == "z" else "m s-1"},
-            )
+            name: (DIMS, values + np.float32(mean.get(name, 0)), {"units": UNITS.get(name, "m s-1")})
             for name, values in out.items()
         }
         attrs = {"water_depth": self.depth, "frame_rate": 1 / self.dt, "velocity": "instantaneous"}
-        return xr.Dataset(data, axes, attrs)
+        return xr.Dataset(data, {"time": t, "y": y, "x": x}, attrs)
 
 
 def _spread_norm(s):

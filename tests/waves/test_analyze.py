@@ -63,18 +63,6 @@ def test_every_variable_states_its_unit_and_meaning(store):
             assert variable.attrs.get("long_name"), f"{group.name}: {name}"
 
 
-def test_every_spectrum_has_its_interval(store):
-    spectra = store["spectra"].to_dataset()
-    for name in spectra.data_vars:
-        if name.startswith("Ez_") and name != "Ez_probe":
-            assert f"dof_{name[3:]}" in spectra
-            assert f"valid_{name[3:]}" in spectra
-        elif name.startswith("E_komega"):
-            assert {f"{part}_{name[2:]}" for part in ("dof", "low", "high")} <= set(spectra.data_vars)
-        elif name.startswith("E_") and "kxky" not in name:
-            assert {f"dof_{name}", f"low_{name}", f"high_{name}"} <= set(spectra.data_vars)
-
-
 def test_its_spectra_are_those_of_the_functions(sea, store):
     segment = store.attrs["segment"]
     single = wv.komega(sea.w, segment=segment).E

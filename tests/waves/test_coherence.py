@@ -23,13 +23,6 @@ def test_the_parts_add_up_to_the_whole(sea):
     assert np.iscomplexobj(C.C_w)
 
 
-def test_a_linear_sea_is_coherent_where_its_waves_are(sea):
-    C = wv.coherence(sea, segment=128)
-    band = C.sel(k=slice(8, 30))
-    assert float(band.gamma2_w.min()) > 0.97
-    assert float(np.abs(np.angle(band.C_w)).max()) < 0.05
-
-
 def test_a_cancelling_nonlinear_term_lifts_the_paper_curve_above_one_and_not_the_standard_one():
     rng = np.random.default_rng(5)
     t, y, x = axes(128, 24, 30, 0.05, 0.04)

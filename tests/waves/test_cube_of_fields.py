@@ -57,17 +57,6 @@ def test_the_argument_of_analyze_states_what_a_cube_does_not():
         wf.analyze(bare, velocity="eulerian")
 
 
-def test_the_derivative_of_z_is_the_rate_of_rise_up_to_the_shortest_waves():
-    t, y, x = axes(200, 9, 9)
-    for frequency in (1.0, 4.0, 5.0):
-        wave = np.cos(2 * np.pi * frequency * t)[:, None, None] + np.zeros((200, 9, 9))
-        z = xr.DataArray(wave, {"time": t, "y": y, "x": x}, DIMS)
-        exact = -2 * np.pi * frequency * np.sin(2 * np.pi * frequency * t)
-        for one in (z, z.chunk(time=50)):
-            rate = wf.cube(one, velocity="instantaneous").z_t[10:-10, 0, 0].values
-            assert np.abs(rate - exact[10:-10]).max() < 3e-3 * np.abs(exact).max()
-
-
 def test_units_and_dates_are_converted_and_the_order_of_dimensions_is_free():
     fields = instantaneous(random_waves(106, n=10), steps=40, ny=10, nx=12)
     plain = of(fields)

@@ -92,6 +92,9 @@ def test_a_spectrum_without_a_ridge_is_refused(spectrum):
         wv.fit_dispersion(spectrum.E * 0, 0.7)
     with pytest.raises(CubeError, match="outside the spectrum"):
         wv.directions(spectrum.E, [12.0], current=(0.0, 0.0))
+    coarse = labelled(np.random.default_rng(0).standard_normal((128, 16, 20)), dx=0.05)
+    with pytest.raises(CubeError, match="no frequency is left"):
+        wv.directions(wv.spectrum(coarse, segment=16), current=(0.0, 0.0))
 
 
 def labelled(values, dx=0.02, dt=0.05):
@@ -108,18 +111,17 @@ def test_noise_states_no_current(smooth):
         wv.fit_dispersion(E, 0.7)
 
 
-@pytest.mark.parametrize(("noise", "measured"), [(0.001, True), (0.01, False)])
-def test_a_small_noisy_field_without_a_current_states_none_or_holds_it_within_its_error(noise, measured):
-    for seed in (21, 22):
-        w = PeriodicSea(seed=seed, n=128).cube(300, 30, 40, noise_dz=noise).w
-        E = wv.spectrum(w, segment=64).E
-        if not measured:
-            with pytest.raises(CubeError, match="no dispersion relation was found"):
-                wv.fit_dispersion(E, 0.7)
-            continue
-        fit = wv.fit_dispersion(E, 0.7)
-        for name in ("current_x", "current_y"):
-            assert abs(float(fit[name])) < 3 * float(fit[f"{name}_std"])
+@pytest.mark.parametrize("seed", [21, 22])
+def test_a_small_noisy_field_without_a_current_states_none_or_holds_it_within_its_error(seed):
+    quiet, noisy = (
+        wv.spectrum(PeriodicSea(seed=seed, n=128).cube(300, 30, 40, noise_dz=noise).w, segment=64).E
+        for noise in (0.001, 0.01)
+    )
+    with pytest.raises(CubeError, match="no dispersion relation was found"):
+        wv.fit_dispersion(noisy, 0.7)
+    fit = wv.fit_dispersion(quiet, 0.7)
+    for name in ("current_x", "current_y"):
+        assert abs(float(fit[name])) < 3 * float(fit[f"{name}_std"])
 
 
 @pytest.mark.slow

@@ -148,11 +148,10 @@ def test_intervals_hold_the_error_of_a_predicted_gain():
 
 
 def test_w_is_not_valid_where_z_contradicts_it():
-    seed = 0
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     wrong = np.exp(rng.choice([-1, 1]) * rng.uniform(0.4, 1.0))
     size = 256, 30, 20, 0.25, 0.5
-    cube = linear_cube(random_waves(seed, 120, 0.25, 0.65, 0.1, np.inf), *size, noise_z=1e-4, noise_dz=1e-4)
+    cube = linear_cube(random_waves(0, 120, 0.25, 0.65, 0.1, np.inf), *size, noise_z=1e-4, noise_dz=1e-4)
     even = {f"gain_{n}": (("direction", "k"), np.ones((8, 181))) for n in "zw"}
     gain = xr.Dataset(even, {"k": np.linspace(0, 9, 181)})
     right = wv.fused_spectra(cube, gain=gain)
@@ -251,11 +250,6 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
     for method, asked in (("w", 0.1), ("cross", 0.06), ("fusion", 0.1)):
         ratio = out[f"Ez_{method}"] / out.Ez_stereo
         np.testing.assert_allclose(ratio.where(strong, drop=True), 1, atol=asked)  # 1.3 and .85 before
-    # where w holds but what leaks from the peak it is not marked as valid
-    out = wv.fused_spectra(quiet, segment=256, current=current)
-    deep = (out.Ez_stereo < 1e-5 * out.Ez_stereo.max()) & (out.frequency < 0.7) & (out.frequency > 0.2)
-    assert bool(deep.any())
-    assert not bool(out.valid_w.where(deep, False).any())
 
 
 def test_elevation_from_w_is_right_on_a_current():

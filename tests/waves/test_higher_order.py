@@ -14,20 +14,6 @@ def gaussian_lines(rng, n, samples):
     return (rng.standard_normal((n, samples)) + 1j * rng.standard_normal((n, samples))).astype("c8")
 
 
-def test_the_share_of_a_bound_wave_comes_back():
-    rng = np.random.default_rng(0)
-    z = gaussian_lines(rng, 12, 60000)
-    free = z[9].copy()
-    bound = 0.3 * z[4] * z[5] / 2
-    z[9] = free + bound
-    share = np.sqrt((np.abs(bound) ** 2).mean() / (np.abs(z[9]) ** 2).mean())
-    b = module.bicoherence_of(z)
-    assert b[4, 5] == pytest.approx(share, abs=0.01)
-    assert b[5, 4] == b[4, 5]
-    others = b[1:5, 1:4]
-    assert np.nanmax(others) < 0.02
-
-
 def test_four_waves_are_found_and_trivial_pairings_are_not():
     rng = np.random.default_rng(2)
     z = gaussian_lines(rng, 20, 40000)

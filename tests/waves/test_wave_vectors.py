@@ -15,8 +15,3 @@ def test_coherence_of_wave_vectors_is_that_of_waves_and_not_of_noise():
     assert plane.attrs["steps"] == 400
     ring = wv.coherence(cube)
     np.testing.assert_allclose(np.abs(ring.C_tot.sel(k=slice(8, 30))), waves.mean_C_tot, atol=0.05)
-
-
-def test_chunks_do_not_matter():
-    cube = linear_cube(random_waves(n=40), 200, 20, 24, dx=0.03)
-    assert wv.plane_coherence(cube).identical(wv.plane_coherence(cube.chunk({"time": 37, "x": 9})))

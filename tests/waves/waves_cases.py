@@ -133,27 +133,25 @@ def cube(fields, t, y, x, dtype="f4", **attrs):
 class PeriodicSea:
     """Random sea on a periodic square, seen through a smaller window: quick for long records."""
 
-    def __init__(
-        self, seed=5, n=192, dx=0.02, depth=0.7, current=(0.0, 0.0), sigma=0.015, box=0.04, highest=7.4
-    ):
+    dx, depth = 0.02, 0.7
+
+    def __init__(self, seed=5, n=128, current=(0.0, 0.0), box=0.04):
+        dx, depth = self.dx, self.depth
         rng = np.random.default_rng(seed)
         kx = 2 * np.pi * np.fft.fftfreq(n, dx)[None, :]
         ky = 2 * np.pi * np.fft.fftfreq(n, dx)[:, None]
         k = np.hypot(kx, ky)
         free = relation(k, depth)
-        self.n, self.dx, self.depth, self.current, self.flows = n, dx, depth, current, any(current)
+        self.n, self.flows = n, any(current)
         self.free, self.omega = free, free + current[0] * kx + current[1] * ky
         f = free / (2 * np.pi)
         group = (relation(k + 1e-3, depth) - free) / 1e-3
         with np.errstate(divide="ignore", invalid="ignore"):
-            density = np.where(
-                (f > 0.75) & (f < highest),
-                1 / (1 + f**6) * np.exp(-((0.85 / np.maximum(f, 1e-3)) ** 12)) * group / k,
-                0.0,
-            )
+            density = 1 / (1 + f**6) * np.exp(-((0.85 / np.maximum(f, 1e-3)) ** 12)) * group / k
+        density = np.where((f > 0.75) & (f < 7.4), density, 0.0)
         density[0, 0] = 0
         a = np.sqrt(density) * (rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n)))
-        self.a = a * sigma / np.sqrt((np.abs(a) ** 2).sum() / 2)
+        self.a = a * 0.015 / np.sqrt((np.abs(a) ** 2).sum() / 2)
         self.box = np.sinc(kx * box / (2 * np.pi)) * np.sinc(ky * box / (2 * np.pi)) if box else 1.0
 
     def z(self, first, steps, dt, ny, nx, gain=1.0):
@@ -250,7 +248,7 @@ class GaussianSea:
         return xr.DataArray(E, {"omega": omega, "ky": ky, "kx": kx}, ("omega", "ky", "kx"))
 
 
-def second_order_sea(seed=0, n=120, basin=10.0, lowest=0.9, highest=2.6, sigma=0.012, spread=2, **more):
+def second_order_sea(seed, n, lowest, highest, sigma, spread):
     """Free waves ~ f^-6 on the lattice of a basin with all the waves that pairs of them force.
 
     On a lattice the sums of two waves meet others: the forced waves are few enough to be quick.
@@ -258,7 +256,7 @@ def second_order_sea(seed=0, n=120, basin=10.0, lowest=0.9, highest=2.6, sigma=0
     from wavefield.tank.sea import Sea
 
     rng = np.random.default_rng(seed)
-    depth, step = 0.7, 2 * np.pi / basin
+    depth, step = 0.7, 2 * np.pi / 10.0  # of a basin of 10 m
     table = np.linspace(0.1, 200, 20000)
     top = int(np.interp(2 * np.pi * highest, relation(table, depth), table) / step) + 1
     line = np.arange(-top, top + 1) * step
@@ -267,14 +265,8 @@ def second_order_sea(seed=0, n=120, basin=10.0, lowest=0.9, highest=2.6, sigma=0
     f = relation(k, depth) / (2 * np.pi)
     group = (relation(k + 1e-4, depth) - relation(k, depth)) / 1e-4
     with np.errstate(divide="ignore", over="ignore"):
-        p = (
-            f**-6
-            * np.exp(-1.25 * (1.15 / f) ** 4)
-            * group
-            / k
-            * np.cos(np.arctan2(ky, kx) / 2) ** (2 * spread)
-        )
-    p = np.where((f > lowest) & (f < highest), p, 0.0)
+        p = f**-6 * np.exp(-1.25 * (1.15 / f) ** 4) * group / k
+        p = np.where((f > lowest) & (f < highest), p * np.cos(np.arctan2(ky, kx) / 2) ** (2 * spread), 0.0)
     pick = rng.choice(k.size, n, replace=False, p=p / p.sum())
     a = sigma * np.sqrt(2 / n) * np.exp(2j * np.pi * rng.random(n))
-    return Sea(kx[pick], ky[pick], a, depth, bound=n, **more)
+    return Sea(kx[pick], ky[pick], a, depth, bound=n)
