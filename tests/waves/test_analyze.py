@@ -85,12 +85,6 @@ def test_the_probes_agree_with_the_cube(store):
     assert float(spectra.probe_x[1]) == 0.9
 
 
-def test_the_statistics_hold_pixels(store, sea):
-    statistics = store["statistics"].to_dataset()
-    np.testing.assert_allclose(statistics.std_px, statistics["std"] / 0.0018)
-    assert float(statistics.significant_height) == pytest.approx(4 * float(sea.z.std()), rel=0.02)
-
-
 def test_neither_chunks_nor_workers_matter_where_segments_are_summed_in_several_chains(sea):
     long = sea.isel(y=slice(0, 20), x=slice(0, 24))
     expected = wf.analyze(long, segment=32)

@@ -1,24 +1,19 @@
 """What a record, its grid or its noise does not determine is refused, absent or marked."""
 
+from dataclasses import replace
+
 import numpy as np
-import pytest
 from independent_seas import Sea
 
 import wavefield as wf
 
-
-@pytest.fixture(scope="module")
-def coarse():
-    """The analysis of a sea that ends at 2.4 Hz, in noise, on a grid that holds waves to 2.6 Hz."""
-    names = ("z", "z_t", "u", "v", "w")
-    sea = Sea(
-        highest=2.4, directions=((0.5, 8.0, 1.0),), noise=3e-4, shape=(600, 24, 30), dx=0.07, height=0.02
-    )
-    return wf.analyze(sea.cube(names).assign_attrs(water_depth=np.inf), maps=(1.5, 2.0, 2.8, 4.0))
+SEA = Sea(highest=2.4, directions=((0.5, 8.0, 1.0),), noise=3e-4, shape=(600, 48, 60), height=0.02)
 
 
-def test_waves_that_the_grid_does_not_resolve_have_no_direction(coarse):
-    found = coarse["direction"].to_dataset()
+def test_waves_that_the_grid_does_not_resolve_have_no_direction():
+    sea = replace(SEA, shape=(600, 24, 30), dx=0.07)  # holds waves to 2.6 Hz
+    cube = sea.cube(("z", "z_t", "u", "v", "w")).assign_attrs(water_depth=np.inf)
+    found = wf.analyze(cube, maps=(1.5, 2.0, 2.8, 4.0))["direction"].to_dataset()
     there = np.isfinite(found.direction.values)
     assert there.tolist() == [True, True, False, False]
     np.testing.assert_array_equal(np.isfinite(found.direction_std.values), there)
@@ -28,8 +23,7 @@ def test_waves_that_the_grid_does_not_resolve_have_no_direction(coarse):
 
 
 def test_waves_below_the_noise_have_no_direction():
-    sea = Sea(highest=2.4, directions=((0.5, 8.0, 1.0),), noise=3e-4, shape=(600, 48, 60), height=0.02)
-    found = wf.directions(sea.cube(("w",)).w, [2.0, 4.0], current=(0.0, 0.0))
+    found = wf.directions(SEA.cube(("w",)).w, [2.0, 4.0], current=(0.0, 0.0))
     assert np.isfinite(found.direction.values).tolist() == [True, False]
     assert np.isfinite(found.energy.values).all()
 

@@ -9,6 +9,7 @@ from scipy import signal
 from waves_cases import axes
 
 import wavefield.waves as wv
+from wavefield.waves.cross import significance_level
 from wavefield.waves.welch import interval
 
 
@@ -74,10 +75,12 @@ FREE_SEAS = {"narrow": {"directions": ((0.4, 20.0, 1.0),)}, "on a current": {"cu
 
 @pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.slow) for name in FREE_SEAS])
 def free_sea(request):
-    """Spectra of draws of a sea of exact free waves."""
+    """Draws of a sea of exact free waves, and their spectra."""
     sea = LatticeSea(side=180, shape=(320, 24, 30), **FREE_SEAS[request.param])
     draws = [sea.cube(seed, ("z", "u", "v", "w")) for seed in range(8)]
-    return [wv.cross_spectra(draw.assign(z_t=draw.w), ("w", "nl"), (("w", "nl"),)) for draw in draws]
+    names, pairs = ("w", "nl"), (("w", "nl"),)
+    draws = [draw.assign(z_t=draw.w) for draw in draws]
+    return draws, [wv.cross_spectra(draw, names, pairs) for draw in draws]
 
 
 def held(energies, dof, there):
@@ -91,17 +94,37 @@ def held(energies, dof, there):
 
 
 def test_the_interval_holds_the_truth_for_seas_with_and_without_direction_and_current(free_sea):
-    energies, dof = (np.array([E[name].values for E in free_sea]) for name in ("E_w", "dof_w"))
+    _, found = free_sea
+    energies, dof = (np.array([E[name].values for E in found]) for name in ("E_w", "dof_w"))
     mean = energies.mean(axis=0)
-    assert 0.9 < held(energies, dof, free_sea[0].valid.values & (mean > 1e-3 * mean.max())) < 0.97
+    assert 0.9 < held(energies, dof, found[0].valid.values & (mean > 1e-3 * mean.max())) < 0.97
 
 
 def test_the_intervals_of_sums_over_k_and_over_omega_hold_their_truth(free_sea):
+    _, found = free_sea
     for axis, over in (("omega", "k"), ("k", "omega")):
-        energies = np.array([E.E_w.sum(over).values for E in free_sea])
+        energies = np.array([E.E_w.sum(over).values for E in found])
         mean = energies.mean(axis=0)
-        dof = np.array([E[f"dof_{axis}_w"].values for E in free_sea])
+        dof = np.array([E[f"dof_{axis}_w"].values for E in found])
         assert 0.88 < held(energies, dof, mean > 1e-2 * mean.max()) < 0.99
+
+
+def test_coherence_without_relation_is_as_small_as_its_samples_let_expect(free_sea):
+    draws, found = free_sea
+    hits, sizes = {"other": [], "nl": []}, {"other": [], "nl": []}
+    for one, other, own in zip(draws[::2], draws[1::2], found):
+        pair = xr.Dataset({"z_t": one["w"], "w": other["w"]}, attrs=one.attrs)
+        unrelated = wv.cross_spectra(pair, ("z_t", "w"), (("z_t", "w"),))
+        for name, ring, (a, b) in (("other", unrelated, ("z_t", "w")), ("nl", own, ("w", "nl"))):
+            there = ring.valid & (ring[f"E_{a}"] > 1e-3 * ring[f"E_{a}"].max())
+            there &= ring[f"E_{b}"] > 1e-3 * ring[f"E_{b}"].max()
+            gamma2 = np.abs(ring[f"S_{a}_{b}"]) ** 2 / (ring[f"E_{a}"] * ring[f"E_{b}"])
+            level = significance_level(ring[f"samples_{a}_{b}"])
+            hits[name].append(float((gamma2 > level).where(there).mean()))
+            sizes[name].append(float((gamma2 * ring[f"samples_{a}_{b}"]).where(there).mean()))
+    for name in hits:
+        assert np.mean(hits[name]) < 0.1
+        assert 0.5 < np.mean(sizes[name]) < 1.4
 
 
 def test_the_frequency_spectrum_is_that_of_scipy_over_all_nodes():
