@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import float64
-from numba.core import caching
 
 import wavefield.compiled
 from wavefield.compiled import clear_compiled, compiled
@@ -34,16 +33,6 @@ def test_a_full_disk_costs_the_time_of_compiling_and_nothing_else(monkeypatch):
 
     assert total(np.arange(3.0)) == 3
     assert len(total.signatures) == 1
-
-
-def test_no_folder_for_compiled_code_is_none_of_the_users_business(monkeypatch):
-    monkeypatch.setattr(caching.tempfile, "TemporaryFile", full)
-
-    @compiled()
-    def halved(x):
-        return x / 2
-
-    assert halved(np.arange(3.0)).tolist() == [0, 0.5, 1]
 
 
 LOOP = """

@@ -2,7 +2,6 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import threadpoolctl
 
 from wavefield.one_thread import one_thread
@@ -23,15 +22,3 @@ def test_threads_of_a_pool_limit_what_the_main_thread_has_set():
         with ThreadPoolExecutor(2) as pool:
             assert all(found <= {1} for found in pool.map(inside, range(8)))
         assert blas_threads() == before
-
-
-def test_products_have_the_same_bits_in_a_pool_and_alone():
-    random = np.random.default_rng(1)
-    a, b = random.random((2, 400, 400), np.float32)
-
-    def product(_):
-        with one_thread():
-            return (a @ b).tobytes()
-
-    with ThreadPoolExecutor(2) as pool:
-        assert {product(0)} == set(pool.map(product, range(4)))

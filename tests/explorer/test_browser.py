@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavefield.explorer.map import arrows
 from wavefield.explorer.node import spectrum
-from wavefield.figures.display import limit, quality_kind
+from wavefield.figures.display import quality_kind
 
 STEP = 2
 
@@ -59,12 +58,6 @@ def x_of(field, nx=20):
 X, Y = x_of(None, 20), x_of(None, 16)
 
 
-def test_the_map_is_the_step_of_the_cube(page, fields):
-    np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][STEP], rtol=1e-6)
-    assert page.column("map_image", "x")[0] == pytest.approx(X[0] - 0.025)
-    assert page.column("map_image", "dh")[0] == pytest.approx(0.8)
-
-
 @pytest.mark.parametrize(("key", "step"), [("ArrowRight", 3), ("ArrowLeft", 1), ("PageUp", 22), ("End", 159)])
 def test_keys_step(page, fields, key, step):
     page.page.keyboard.press(key)
@@ -105,21 +98,6 @@ def test_any_variable_is_shown_in_its_unit(page, fields, name, factor):
     choose(page, "show", name)
     page.wait(shown(name))
     np.testing.assert_allclose(page.image("map_image"), factor * fields[name][STEP], rtol=1e-5)
-
-
-def test_arrows_are_the_velocity_and_go_away(page, fields):
-    u, v = fields["u"][STEP], fields["v"][STEP]
-    shown = page.column("map_arrows", "x").reshape(-1, 7)
-    fastest = limit(np.hypot(u, v), 98)
-    xs, _, metres = arrows(u, v, X, Y, fastest)
-    # the scale stays that of the first step shown: lengths agree up to one factor
-    moved, expected = (a[:, 1] - a[:, 0] for a in (shown, xs.reshape(-1, 7)))
-    assert np.corrcoef(moved, expected)[0, 1] > 0.9999
-    page.page.keyboard.press("a")
-    page.wait(f"{model('map_arrows')}.data.x.length == 0")
-    page.page.keyboard.press("a")
-    page.wait(f"{model('map_arrows')}.data.x.length > 0")
-    assert metres > 0
 
 
 def test_a_click_shows_everything_at_the_node(page, fields):
@@ -271,58 +249,6 @@ def test_screen_readers_and_weak_eyes_can_use_it(chrome, served, query):
         window.page.wait_for_timeout(1200)  # names are given every second
         assert window.barriers() == []
     window.page.close()
-    assert window.errors == []
-
-
-def test_a_node_at_a_probe_is_shown_with_its_series(chrome, served, fields):
-    from browser import Browser
-
-    window = Browser(chrome.new_page(viewport={"width": 1400, "height": 900}))
-    window.open(served.url + "?node=0.125,0.125", "node_probe_series")
-    probe = window.column("node_probe_series", "value")
-    t = window.column("node_probe_series", "t")
-    np.testing.assert_allclose(probe, np.sin(2 * np.pi * 1.1 * t), atol=1e-3)
-    bottom = window.page.evaluate(
-        f"(() => {{ const v = Bokeh.index.find_one({model('map')});"
-        " return v.frame.bbox.bottom + v.el.getBoundingClientRect().y })()"
-    )
-    assert 700 < bottom < 900  # the map fills the window
-    window.page.close()
-    assert window.errors == []
-
-
-def test_only_this_machine_may_talk_to_it(served):
-    import urllib.error
-    import urllib.request
-
-    request = urllib.request.Request(served.url + "metadata", headers={"Host": "evil.example"})
-    with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(request)
-
-
-def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
-    from browser import Browser
-    from explorer_cases import create_cube
-
-    from wavefield.explorer.server import look
-
-    tag = "<img src=x onerror=hit()>"
-    folder = tmp_path / tag
-    folder.mkdir()
-    create_cube(folder / "cube.zarr", experiment=tag, experiment_file=tag)
-    served = look(folder / "cube.zarr")
-    window = Browser(chrome.new_page())
-    window.page.add_init_script("window.hits = 0; window.hit = () => { window.hits += 1 }")
-    window.open(served.url)
-    window.page.keyboard.press("3")
-    window.wait(f"{model('wave_words')}.text.includes('onerror=hit()')")
-    window.page.keyboard.press("2")
-    window.wait(f"{model('camera_words')}.text.includes('onerror=hit()')")
-    window.page.get_by_text("no images").wait_for()
-    assert window.page.evaluate("window.hits") == 0
-    assert window.page.evaluate("document.querySelectorAll('img[src=x]').length") == 0
-    window.page.close()
-    served.stop()
     assert window.errors == []
 
 

@@ -13,13 +13,7 @@ from bokeh.document import Document
 from wavefield.errors import ExperimentError
 from wavefield.explorer import live
 from wavefield.explorer.follow import FollowPage
-from wavefield.explorer.lights import (
-    arrival_lights,
-    frame_features,
-    red_lights,
-    step_lights,
-    summarize_step,
-)
+from wavefield.explorer.lights import frame_features, red_lights, step_lights, summarize_step
 from wavefield.explorer.live import FolderWatch, Follower
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -185,15 +179,6 @@ def test_cameras_that_all_stop_turn_a_light_each(small_tank, tmp_path, monkeypat
     assert "arrival" not in dict(red())
 
 
-def test_slow_cameras_have_not_stopped_and_those_that_never_began_have():
-    silent = {"slow": 45.0, "gone": 80.0, "never": 80.0}
-    lights = arrival_lights(silent, {"slow": 0.0, "gone": 0.0}, {"slow": 7, "gone": 7}, frame_rate=0.1)
-    found = {light.camera: (light.state, light.words) for light in lights if light.name == "arrival"}
-    assert found["slow"] == ("good", "frames arrive")
-    assert found["gone"] == ("bad", "no new frame for 1 min 20 s")
-    assert found["never"] == ("bad", "no new frame for 1 min 20 s, none yet")
-
-
 def test_frames_that_come_too_fast_are_skipped_and_counted(small_tank, tmp_path):
     folder = tmp_path / "live"
     follower = Follower(Experiment.load(record(folder)))
@@ -244,15 +229,6 @@ def test_following_leaves_no_trace(followed):
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     frames = {f"{name}/img_{number:05d}.tif" for name in CAMERAS for number in range(6)}
     assert names == frames | {"experiment.yaml", "rig.yaml"}
-
-
-@pytest.mark.parametrize("size", [0.8, 1.3, 2.4])
-def test_the_size_of_beads_is_found_in_noise(size):
-    rng = np.random.default_rng(6)
-    image = np.zeros((300, 300))
-    image[rng.integers(0, 300, 900), rng.integers(0, 300, 900)] = 2000.0 * size**2
-    image = cv2.GaussianBlur(image, (0, 0), size) + rng.normal(0, 8, image.shape)
-    assert frame_features(image.astype(np.float32)).bead_size == pytest.approx(size, rel=0.12)
 
 
 def test_saturation_is_the_fraction_of_white_pixels():

@@ -10,8 +10,6 @@ from wavefield.errors import StoreError
 from wavefield.explorer.record import CubeRecord
 from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
-from wavefield.store.preview import read_thinned, thinning
-from wavefield.store.read import open_group
 from wavefield.waves.motion import kinematic_fields
 
 
@@ -19,18 +17,6 @@ from wavefield.waves.motion import kinematic_fields
 def cube(tmp_path):
     path = tmp_path / "cube.zarr"
     return path, make_cube(path, ny=50, nx=60)
-
-
-def test_the_preview_holds_every_second_node_of_a_cube_of_3000(cube):
-    path, fields = cube
-    group = open_group(path)
-    thin = thinning(group)
-    assert thin.every == 2
-    thinned = np.concatenate([read_thinned(group, thin, start, start + 40) for start in (0, 40, 80)], -1)
-    for name, stored, scale in zip(thin.names, thinned.astype(float), thin.scales):
-        values = np.where(stored == -32768, np.nan, stored * scale)
-        expected = np.moveaxis(fields[name][:, ::2, ::2], 0, -1)
-        np.testing.assert_allclose(values, expected, atol=0.51 * scale, rtol=1e-6, err_msg=name)
 
 
 @pytest.mark.parametrize("harm", ["removed", "damaged", "in the way"])

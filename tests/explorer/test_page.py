@@ -92,17 +92,6 @@ def test_the_head_gives_the_height_of_the_analysis_with_its_uncertainty(tmp_path
     assert "<b>Hs 5 ± 0.4 cm</b>" in page.state.text
 
 
-def test_fitted_colours_are_nobodys_wish(cube):
-    page, _ = build(cube)
-    page.redraw()
-    assert page.place.limits is None
-    page.controls["low"].value, page.controls["high"].value = -3.0, 4.0
-    assert page.place.limits == (-3.0, 4.0)
-    page._fit()
-    page.redraw()
-    assert page.map.mapper.low == -page.map.mapper.high == page.controls["low"].value
-
-
 def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(tmp_path):
     path = tmp_path / "cube.zarr"
     make_cube(path)

@@ -1,7 +1,6 @@
 """From a scene to a report by the commands alone, as a user would, on a small tank."""
 
 import io
-import json
 import re
 import shutil
 from contextlib import redirect_stdout
@@ -12,9 +11,6 @@ from test_cli import examples_of
 
 from wavefield.commands.cli import main
 from wavefield.commands.demo import comparison
-from wavefield.images import write_image
-from wavefield.rig import Rig
-from wavefield.tank import Scene, Tank
 
 SCENE = {
     "name": "puddle",
@@ -131,17 +127,6 @@ def _changed(folder, tmp_path, **entries):
     return str(tmp_path / "experiment.yaml")
 
 
-def test_check_reports_where_cameras_are_not_of_the_same_moments(folder, tmp_path, capsys):
-    cameras = yaml.safe_load((folder / "experiment.yaml").read_text())["cameras"]
-    cameras["cam2"] |= {"offset": -1}
-    workflow = str(folder.parent / "workflow.yaml")
-    changed = _changed(folder, tmp_path, cameras=cameras)
-    assert main(["-q", "check", changed, "--workflow", workflow, "--json"]) == 3
-    found = json.loads(capsys.readouterr().out)
-    assert found["verdict"]["line"].startswith("not to be trusted: cam2 offset")
-    assert "Add 1 to its `offset`" in found["verdict"]["remarks"][0]["remedy"]
-
-
 def test_probes_that_are_not_there_are_missed(folder, checked, tmp_path, capsys):
     workflow = str(folder.parent / "workflow.yaml")
     assert "probes: probe1, probe2, from 0 to" in checked
@@ -160,22 +145,6 @@ def test_check_compares_the_pairs_of_cameras(folder, checked):
     assert re.search(r"most would help: (half the noise|twice the beads|in focus) \(", out)
     report = (folder / "report.html").read_text(encoding="utf-8")
     assert report.count("recombined \u2212 direct") == 2  # words for those who do not see, a row of a table
-
-
-def test_calibration_without_images_names_what_is_missing(folder, tmp_path, capsys):
-    block = yaml.safe_load((folder / "experiment.yaml").read_text())["calibration"]
-    lost = {"tilted": "calib/{camera}/tilt_*.tif", "flat": "calib/{camera}/lost.tif"}
-    changed = _changed(folder, tmp_path, calibration=block | lost, rig=str(tmp_path / "rig.yaml"))
-    assert main(["-q", "calibrate", changed]) == 1
-    assert "calib/{camera}/lost.tif" in capsys.readouterr().err
-
-
-def test_export_writes_netcdf(folder, tmp_path):
-    import xarray as xr
-
-    assert main(["-q", "export", str(folder / "cube.zarr"), str(tmp_path / "cube.nc")]) == 0
-    with xr.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as back:
-        assert set("zuvw") <= set(back.data_vars)
 
 
 def test_demo_gives_the_commands_of_the_readme_and_stops_where_one_fails(monkeypatch, tmp_path, capsys):
@@ -212,20 +181,6 @@ def test_examples_of_helps_run_as_they_are_written(folder, tmp_path, monkeypatch
     assert "frame_rate is empty; fill it in" in capsys.readouterr().err
 
 
-def test_a_report_is_written_without_the_images_too_and_states_it(folder, tmp_path, undrawn):
-    from wavefield.pipeline import open_run
-    from wavefield.reports import write_report
-
-    images = folder / "cam1"
-    images.rename(folder / "away")
-    try:
-        page = write_report(open_run(folder / "cube.zarr"), tmp_path / "report.html").read_text()
-    finally:
-        (folder / "away").rename(images)
-    assert "pictures of the cameras' frames" in page.replace("&#x27;", "'").replace("&#39;", "'")
-    assert "Coverage and faults" in page
-
-
 def test_the_papers_figures_are_on_one_page(folder, tmp_path, without_pixels):
     page, cube = tmp_path / "paper.html", str(folder / "cube.zarr")
     with without_pixels():
@@ -257,20 +212,3 @@ def test_the_papers_figures_are_on_one_page(folder, tmp_path, without_pixels):
     )
     assert len(rows) >= 8
     assert all(re.match(r"[\d.]+", here) for _, here in rows), rows
-
-
-def test_calibrate_levels_the_rig_on_the_record_at_rest(folder, tmp_path, capsys, undrawn):
-    still = Tank(Scene.from_dict(SCENE | {"sea": {"kind": "still"}}))
-    for frame in range(2):
-        for name, image in still.render(frame).items():
-            write_image(tmp_path / "rest" / f"{name}_{frame:02d}.tif", image)
-    rest = f"{tmp_path}/rest/{{camera}}_{{frame:02d}}.tif"
-    experiment = _changed(folder, tmp_path, rest=rest, rig=str(tmp_path / "rig.yaml"))
-    assert main(["-q", "calibrate", experiment]) == 0
-    assert "The water's plane: " in capsys.readouterr().out
-    levelled = Rig.load(tmp_path / "rig.yaml")
-    assert levelled.provenance["levelled"]["points"] > 100
-    plain, height = Rig.load(folder / "rig.yaml"), levelled.provenance["levelled"]["height_m"]
-    for name in levelled:
-        lowered = plain[name].centre[2] - levelled[name].centre[2]
-        assert lowered == pytest.approx(height, abs=5e-4)

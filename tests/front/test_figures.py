@@ -85,20 +85,6 @@ def test_arrows_are_long_where_the_water_is_fast(cube):
     assert np.all(quiver.V[there] == 0.0)
 
 
-def test_quality_shares_count_bits(cube):
-    shares = figures.quality_shares(cube.quality, ("time",))
-    assert float(shares["filled from neighbours"].sum()) == 16
-    assert float(shares["rejected by correlation"].max()) == 1.0
-    assert float(shares["rejected by eps"].max()) == 0.0
-
-
-def test_kinematic_residual_is_small_on_an_exact_sea(cube):
-    terms = wv.kinematics_at(cube.isel(time=10))
-    inner = {"x": slice(4, -4), "y": slice(4, -4)}
-    rms = {name: float(np.sqrt((terms[name].isel(inner) ** 2).mean())) for name in terms}
-    assert rms["residual"] < 0.5 * rms["nonlinear"]
-
-
 def test_empty_field_is_drawn_without_complaint(cube):
     nothing = cube.isel(time=10).map(lambda a: a * np.nan if a.dtype.kind == "f" else a)
     figures.elevation_map(nothing).draw_without_rendering()
@@ -235,42 +221,3 @@ def test_dispersion_curve_of_the_map_is_exact(waves):
     k, hertz = curve[len(curve) // 3]
     exact = np.sqrt((9.81 * 2 * np.pi * k + 7.28e-5 * (2 * np.pi * k) ** 3) * np.tanh(2 * np.pi * k * 0.7))
     assert hertz == pytest.approx(exact / (2 * np.pi), rel=2e-3)
-
-
-def test_picture_of_the_dispersion_ridge():
-    import xarray as xr
-
-    from wavefield.water import dispersion
-    from wavefield.waves import spectrum
-    from wavefield.waves.dispersion_fit import dispersion_group
-
-    rng = np.random.default_rng(0)
-    k, angle = rng.uniform(6, 40, 300), rng.uniform(-np.pi, np.pi, 300)
-    kx, ky = k * np.cos(angle), k * np.sin(angle)
-    t, y, x = np.arange(192) * 0.05, np.arange(32) * 0.05, np.arange(40) * 0.05
-    waves = np.exp(1j * (kx[:, None, None] * x + ky[:, None, None] * y[:, None]))
-    turns = np.exp(2j * np.pi * rng.random(300) - 1j * np.outer(t, dispersion(k)))
-    w = np.tensordot(turns / k, waves, 1).real
-    density = spectrum(xr.DataArray(w, {"time": t, "y": y, "x": x}, ("time", "y", "x"))).E
-    group = dispersion_group(density, np.linspace(5, 60, 30), np.inf, 7.2e-5)
-    assert "refused" not in group.attrs
-    figure = figures.dispersion_ridge(group)
-    assert text_faults(figure) == []
-    for word in ("linear theory", "measured points", "measured ω against theory (%)"):
-        assert word in labels(figure)
-
-
-def test_a_label_through_a_line_over_another_or_cut_off_is_found():
-    figure, axes = style.panels(1)
-    axes[0, 0].plot([0, 1], [0, 1])
-    assert text_faults(figure) == []
-    axes[0, 0].text(0.5, 0.5, "crossed", ha="center")
-    axes[0, 0].text(0.2, 0.8, "under", ha="center")
-    axes[0, 0].text(0.2, 0.8, "over", ha="center")
-    figure.text(0.99, 0.5, "cut off at the right").set_in_layout(False)
-    found = set(text_faults(figure))
-    assert found == {
-        "a line runs through 'crossed'",
-        "'under' overlaps 'over'",
-        "'cut off at the right' is cut off",
-    }

@@ -6,7 +6,6 @@ import pytest
 
 from wavefield.commands import progress
 from wavefield.commands.progress import Progress
-from wavefield.text import spell_time
 
 
 class Terminal(io.StringIO):
@@ -19,17 +18,6 @@ def clock(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     return now
-
-
-def test_times_are_spelled_for_people():
-    assert [spell_time(s) for s in (0, 59.4, 60, 3599, 3600, 90000)] == [
-        "0 s",
-        "59 s",
-        "1 min 00 s",
-        "59 min 59 s",
-        "1 h 00 min",
-        "25 h 00 min",
-    ]
 
 
 def test_a_log_gets_plain_lines_at_the_quarters(clock):
@@ -70,16 +58,3 @@ def test_a_failure_is_reported_as_stopped(clock):
     with pytest.raises(ValueError, match="no"), Progress("Measuring", "steps", stream):
         raise ValueError("no")
     assert stream.getvalue().splitlines()[-1] == "Measuring: stopped after 0 s"
-
-
-def test_a_later_stage_has_its_own_lines_and_begins_when_it_reports(clock):
-    stream = io.StringIO()
-    with Progress("Finding", "images", stream) as report:
-        solving = report.stage_of("Solving", "models")
-        report(2, 2)
-        clock[0] += 3
-        for done in (0, 4):
-            solving(done, 4)
-    lines = stream.getvalue().splitlines()
-    assert lines.index("Finding: done in 3 s, 2 images") < lines.index("Solving ...")
-    assert lines[-1] == "Solving: done in 0 s, 4 models"

@@ -13,11 +13,10 @@ import xarray as xr
 
 from wavefield.pipeline import Run
 from wavefield.reports import write_report
-from wavefield.reports.calibration import with_std
 from wavefield.reports.compose import builders_of, head_of
 from wavefield.reports.fields import at_probe, pack
 from wavefield.reports.html import render
-from wavefield.reports.numbers import RunNumbers, snapshot
+from wavefield.reports.numbers import RunNumbers
 from wavefield.reports.result import facts, without_cameras
 from wavefield.tank import paper_rig
 from wavefield.variables import CUBE_FIELDS, Quality
@@ -220,26 +219,3 @@ def test_a_long_cube_is_thinned_to_fit(cube):
     wide = wide.assign_coords(x=0.01 * np.arange(120), y=0.01 * np.arange(90), time=np.arange(192) / 20)
     assert sum(wide[name].size for name in CUBE_FIELDS) > 20e6
     assert sum(map(len, pack(wide.chunk(time=48)).values())) < 3e6
-
-
-def test_the_nonlinear_term_and_its_residual_are_those_of_the_store(cube, page_text):
-    from wavefield.waves.motion import kinematic_fields
-
-    snap = snapshot(cube)
-    stored = kinematic_fields(cube).sel(time=snap.time)
-    picture = next(p["alt"] for p in Page(page_text).all("img") if p["alt"].startswith("Four maps. Rms"))
-    for name, words in (("nonlinear", "nonlinear term"), ("residual", "residual")):
-        rms = 100 * float(np.sqrt(np.nanmean(stored[name].values.astype(float) ** 2)))
-        assert f"{words} {rms:.3g} cm/s" in picture
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "words"),
-    [
-        (230.0, 0.0, "230 (held)"),
-        (2916.7512, 0.057, "2916.751 ± 0.057"),
-        (-2.66607e-5, 1.2e-5, "-0.000027 ± 0.000012"),
-    ],
-)
-def test_parameters_have_the_digits_that_their_uncertainty_leaves(value, std, words):
-    assert with_std(value, std) == words

@@ -190,9 +190,7 @@ def test_damage_is_never_passed_on_in_silence(measured, files, before, number, w
 
 @settings(max_examples=max(DRAWS // 20, 4), suppress_health_check=list(HealthCheck), phases=[Phase.generate])
 @given(
-    number=st.integers(0, 10**6),
-    where=st.floats(0, 1, exclude_max=True),
-    kind=st.sampled_from(list(DAMAGES)),
+    number=st.integers(0, 10**6), where=st.floats(0, 1, exclude_max=True), kind=st.sampled_from(list(DAMAGES))
 )
 def test_what_verify_found_damaged_the_next_run_puts_right(measured, files, before, number, where, kind):
     of_cube = [

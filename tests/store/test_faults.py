@@ -1,6 +1,5 @@
 """Faults that destroyed data or were believed once, each with the smallest case that shows it."""
 
-import errno
 import json
 import resource
 import shutil
@@ -15,10 +14,9 @@ import xarray as xr
 import yaml
 
 import wavefield as wf
-from wavefield import atomic_write
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
-from wavefield.pipeline.catalog import catalog_add, find_cube
+from wavefield.pipeline.catalog import catalog_add
 from wavefield.rig import Rig
 
 CATALOG = "catalog.yaml"
@@ -96,12 +94,6 @@ def test_runs_that_are_added_at_once_are_all_registered(lab):
     assert sorted(options) == names
 
 
-def test_a_catalog_sees_a_cube_that_was_measured_before(lab):
-    catalog_add(CATALOG, "experiment.yaml")
-    assert find_cube(CATALOG).resolve() == (lab / "cube.zarr").resolve()
-    assert command("status", CATALOG) in (0, 3)
-
-
 @pytest.mark.parametrize("address", ["{run.__class__}", "{env(SECRET)}", "{run!r}"])
 def test_addresses_of_a_catalog_are_not_format_strings(lab, monkeypatch, capsys, address):
     monkeypatch.setenv("SECRET", "password")
@@ -154,29 +146,6 @@ def test_a_killed_writer_leaves_nothing_after_the_next_command(lab):
     writer.stdout.close()
     assert command("export", "cube.zarr", "z.nc") == 0
     assert not list(lab.glob(".wavefield-*"))
-
-
-@pytest.mark.parametrize("closed_twice", [False, True])
-def test_a_signal_while_a_draft_is_removed_leaves_nothing_and_still_stops(
-    tmp_path, monkeypatch, closed_twice
-):
-    remove = atomic_write.shutil.rmtree
-    calls = []
-
-    def interrupted(folder, **options):
-        calls.append(folder)
-        if len(calls) == 1:
-            try:
-                raise KeyboardInterrupt
-            finally:
-                if closed_twice:
-                    raise OSError(errno.EBADF, "Bad file descriptor")
-        remove(folder, **options)
-
-    monkeypatch.setattr(atomic_write.shutil, "rmtree", interrupted)
-    with pytest.raises(KeyboardInterrupt), atomic_write.atomic(tmp_path / "x.txt") as draft:
-        draft.write_text("whole")
-    assert not list(tmp_path.glob(".wavefield-*"))
 
 
 @pytest.mark.slow
@@ -268,14 +237,6 @@ def test_a_verdict_without_its_checksum_is_not_believed(lab):
     (lab / "verdict.json").write_text(json.dumps(data))
     with pytest.raises(StoreError, match="is not a verdict as wavefield wrote it"):
         wf.status("cube.zarr")
-
-
-def test_no_message_advises_to_remove_a_cube(lab):
-    (lab / "cube.zarr/zarr.json").write_text("{")
-    for read in (wf.open_cube, wf.open_run, wf.status, wf.verify):
-        with pytest.raises(StoreError) as error:
-            read(lab)
-        assert "remove" not in str(error.value)
 
 
 def test_stdout_on_a_full_disk_is_a_sentence(lab):

@@ -42,10 +42,7 @@ COMMANDS = {
     "export uvmat": (["export", "cube.zarr", "OUT"], "new.uvmat"),
     "init": (["init", ".", "-o", "OUT"], "proposed.yaml"),
     "level": (["rig", "level", *STEREO], "new.yaml"),
-    "level, each frame": (
-        ["rig", "level", *STEREO[:-1], "rolling.yaml", "--each-frame", "OUT"],
-        "frames",
-    ),
+    "level, each frame": (["rig", "level", *STEREO[:-1], "rolling.yaml", "--each-frame", "OUT"], "frames"),
     "paper": (["paper", "cube.zarr", "-o", "OUT"], "page.html"),
     "refine": (["refine", *STEREO], "new.yaml"),
     "report": (["report", "cube.zarr"], "report.html"),
@@ -351,9 +348,6 @@ def test_a_file_that_appears_while_its_product_is_being_written_stays(tmp_path):
 
 def test_a_link_is_never_replaced(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with (
-        pytest.raises(StoreError, match="is a link"),
-        atomic(tmp_path / "link", replace=True) as draft,
-    ):
+    with pytest.raises(StoreError, match="is a link"), atomic(tmp_path / "link", replace=True) as draft:
         draft.write_text("new")
     assert (tmp_path / "link").is_symlink()

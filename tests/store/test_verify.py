@@ -124,9 +124,3 @@ def test_a_finished_cube_is_sound_and_passed_on_without_a_word(whole, tmp_path):
         warnings.simplefilter("error")
         export(whole, tmp_path / "cube.nc")
     assert np.fromfile(tmp_path / "cube.nc", np.uint8).size > 1000
-
-
-def test_a_file_that_is_no_netcdf_is_not_written_under_that_name(whole, tmp_path, capsys):
-    assert main(["-q", "export", str(whole), str(tmp_path / "cube.csv")]) == 2
-    assert "cube.csv" in capsys.readouterr().err
-    assert not (tmp_path / "cube.csv").exists()

@@ -30,11 +30,6 @@ def test_quick_reading_is_exact_to_a_millionth(steep, rng):
         assert np.abs(values - exact[name]).max() < 1e-6 * np.abs(exact[name]).max()
 
 
-def test_points_outside_the_basin_are_not_invented(steep):
-    (z,) = steep.basin.snapshot(0.0)(np.array([99.0]), np.array([0.0]))
-    assert np.isnan(z).all()
-
-
 def test_path_agrees_with_tiny_steps_and_leads_back(steep, rng):
     x, y = rng.uniform(-0.15, 0.15, (2, 50))
     ax, ay = carry(steep.basin, x, y, 0.0, 0.05)
@@ -102,11 +97,3 @@ def test_share_of_beads_visible_in_one_camera_only():
     cameras = (beads.brightness > 0).sum(axis=0)
     assert set(cameras) == {1, 3}
     assert np.mean(cameras == 1) == pytest.approx(0.3, abs=0.03)
-
-
-def test_long_records_stay_seeded_under_a_current():
-    tank = Tank(small(sea={"current": (0.3, 0.1), "shortest": 0.3, "period": 2.0}))
-    beads = tank.population.frame(60)
-    assert ((beads.x >= tank.x[0]) & (beads.x <= tank.x[1])).all()
-    inside = (np.abs(beads.x) < 0.15) & (np.abs(beads.y) < 0.1)
-    assert inside.sum() / 0.06 == pytest.approx(1.1e4, rel=0.2)

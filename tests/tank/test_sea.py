@@ -43,11 +43,7 @@ def test_vertical_velocity_keeps_the_water_on_the_surface(bound, rng):
     assert z_x == pytest.approx(f["z_x"], abs=2e-5)
 
 
-@given(
-    wavelength=st.floats(0.03, 3.0),
-    angle=st.floats(0, 2 * np.pi),
-    depth=st.floats(0.1, 5.0),
-)
+@given(wavelength=st.floats(0.03, 3.0), angle=st.floats(0, 2 * np.pi), depth=st.floats(0.1, 5.0))
 def test_single_wave_obeys_dispersion_with_current_and_moves_with_its_vector(wavelength, angle, depth):
     k = 2 * np.pi / wavelength
     kx, ky = k * np.cos(angle), k * np.sin(angle)
