@@ -28,11 +28,7 @@ def made(catalog, run):
     ("old", "new"),
     [
         ("intake.readers.user_parameters:SimpleUserParameter", "os:system"),
-        ("intake.readers.readers:XArrayDatasetReader", "subprocess:Popen"),
         ("intake.readers.readers:XArrayDatasetReader", "intake.readers.readers:import_name"),
-        ("intake.readers.datatypes:Zarr", "evil:Data"),
-        ("xarray:Dataset", "evil:Dataset"),
-        ("default: latest", "default: func(evil:recipe)"),
         ('root: ""', "root: '{import(evil:root)}'"),
         ('root: ""', "root: ['{pickle64(gASVAA==)}']"),
         ("version: 2", "version: 2\ncls: evil:Catalog"),

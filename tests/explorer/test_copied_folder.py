@@ -14,8 +14,6 @@ from wavefield.pipeline import open_run
 from wavefield.pipeline.opened_run import fingerprints, image_names, labels
 from wavefield.series import Experiment
 
-PLACES = ["cube.zarr", "1a2b3c4d/cube.zarr"]
-
 
 def write_experiment(folder, seed=1, pattern="{folder}/img_{{frame:05d}}.tif", more=""):
     rng = np.random.default_rng(seed)
@@ -49,8 +47,7 @@ def save_mask(store):
     return panel.words.text
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("way", ["copied", "moved"])
+@pytest.mark.parametrize(("way", "place"), [("copied", "1a2b3c4d/cube.zarr"), ("moved", "cube.zarr")])
 def test_a_folder_elsewhere_edits_its_own_experiment(tmp_path, place, way):
     first, second = tmp_path / "first", tmp_path / "deeper" / "second"
     write_experiment(first, more="folder: .\n")

@@ -71,16 +71,10 @@ def note(old, new):
 
 def mask(image):
     def spoil(lab):
-        like = tifffile.imread(lab / "cam1" / "img_000.tif")
-        cv2.imwrite(str(lab / "m.png"), np.full_like(like, 255) if image is None else image)
+        cv2.imwrite(str(lab / "m.png"), image)
         note("rig:", "mask: {cam1: m.png}\nrig:")(lab)
 
     return spoil
-
-
-def write_mask(lab):
-    (lab / "m.png").write_text("no image")
-    note("rig:", "mask: {cam1: m.png}\nrig:")(lab)
 
 
 def write(name, content):
@@ -130,77 +124,50 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 TABLE = [
     # -- the lab note
     ("no lab note", lose(EXP), ["run", EXP], 2, "does not exist"),
-    ("a folder for a lab note", nothing, ["run", "cam1"], 1, "holds no experiment file"),
     ("an image for a lab note", nothing, ["run", "cam1/img_000.tif"], 1, "img_000.tif"),
-    ("an empty lab note", write(EXP, ""), ["run", EXP], 1, "key: value"),
-    ("no YAML", write(EXP, "name: [lab\n"), ["run", EXP], 1, "line "),
     ("not UTF-8", write(EXP, b"name: \xff\xfe\xfa"), ["run", EXP], 1, "not a text file"),
-    ("control characters", write(EXP, b"name: a\x00b"), ["run", EXP], 1, "experiment.yaml"),
     ("an alias bomb", write(EXP, BOMB), ["run", EXP], 1, "aliases"),
-    ("nested too deeply", write(EXP, "a: " + 3000 * "["), ["run", EXP], 1, "nested too deeply"),
     ("a key twice", note("name: lab", "name: lab\nname: two"), ["run", EXP], 1, "line 2: 'name' is there twice"),
     ("a mistyped key", note("frame_rate", "frame_rat"), ["run", EXP], 1, "line 2: .*did you mean 'frame_rate'"),
-    ("a key too few", note("frame_rate: 20.0\n", ""), ["run", EXP], 1, "frame_rate is missing"),
-    ("frame rate 0", note("20.0", "0"), ["run", EXP], 1, "line 2: frame_rate should be greater than or"),
     ("endless frame rate", note("20.0", ".inf"), ["run", EXP], 1, "finite"),
-    ("frame rate in words", note("20.0", "twenty"), ["run", EXP], 1, "line 2: frame_rate should be a number"),
-    ("a name with a slash", note("name: lab", "name: a/b"), ["run", EXP], 1, "line 1: name"),
     ("no cameras", note(NOTE[NOTE.index("  cam1") : NOTE.index("calib")], ""), ["run", EXP], 1, "cameras"),
     ("a pair of strangers", note("rig:", "surface: {pairs: [[cam1, cam9]]}\nrig:"), ["run", EXP], 1, "names 'cam9'"),
-    ("one velocity camera", note("rig:", "velocity: {cameras: [cam1]}\nrig:"), ["run", EXP], 1, "velocity.cameras"),
     ("frames backwards", note("rig:", "frames: {first: 9, last: 2}\nrig:"), ["run", EXP], 1, "frames runs from 9"),
-    ("frames that are not there", note("rig:", "frames: {first: 90, last: 99}\nrig:"), ["run", EXP], 1, "frame"),
     ("an unknown setting", note("rig:", "settings: {sharpness: 3}\nrig:"), ["run", EXP], 1, "sharpness is not a known"),
-    ("a setting too deep", note("rig:", "settings: {piv: {windows: 3}}\nrig:"), ["run", EXP], 1, "mean 'window'"),
     # -- the grid
     ("a mask of a stranger", note("rig:", "mask: {cam9: m.png}\nrig:"), ["run", EXP], 1, "mask names 'cam9', but there are cam1, cam2, cam3, water"),
     ("a mask that is not there", note("rig:", "mask: {cam1: m.png}\nrig:"), ["run", EXP], 1, "mask of cam1: there is no .*m.png; correct"),
     ("a mask of another size", mask(np.zeros((9, 9), np.uint8)), ["run", EXP], 1, "mask of cam1: .*m.png is 9 x 9 px, but"),
-    ("a mask of everything", mask(None), ["run", EXP], 1, "mask of cam1: it covers the whole image; .*invert"),
-    ("a mask that is no image", write_mask, ["run", EXP], 1, "mask of cam1: .*m.png"),
-    ("a mask beside the image", note("rig:", "mask: {cam1: {polygon: [[9000, 1], [9001, 1], [9001, 3]]}}\nrig:"), ["run", EXP], 1, "mask of cam1: .*is outside the image"),
     ("a mask with crossed sides", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9], [9, 0], [0, 9]]}}\nrig:"), ["run", EXP], 1, "line 10: mask.cam1.* corners 1 and 3 cross"),
-    ("a mask of two corners", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9]]}}\nrig:"), ["run", EXP], 1, "three corners"),
-    ("a mask of two kinds", note("rig:", "mask: {cam1: {image: a.png, polygon: [[0, 0], [9, 9], [9, 0]]}}\nrig:"), ["run", EXP], 1, "give one of polygon"),
     ("a cylinder in an image", note("rig:", "mask: {cam1: {cylinder: {x: 0, y: 0, radius: 0.1}}}\nrig:"), ["run", EXP], 1, "under cam1; put it under `water`"),
     ("a grid without step", note(", step: 0.02", ""), ["run", EXP], 1, "grid.step is missing"),
     ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
     ("a grid of one step", note("step: 0.02", "step: 5"), ["run", EXP], 1, "less than one step"),
-    ("a grid turned round", note("x: [-0.6, 0.6]", "x: [0.6, -0.6]"), ["run", EXP], 1, "grid"),
     ("a grid that nobody sees", note("x: [-0.6, 0.6]", "x: [90.0, 90.6]"), ["run", EXP], 1, "no camera sees the grid"),
     # -- the images
     ("no folder of images", lose("cam2"), ["run", EXP], 1, "cam2"),
-    ("no images that fit", note("cam2/img_", "cam2/pic_"), ["run", EXP], 1, "cam2"),
     ("a broken pattern", note("cam2/img_{frame:03d}", "cam2/img_{frame"), ["run", EXP], 1, "cam2"),
     ("text for images", lambda lab: [p.write_text("no image") for p in (lab / "cam1").iterdir()], ["run", EXP], 1, "img_00"),
     ("images of another size", lambda lab: [cv2.imwrite(str(p), np.eye(9, dtype=np.uint8) * 99) for p in (lab / "cam1").iterdir()], ["run", EXP], 1, "rig"),
     # -- the rig
     ("no rig", lose("rig.yaml"), ["run", EXP], 1, "rig.yaml"),
-    ("a rig of other cameras", write("rig.yaml", "cameras: {}\nunits: {}\n"), ["run", EXP], 1, "rig.yaml"),
-    ("a rig without focal length", rig_entry(fx=None), ["run", EXP], 1, "rig.yaml"),
     ("a rig with NaN", rig_entry(fx=float("nan")), ["run", EXP], 1, "rig.yaml"),
     # -- the target
     ("no target images", nothing, ["calibrate", EXP, "-o", "new.yaml"], 1, "calib"),
-    ("a target of no kind", note("strings", "ropes"), ["calibrate", EXP, "-o", "n.yaml"], 1, "tilt_|line 8: calibration.target.kind"),
     ("no calibration block", note(NOTE[NOTE.index("calib") : NOTE.index("rig:")], ""), ["calibrate", EXP, "-o", "n.yaml"], 1, "nothing to calibrate"),
     # -- the workflow
     ("no workflow", nothing, ["run", EXP, "--workflow", "none.yaml"], 2, "none.yaml"),
     ("an unknown cluster", write("w.yaml", "cluster: cloud"), ["run", EXP, "--workflow", "w.yaml"], 1, "line 1: cluster"),
-    ("workers below 1", write("w.yaml", "workers: 0"), ["run", EXP, "--workflow", "w.yaml"], 1, "workers must be 1"),
-    ("too little memory", write("w.yaml", "memory: 3 kB"), ["run", EXP, "--workflow", "w.yaml"], 1, "too little"),
     ("a strange time limit", write("w.yaml", "time_limit: soon"), ["run", EXP, "--workflow", "w.yaml"], 1, "no.? ?.*duration"),
     # -- stores and files to write
     ("something else is there", in_the_way, ["run", EXP], 1, "cube"),
     ("a file for a folder", file_in_the_way, ["run", EXP, "-o", "out/cube.zarr"], 1, "cannot be written"),
     ("status of no cube", nothing, ["status", "cam1"], 1, "not a cube|cannot be opened"),
-    ("analyze of no cube", nothing, ["analyze", "cam1"], 1, "not a cube|cannot be opened"),
-    ("report of no cube", nothing, ["report", "cam1"], 1, "not a cube|cannot be opened"),
     ("export to a spreadsheet", nothing, ["export", "cam1", "a.xlsx"], 2, "NetCDF"),
     # -- catalogs and scenes
     ("a run that a catalog lacks", lambda lab: main(["-q", "catalog", "add", "c.yaml", EXP]), ["run", "c.yaml", "run9"], 1, "no run 'run9'"),
     ("entries of no catalog", nothing, ["run", EXP, "run9"], 2, "not a catalog"),
     ("a scene that there is not", nothing, ["simulate", "ocean", "sea"], 1, "no such scene"),
-    ("a scene with a typo", write("s.yaml", "sea: {kind: stil}"), ["simulate", "s.yaml", "sea"], 1, "s.yaml, line 1: sea"),
 ]  # fmt: skip
 
 

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from wavefield import figures
 from wavefield import waves as wv
-from wavefield.figures import style
 from wavefield.grid import Grid
 from wavefield.tank import paper_rig
 
@@ -75,22 +74,6 @@ def test_map_has_y_upwards_and_nodes_at_cell_centres(cube):
     np.testing.assert_allclose(centre, [cube.x[5], cube.y[3]], atol=1e-12)
 
 
-def test_arrows_are_long_where_the_water_is_fast(cube):
-    snap = cube.isel(time=10).copy()
-    snap["u"], snap["v"] = 0 * snap.u + 0.1, 0 * snap.v
-    figure = figures.velocity_map(snap)
-    quiver = next(c for c in figure.axes[0].collections if hasattr(c, "U"))
-    there = ~quiver.Umask
-    np.testing.assert_allclose(quiver.U[there], 10.0, rtol=1e-6)  # cm/s
-    assert np.all(quiver.V[there] == 0.0)
-
-
-def test_empty_field_is_drawn_without_complaint(cube):
-    nothing = cube.isel(time=10).map(lambda a: a * np.nan if a.dtype.kind == "f" else a)
-    figures.elevation_map(nothing).draw_without_rendering()
-    assert style.limit(nothing.z) == 1.0
-
-
 def test_errors_are_drawn_in_pixels(cube):
     errors = (0.02 * cube[["z", "u", "v", "w"]]).assign_attrs(frame_rate=20.0)
     figure = figures.error_distributions(errors, 1.8e-3)
@@ -141,28 +124,6 @@ def test_pairs_of_cameras_are_compared_in_pixels():
     assert "3-2 minus 1-2, rms 0.2 px" in text
     assert ("(z 3-1 − z 3-2) / √2", "0.064", "0.35", "1.0 %") in pair_rows(found)
     assert ("displacements differ (eps'), 1-2-3", "", "0.2", "1.0 %") in pair_rows(found)
-
-
-def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
-    from wavefield.calibration import TargetPoints
-    from wavefield.reports.calibration_pictures import target_points
-
-    rig = paper_rig(0.2)
-    node = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)])
-    points = {
-        name: TargetPoints(
-            node, np.stack(rig[name].project(*(0.1 * node.T), 0.0), -1), np.full(25, 0.01), rig[name].size
-        )
-        for name in rig
-    }
-    images = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
-    figure = target_points(images, points, rig, 0.1)
-    assert "cam2: 25 nodes" in labels(figure)
-    flat = next(ax for ax in figure.axes if ax.get_title() == "cam2, at z = 0")
-    np.testing.assert_allclose(flat.lines[0].get_xydata(), 0.1 * node, atol=1e-9)
-    image = next(ax for ax in figure.axes if ax.get_title().startswith("cam2: "))
-    circle = image.lines[1].get_xydata()[0]
-    np.testing.assert_allclose(circle, rig["cam2"].project(0.0, 0.0, 0.0), atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -214,6 +214,7 @@ def test_no_folder_of_this_machine_is_reported(cube, tmp_path, undrawn):
     assert "experiment.yaml" in text
 
 
+@pytest.mark.slow
 def test_a_long_cube_is_thinned_to_fit(cube):
     wide = xr.concat([cube] * 4, "time").isel(x=np.arange(120) % 44, y=np.arange(90) % 36)
     wide = wide.assign_coords(x=0.01 * np.arange(120), y=0.01 * np.arange(90), time=np.arange(192) / 20)

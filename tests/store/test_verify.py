@@ -1,9 +1,7 @@
 """What a cube lost is reported, and the next run puts it back bit for bit."""
 
 import shutil
-import warnings
 
-import numpy as np
 import pytest
 from cube_cases import different
 
@@ -33,28 +31,16 @@ def remove(path):
     path.unlink()
 
 
-def cut(path):
-    path.write_bytes(path.read_bytes()[:-40])
-
-
 def change(path):
     data = bytearray(path.read_bytes())
     data[len(data) // 3] ^= 64
     path.write_bytes(bytes(data))
 
 
-def empty(path):
-    path.write_bytes(b"")
-
-
 @pytest.mark.parametrize(
     ("variable", "harm", "word"),
     [
-        ("z", remove, "missing: z, steps 4-7"),
-        ("w", cut, "not as it was written: w, steps 4-7"),
         ("quality", change, "not as it was written: quality"),
-        ("u_std", empty, "not as it was written: u_std"),
-        ("frame_status", cut, "not as it was written: frame_status"),
         ("frame_status", remove, "missing: frame_status"),
     ],
 )
@@ -116,11 +102,3 @@ def test_an_unfinished_cube_is_not_passed_on_in_silence(tank, tmp_path, capsys):
     assert main(["-q", "export", str(out), str(tmp_path / "again.nc")]) == 3
     main(["-q", "analyze", str(out), "--segment", "8"])
     assert capsys.readouterr().err.count(f"{left} are not measured yet") >= 2
-
-
-def test_a_finished_cube_is_sound_and_passed_on_without_a_word(whole, tmp_path):
-    assert verify(whole).sound
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        export(whole, tmp_path / "cube.nc")
-    assert np.fromfile(tmp_path / "cube.nc", np.uint8).size > 1000
