@@ -23,14 +23,8 @@ import pytest
 from cube_fixtures import knocked, learned_once, measured, own_tank, reference, tank
 from hypothesis import settings
 
-__all__ = [
-    "knocked",
-    "learned_once",
-    "measured",
-    "own_tank",
-    "reference",
-    "tank",
-]  # made once, for every room
+# made once, for every room
+__all__ = ["knocked", "learned_once", "measured", "own_tank", "reference", "tank"]
 
 cv2.setNumThreads(1)
 settings.register_profile("wavefield", deadline=None, derandomize=True, max_examples=25)
@@ -87,38 +81,13 @@ def without_pixels() -> Callable[[], AbstractContextManager[None]]:
 
 # What takes longest comes first, so that no worker is left alone with it at the end. On a new machine the
 # very first compiles the loops that measure, for a minute and more: the other tests waves meanwhile.
-LONG = (
-    "test_run",
-    "test_end_to_end",
-    "test_faults",
-    "test_spectra",
-    "test_verify",
-    "test_analyze",
-    "test_fisheye_lenses",
-    "test_public_calls",
-    "test_fusion",
-    "test_record",
-    "test_labels",
-    "test_measure",
-    "test_solve_rig",
-    "test_light_sheet",
-    "test_verdict",
-    "test_dispersion",
-    "test_knocked_camera",
-    "test_follow",
-    "test_current_fit",
-    "test_smooth",
-    "test_targets_printed",
-    "test_page",
-    "test_coherence",
-    "test_relative_frame",
-    "test_solve_rest",
-    "test_targets_two_level",
-    "test_camera_faults",
-    "test_referee",
-    "test_masked",
-    "test_stamped_frames",
-)
+LONG = [
+    *("run", "end_to_end", "faults", "spectra", "verify", "analyze", "fisheye_lenses", "public_calls"),
+    *("fusion", "record", "labels", "measure", "solve_rig", "light_sheet", "verdict", "dispersion"),
+    *("knocked_camera", "follow", "current_fit", "smooth", "targets_printed", "page", "coherence"),
+    *("relative_frame", "solve_rest", "targets_two_level", "camera_faults", "referee", "masked"),
+    "stamped_frames",
+]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -148,5 +117,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_modifyitems_longest_first(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Hand the longest files to the workers first."""
     if hasattr(config, "workerinput"):
-        place = {name: number for number, name in enumerate(LONG)}
+        place = {f"test_{name}": number for number, name in enumerate(LONG)}
         items.sort(key=lambda item: place.get(item.path.stem, len(LONG)))

@@ -23,18 +23,9 @@ PAGES = sorted(
     if not any(part in BUILT for part in page.parts)
 )
 ROOMS = [
-    "calibration",
-    "pipeline",
-    "figures",
-    "matching",
-    "measurement",
-    "reports",
-    "rig",
-    "series",
-    "tank",
+    *("calibration", "pipeline", "figures", "matching", "measurement", "reports", "rig", "series", "tank"),
     "waves",
 ]
-NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
 
 
 def commands_of(text: str) -> list[list[str]]:
@@ -132,32 +123,6 @@ def test_experiment_files_of_the_pages_load(tmp_path):
                 assert Experiment.load(tmp_path / "experiment.yaml").cameras, page.name
                 found += 1
     assert found >= 3
-
-
-@pytest.fixture(scope="module")
-def site_parts():
-    for needed in ("latex2mathml", "sphinx_gallery"):
-        pytest.importorskip(needed, reason="needs group docs")
-    spec = importlib.util.spec_from_file_location("site_parts", ROOT / "docs" / "site_parts.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_every_command_has_a_page_with_its_options_and_an_example(site_parts):
-    pages = {name: site_parts.command_page(name, command) for name, command in site_parts.commands()}
-    assert {"calibrate", "run", "look", "rig convert", "catalog add"} <= set(pages)
-    for name, command in site_parts.commands():
-        for option in (o for p in command.params for o in p.opts if o.startswith("--")):
-            assert option in pages[name] or option == "--help", f"{name}: {option}"
-        assert isinstance(command, click.Group) or "wavefield " + name in pages[name].split("```")[-2], name
-
-
-def test_every_public_name_belongs_to_a_task_of_the_reference(site_parts):
-    tasks = site_parts.tasks()
-    listed = [name for names in tasks.values() for name in names]
-    assert sorted([*listed, "__version__"]) == sorted(wavefield.__all__)
-    assert site_parts.OTHER not in tasks, f"add the module of {tasks.get(site_parts.OTHER)} to TASKS"
 
 
 def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_documented():

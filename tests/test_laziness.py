@@ -67,12 +67,6 @@ def test_spectra_read_the_cube_once_for_its_holes_and_once_for_the_result(cube, 
         estimate(cube.w)
 
 
-def test_kinematics_are_described_without_a_computation(cube):
-    with assert_maximum_computes(0):
-        terms = waves.kinematics(cube)
-    assert all(dask.is_dask_collection(terms[name]) for name in terms.data_vars)
-
-
 def test_the_whole_analysis_computes_four_times_holes_current_widths_of_bins_and_all_the_rest(cube):
     with assert_maximum_computes(4):
         waves.analyze(cube)

@@ -31,15 +31,8 @@ class Browser:
         page.on("websocket", lambda socket: self._requested(socket.url))
 
     def _requested(self, url: str) -> None:
-        here = (
-            "http://localhost:",
-            "http://127.0.0.1:",
-            "ws://localhost:",
-            "ws://127.0.0.1:",
-            "data:",
-            "blob:",
-        )
-        if not url.startswith(here):
+        hosts = ("http://localhost:", "http://127.0.0.1:", "ws://localhost:", "ws://127.0.0.1:")
+        if not url.startswith((*hosts, "data:", "blob:")):
             self.outside.append(url)
 
     def open(self, url: str, ready: str = "map_image") -> None:

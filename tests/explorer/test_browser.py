@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavefield.explorer.node import spectrum
-from wavefield.figures.display import quality_kind
-
 STEP = 2
 
 
@@ -79,23 +76,6 @@ def test_a_click_shows_everything_at_the_node(page, fields):
         np.testing.assert_allclose(
             page.column(f"node_{name}_series", "value"), factor * fields[name][:, j, i], atol=6e-3
         )
-        low, high = page.column(f"node_{name}_series", "low"), page.column(f"node_{name}_series", "high")
-        std = factor * fields[f"{name}_std"][:, j, i]
-        np.testing.assert_allclose(0.5 * (high - low), std, rtol=0.02)
-    kinds = page.column("node_quality", "kind")
-    assert kinds.tolist() == [quality_kind(fields["quality"][:1, j, i])[0]]
-    expected = spectrum(100 * fields["z"][:, j, i], 0.05)
-    np.testing.assert_allclose(page.column("node_spectrum", "f"), expected.frequency, rtol=1e-6)
-    np.testing.assert_allclose(page.column("node_spectrum", "e"), expected.density, rtol=0.05)
-    page.set("node_other", "value", "'eps_piv'")
-    page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('eps_piv')")
-    page.wait(f"Math.abs({model('node_other_series')}.data.value[0] - {fields['eps_piv'][0, j, i]}) < 6e-4")
-    np.testing.assert_allclose(
-        page.column("node_other_series", "value"), fields["eps_piv"][:, j, i], atol=6e-4
-    )
-    page.set("node_which", "value", "'w'")
-    expected = spectrum(100 * fields["w"][:, j, i], 0.05)
-    page.wait(f"Math.abs({model('node_spectrum')}.data.e[3] / {expected.density[3]} - 1) < 0.1")
 
 
 def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_rig, whole):
@@ -125,19 +105,12 @@ def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_r
     page.wait(f"{model('camera_moves')}.data.X0.length > 0")
     moved = (page.column("camera_moves", "X1") - page.column("camera_moves", "X0")) / 5
     np.testing.assert_allclose(moved, (ends[1][0] - ends[0][0])[inside], atol=0.01)
-    wide, high = page.page.evaluate(
-        f"(() => {{ const v = {model('camera_view')}; "
-        "return [(v.x_range.end - v.x_range.start) / v.inner_width,"
-        " (v.y_range.start - v.y_range.end) / v.inner_height] })()"
-    )
-    assert wide == pytest.approx(high, rel=1e-6)  # pixels are square
     j, i = np.argwhere(inside)[inside.sum() // 2]
     page.click("camera_view", float(ends[0][0][j, i]), float(ends[0][1][j, i]))
     page.wait(f"Math.abs({model('map_node')}.data.x[0] - {X[i]}) < 1e-6")
     page.wait(f"Math.abs({model('camera_node')}.data.X[0] - {ends[0][0][j, i]}) < 2")
     page.set("camera_frame", "value", "'second frame'")
     page.wait(f"{model('camera_view')}.title.text.endsWith('frame {STEP + 1}')")
-    page.set("camera_frame", "value", "'first frame'")
     page.set("camera_over", "value", "'nodes'")
     page.set("step", "value", "100")  # whose frame is not there
     page.wait(f"{model('camera_words')}.text.includes('is missing')")
@@ -173,11 +146,6 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
     page.wait(f"{model('wave_directions')}.title.text.includes('{stored[2]:.3g} Hz')")
     plane = waves["spectra"][f"E_kxky_{name}"].isel(omega_map=2).transpose("ky", "kx").values
     np.testing.assert_allclose(page.image("wave_plane"), log_density(plane), atol=1e-5)
-    coherence = waves["coherence"].to_dataset()
-    reliable = coherence.gamma2_w.where(coherence["valid"]).values
-    np.testing.assert_allclose(page.column("wave_coherence", "w"), reliable, rtol=1e-6)
-    direction = waves["direction"].D.isel(omega_map=2).values
-    np.testing.assert_allclose(page.column("wave_direction", "density"), direction, rtol=1e-5)
 
 
 def test_the_link_shows_the_same_view_again(page, chrome, fields):

@@ -136,11 +136,7 @@ def waves(cube):
 @pytest.mark.parametrize(
     ("name", "groups", "words"),
     [
-        (
-            "komega_map",
-            ["spectra", "dispersion"],
-            ["ω / 2π (Hz)", "k / 2π (m⁻¹)", "linear dispersion relation"],
-        ),
+        ("komega_map", ["spectra", "dispersion"], ["ω / 2π (Hz)", "linear dispersion relation"]),
         ("wavevector_map", ["spectra", "dispersion"], ["kx / 2π (m⁻¹)", "Hz"]),
         ("wavenumber_spectra", ["spectra"], ["E(k) (m³ s⁻² rad⁻¹)", "u·∇z"]),
         ("elevation_spectra", ["spectra"], ["E$^z$(ω) (m² s rad⁻¹)", "stereo z", "integrated w", "fusion"]),

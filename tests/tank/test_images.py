@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter
 
-from wavefield.tank import Scene, Tank, sensor, texture
+from wavefield.tank import Scene, Tank, sensor
 
 QUIET = {"read_noise": 0.0, "shot_noise": 0.0, "unevenness": 0.0, "background": 0.0, "bits": 16}
 
@@ -71,35 +71,6 @@ def test_full_scale_clips_and_darkness_does_not_wrap():
     rng = np.random.default_rng(0)
     assert sensor.expose(light, 0.0, 0.0, 8, rng).tolist() == [[0, 0, 255, 255]]
     assert sensor.expose(light, 0.0, 0.0, 16, rng)[0, -1] == 65535
-
-
-def test_rays_meet_the_surface_and_the_texture_is_read_along_them():
-    scene = small(
-        surface={"kind": "texture", "contrast": 40.0},
-        light=QUIET,
-        sea={"kind": "single", "amplitude": 0.03, "wavelength": 0.5},
-    )
-    tank = Tank(scene)
-    snapshot = tank.basin.snapshot(0.0, ("z",))
-    images = tank.render(0)
-    sampled = {}
-    for name, camera in tank.rig.cameras.items():
-        x, y = texture.cast(camera, snapshot)
-        z = tank.sea.at(x, y, 0.0, ("z",))["z"]
-        X, Y = camera.project(x, y, z)
-        columns, rows = np.meshgrid(np.arange(camera.size[0]), np.arange(camera.size[1]))
-        assert np.hypot(X - columns, Y - rows).max() < 1e-3
-        sampled[name] = images[name].astype(float)
-    # two cameras see the same grey at the same place of the water
-    rng = np.random.default_rng(1)
-    px, py = rng.uniform(-0.08, 0.08, (2, 500))
-    pz = tank.sea.at(px, py, 0.0, ("z",))["z"]
-    grey = [
-        map_coordinates(sampled[n], camera.project(px, py, pz)[::-1], order=5)
-        for n, camera in tank.rig.cameras.items()
-    ]
-    assert np.corrcoef(grey)[0].min() > 0.98
-    assert images["cam3"].std() / 257 == pytest.approx(40.0, rel=0.25)
 
 
 def test_faults_change_what_a_camera_records_and_nothing_else():
