@@ -65,8 +65,3 @@ def test_spectra_read_the_cube_once_for_its_holes_and_once_for_the_result(cube, 
         described.compute()
     with assert_maximum_computes(1):
         estimate(cube.w)
-
-
-def test_the_whole_analysis_computes_four_times_holes_current_widths_of_bins_and_all_the_rest(cube):
-    with assert_maximum_computes(4):
-        waves.analyze(cube)

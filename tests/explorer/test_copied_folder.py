@@ -73,13 +73,6 @@ def test_a_cube_that_names_an_absolute_path_prefers_the_file_beside_it(tmp_path)
     assert open_run(second / "cube.zarr").experiment.path == second / "experiment.yaml"
 
 
-def test_a_link_to_the_folder_of_a_cube_finds_its_experiment(tmp_path):
-    path = write_experiment(tmp_path / "run")
-    measured(tmp_path / "run", "1a2b3c4d/cube.zarr")
-    (tmp_path / "run" / "latest").symlink_to("1a2b3c4d")
-    assert open_run(tmp_path / "run" / "latest" / "cube.zarr").experiment.path == path
-
-
 @pytest.mark.parametrize(
     ("other", "words"),
     [

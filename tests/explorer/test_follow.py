@@ -298,10 +298,6 @@ def test_a_background_is_subtracted_as_in_a_run_before_a_step_is_measured(small_
     for name in CAMERAS:
         for number in (1, 2):
             np.testing.assert_array_equal(seen[0][name][AROUND + number - 1], series[name].read(number).image)
-        newest = follower.latest.images[name]  # what the page and the lights of a camera show
-        assert newest.max() > series[name].read(2).image.max()
-    pairs = follower._measurer.pairs(follower.watch.newest_set())
-    assert all(pair.matched > 0.9 for pair in pairs.values())
 
 
 def test_a_background_of_other_images_is_named_and_nothing_is_measured(small_tank, tmp_path):

@@ -1,9 +1,9 @@
 """The report and the calibration page as a reader has them: on a screen, a phone, in the dark, on paper."""
 
 import re
+from importlib.resources import files
 
 import pytest
-from accessibility import accessibility_faults
 
 from wavefield.figures.style import panels
 from wavefield.reports import report
@@ -48,6 +48,17 @@ def opened(chrome, path, width=1400, height=900, **how):
     assert errors == []
     window.errors = errors
     return window
+
+
+def accessibility_faults(window):
+    """What axe-core calls serious or critical."""
+    package = pytest.importorskip(
+        "axe_playwright_python", reason="needs axe-playwright-python (extra browser)"
+    )
+    window.evaluate(files(package).joinpath("axe.min.js").read_text(encoding="utf-8"))
+    found = window.evaluate("() => axe.run()")["violations"]
+    serious = [one for one in found if one["impact"] in ("serious", "critical")]
+    return [f"{one['id']}: {one['nodes'][0]['html'][:120]}" for one in serious]
 
 
 def bottom(window, what):

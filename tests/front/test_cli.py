@@ -147,10 +147,6 @@ def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
     assert again["cam1"].fx == pytest.approx(rig["cam1"].fx, rel=1e-12)
     assert main(["rig", "a.xml", "cam2=b.xml"]) == 2
     assert main(["rig", "cam1=a.xml", "--size", "big"]) == 2
-    capsys.readouterr()
-    for words in (["show", str(tmp_path / "rig.yaml")], [str(tmp_path)]):
-        assert main(["rig", *words]) == 0
-        assert "cam3: 2432 x 1728 px" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

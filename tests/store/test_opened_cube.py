@@ -66,17 +66,6 @@ def test_a_cube_states_its_flags_rig_and_recipe(reference):
     assert xr.Dataset().wavefield.recipe == {}
 
 
-def test_units_go_to_pint_and_names_to_cf_xarray(reference):
-    pytest.importorskip("cf_xarray")
-    units = pytest.importorskip("cf_xarray.units").units
-    cube = wf.open_cube(reference)
-    elevation = cube.cf["water_surface_height_above_reference_datum"]
-    assert elevation.name == "z"
-    assert cube.cf["X"].name == "x"
-    assert units.Quantity(1.0, elevation.units).to("mm").magnitude == pytest.approx(1000)
-    assert units.Quantity(1.0, cube.w.units).to("cm/s").magnitude == pytest.approx(100)
-
-
 def test_a_field_keeps_its_path_and_water_for_estimators(reference):
     cube = wf.open_cube(reference)
     assert (cube.w.attrs["path_frames"], cube.w.attrs["water_depth"]) == (int(cube.path_frames), 0.7)

@@ -124,15 +124,6 @@ def test_random_sea_has_its_rms_and_its_spectrum():
     assert np.mean(shares) == pytest.approx(density[above].sum() / density.sum(), rel=0.15)
 
 
-def test_spreading_sends_the_waves_in_the_main_direction():
-    sea = random_sea(spread=20.0)
-    power = np.abs(sea.amplitude) ** 2
-    assert np.sum(power * sea.kx / sea.k) / power.sum() > 0.9
-    even = random_sea(spread=0.0)
-    power = np.abs(even.amplitude) ** 2
-    assert abs(np.sum(power * even.kx / even.k)) / power.sum() < 0.2
-
-
 def test_added_waves_come_on_top_of_the_sea():
     wave = {"wavelength": 0.2, "amplitude": 0.001, "direction": 90.0, "phase": 30.0}
     scene = Scene.load("demo").with_(sea={"shortest": 0.3})

@@ -46,12 +46,6 @@ def test_folder_is_what_a_laboratory_would_have(folder):
     assert Scene.load(folder / "scene.yaml") == SCENE
 
 
-def test_images_are_those_of_the_tank(folder):
-    images = Tank(SCENE).render(2)
-    for name, image in images.items():
-        assert np.array_equal(read_image(folder / name / "img_00002.tif"), image)
-
-
 def test_truth_is_exact_and_carries_the_schema_of_the_cube(folder):
     ds = xr.open_zarr(folder / "truth" / "truth.zarr")
     variables.validate(ds, "z", "z_t", "u", "v", "w")
