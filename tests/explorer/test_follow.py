@@ -1,5 +1,6 @@
 """Following cameras at work: the newest whole set, what is skipped, and the light that turns."""
 
+import copy
 import os
 import shutil
 import time
@@ -31,11 +32,11 @@ def small_tank():
     return tank.rig, [tank.render(number) for number in range(7)]
 
 
-def record(folder, rig=None, rig_name="rig.yaml"):
+def record(folder, rig=None):
     """An experiment file whose cameras have not written anything yet."""
     folder.mkdir(exist_ok=True)
     if rig is not None:
-        rig.save(folder / rig_name)
+        rig.save(folder / "rig.yaml")
     cameras = "\n".join(f'  {name}: "{name}/img_{{frame:05d}}.tif"' for name in CAMERAS)
     path = folder / "experiment.yaml"
     path.write_text(
@@ -101,18 +102,21 @@ def test_good_frames_turn_no_light(followed):
     assert 0 <= follower.latest.delay < 60
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_the_right_light_turns(followed, small_tank, tmp_path, fault):
-    import copy
-
-    follower, folder = followed
-    _, frames = small_tank
-    spoil, name = FAULTS[fault]
+def own_follower(followed, folder):
+    """The follower in a copy of its folder."""
+    follower, there = followed
     later = copy.copy(follower)
-    shutil.copytree(folder, tmp_path / "live")
-    later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
+    shutil.copytree(there, folder / "live")
+    later.experiment = Experiment.load(folder / "live" / "experiment.yaml")
     later.watch = FolderWatch(later.experiment)
     later._baseline = copy.deepcopy(follower._baseline)
+    return later
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_right_light_turns(followed, small_tank, tmp_path, fault):
+    later, (_, frames) = own_follower(followed, tmp_path), small_tank
+    spoil, name = FAULTS[fault]
     for number in (6, 7):
         images = dict(frames[6])
         images["cam2"] = spoil(images["cam2"])
@@ -129,14 +133,7 @@ def test_the_right_light_turns(followed, small_tank, tmp_path, fault):
 
 
 def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, small_tank, tmp_path):
-    import copy
-
-    follower, folder = followed
-    later = copy.copy(follower)
-    shutil.copytree(folder, tmp_path / "live")
-    later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
-    later.watch = FolderWatch(later.experiment)
-    later._baseline = copy.deepcopy(follower._baseline)
+    later = own_follower(followed, tmp_path)
     now = time.time()
     for name in CAMERAS:
         for number in range(6):

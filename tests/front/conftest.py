@@ -31,19 +31,11 @@ def make_cube(
     def noisy(field: np.ndarray, sigma: float) -> np.ndarray:
         return (field + sigma * rng.standard_normal(field.shape)).astype("float32")
 
-    fields = {
-        "z": noisy(z, 1e-4),
-        "z_t": noisy(z_t, 1e-3),
-        "u": noisy(u, 1e-3),
-        "v": noisy(v, 1e-3),
-        "w": noisy(w, 2e-3),
-        "eps_y": noisy(0 * z, 1e-4),
-        "eps_piv": np.abs(noisy(0 * z, 0.05)),
-        "z_std": np.abs(noisy(0 * z + 1e-4, 1e-5)),
-        "u_std": np.abs(noisy(0 * z + 1e-3, 1e-4)),
-        "v_std": np.abs(noisy(0 * z + 1e-3, 1e-4)),
-        "w_std": np.abs(noisy(0 * z + 2e-3, 1e-4)),
-    }
+    noises = {"z": (z, 1e-4), "z_t": (z_t, 1e-3), "u": (u, 1e-3), "v": (v, 1e-3), "w": (w, 2e-3)}
+    fields = {name: noisy(*how) for name, how in noises.items()} | {"eps_y": noisy(0 * z, 1e-4)}
+    fields["eps_piv"] = np.abs(noisy(0 * z, 0.05))
+    for name, std in {"z": 1e-4, "u": 1e-3, "v": 1e-3, "w": 2e-3}.items():
+        fields[f"{name}_std"] = np.abs(noisy(0 * z + std, 1e-5 if name == "z" else 1e-4))
     quality = np.full(t3.shape, int(Quality.MEASURED), "uint8")
     quality[:, 5:9, 10:14] = int(Quality.FILLED | Quality.REJECTED_CORRELATION)
     edge = np.ones(shape, bool)

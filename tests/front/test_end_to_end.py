@@ -13,22 +13,13 @@ from wavefield.commands.cli import main
 from wavefield.commands.demo import comparison
 
 SCENE = {
-    "name": "puddle",
-    "frames": 18,
-    "rig": {"crop": 0.3},
+    "name": "puddle", "frames": 18, "rig": {"crop": 0.3},
     "grid": {"x": [-0.24, 0.24], "y": [-0.18, 0.18], "step": 0.01},
-    "sea": {
-        "kind": "random",
-        "rms": 0.01,
-        "spectrum": {"kind": "power", "peak": 1.2, "exponent": 7},
-        "shortest": 0.08,
-        "period": 2.0,
-    },
-    "calibration": {
-        "target": {"kind": "strings", "mesh": 0.04, "origin_disc": 0.02, "x_disc": 0.013, "half": 10},
-        "tilted": 4,
-    },
-}
+    "sea": {"kind": "random", "rms": 0.01, "shortest": 0.08, "period": 2.0,
+            "spectrum": {"kind": "power", "peak": 1.2, "exponent": 7}},
+    "calibration": {"tilted": 4, "target": {"kind": "strings", "mesh": 0.04, "origin_disc": 0.02,
+                                            "x_disc": 0.013, "half": 10}},
+}  # fmt: skip
 WORKFLOW = {"cluster": "none"}
 
 

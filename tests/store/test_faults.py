@@ -49,6 +49,13 @@ def edit(path, old, new):
     path.write_text(text.replace(old, new))
 
 
+def test_background_leaves_the_backgrounds_of_others_and_replaces_its_own(lab, capsys):
+    assert command("background", "experiment.yaml") == 0
+    assert command("background", "experiment.yaml") == 0, "its own is replaced"
+    edit(lab / "experiment.yaml", "name: small-tank", "name: another")
+    assert "is a background of something else" in refused(capsys, "background", "experiment.yaml")
+
+
 def test_calibrate_leaves_the_rig_of_another_experiment(lab, capsys):
     with (lab / "experiment.yaml").open("a") as note:
         note.write("calibration: {target: {kind: strings, mesh: 0.05}, flat: f.tif, tilted: t.tif}\n")
@@ -186,17 +193,6 @@ def test_impossible_outputs_are_one_sentence(lab, capsys, words):
     (lab / "file").write_text("")
     assert len(refused(capsys, *words).strip().splitlines()) == 1
     assert not (lab / "cube.zarr/x.nc").exists()
-
-
-def test_waves_of_another_cube_are_refused(lab, capsys):
-    other = wf.open_cube("cube.zarr").load().assign_attrs(recipe_hash="0123456789abcdef")
-    shutil.rmtree("waves.zarr")
-    wf.analyze(other, "waves.zarr", segment=8)
-    for words in ([], ["--waves", "waves.zarr"]):
-        assert "are the waves of another cube" in refused(capsys, "report", "cube.zarr", *words)
-    assert "is not as `wavefield analyze` wrote it" in refused(
-        capsys, "report", "cube.zarr", "--waves", "cube.zarr"
-    )
 
 
 def test_waves_of_an_earlier_state_of_a_cube_are_left_out(lab):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 from wavefield.tank import Scene, Tank, sensor
 
@@ -89,14 +88,3 @@ def test_faults_change_what_a_camera_records_and_nothing_else():
     swapped = Tank(small(faults={"cam1": {"shows": "cam2"}, "cam2": {"shows": "cam1"}}))
     assert np.array_equal(swapped.render(0)["cam1"], sound.render(0)["cam2"])
     assert np.array_equal(swapped.target_image("flat", "cam1"), sound.target_image("flat", "cam1"))
-
-
-@pytest.mark.parametrize("surface", [{"density": 600}, {"kind": "texture"}])
-def test_defocus_widens_what_is_seen_and_keeps_its_light(surface):
-    scene = small(light=QUIET, surface=surface)
-    sharp = Tank(scene).render(0)["cam1"].astype(float)
-    soft = Tank(scene.with_(faults={"cam1": {"defocus": 2.0}})).render(0)["cam1"].astype(float)
-    assert soft.mean() == pytest.approx(sharp.mean(), rel=0.02)
-    assert soft.std() < 0.7 * sharp.std()
-    inner = np.s_[10:-10, 10:-10]
-    assert soft[inner] == pytest.approx(gaussian_filter(sharp, 2.0)[inner], abs=0.02 * np.ptp(sharp))
