@@ -14,7 +14,7 @@ from bokeh.document import Document
 from wavefield.errors import ExperimentError
 from wavefield.explorer import live
 from wavefield.explorer.follow import FollowPage
-from wavefield.explorer.lights import frame_features, red_lights, step_lights, summarize_step
+from wavefield.explorer.lights import arrival_lights, frame_features, red_lights, step_lights, summarize_step
 from wavefield.explorer.live import FolderWatch, Follower
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -174,6 +174,15 @@ def test_cameras_that_all_stop_turn_a_light_each(small_tank, tmp_path, monkeypat
     assert not {("arrival", "cam1"), ("arrival", "cam3")} & set(red())
     write(folder, 3, {"cam2": small_tank[1][3]["cam2"]})
     assert "arrival" not in dict(red())
+
+
+def test_slow_cameras_have_not_stopped_and_those_that_never_began_have():
+    silent = {"slow": 45.0, "gone": 80.0, "never": 80.0}
+    lights = arrival_lights(silent, {"slow": 0.0, "gone": 0.0}, {"slow": 7, "gone": 7}, frame_rate=0.1)
+    found = {light.camera: (light.state, light.words) for light in lights if light.name == "arrival"}
+    assert found["slow"] == ("good", "frames arrive")
+    assert found["gone"] == ("bad", "no new frame for 1 min 20 s")
+    assert found["never"] == ("bad", "no new frame for 1 min 20 s, none yet")
 
 
 def test_frames_that_come_too_fast_are_skipped_and_counted(small_tank, tmp_path):

@@ -1,6 +1,8 @@
 """An experiment file, its folder and its cube stand for one another on the command line."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -95,3 +97,10 @@ def test_a_trial_of_frames_that_are_not_there_is_refused(folder, given, capsys):
     assert main(["-q", "run", str(folder), "--frames", "5"]) == 2
     assert "write FIRST:LAST" in capsys.readouterr().err
     assert not given
+
+
+def test_words_are_completed_by_the_shell():
+    code = "import sys; from wavefield.commands.cli import main; sys.exit(main([]))"
+    shell = {"_WAVEFIELD_COMPLETE": "bash_complete", "COMP_WORDS": "wavefield cal", "COMP_CWORD": "1"}
+    found = subprocess.run([sys.executable, "-c", code], env=shell, capture_output=True, text=True)
+    assert found.stdout == "plain,calibrate\n"

@@ -29,12 +29,14 @@ SECONDS = 120  # no command here takes a tenth of it
 STEREO = ["experiment.yaml", "--frames", "1", "-o", "OUT"]
 COMMANDS = {
     "analyze": (["analyze", "cube.zarr", "--segment", "8"], "waves.zarr"),
+    "analyze to": (["analyze", "cube.zarr", "--segment", "8", "-o", "OUT"], "new.zarr"),
     "background": (["background", "experiment.yaml"], "background/cam1.tif"),
     "calibrate": (["calibrate", "calibrated.yaml"], "calibrated_rig.yaml"),
     "calibrate to": (["calibrate", "calibrated.yaml", "-o", "OUT"], "new.yaml"),
     "calibrate, report": (["calibrate", "calibrated.yaml"], "calibrated_rig_report"),
     "catalog add": (["catalog", "add", "OUT", "experiment.yaml"], "campaign.yaml"),
     "demo": (["demo", "OUT"], "demo"),
+    "export average": (["export", "cube.zarr", "OUT", "--average", "time"], "mean.nc"),
     "export matlab": (["export", "cube.zarr", "OUT"], "new.mat"),
     "export netcdf": (["export", "cube.zarr", "OUT"], "new.nc"),
     "export uvmat": (["export", "cube.zarr", "OUT"], "new.uvmat"),
@@ -45,9 +47,18 @@ COMMANDS = {
     "refine": (["refine", *STEREO], "new.yaml"),
     "report": (["report", "cube.zarr"], "report.html"),
     "report of a catalog": (["report", "runs.yaml", "-o", "OUT"], "campaign.html"),
+    "report to": (["report", "cube.zarr", "-o", "OUT"], "page.html"),
     "rig": (["rig", "rig.yaml", "-o", "OUT"], "new.yaml"),
-    "rig to opencv": (["rig", "rig.yaml", "--to", "opencv", "-o", "OUT"], "new.yml"),
-    "rig to uvmat": (["rig", "rig.yaml", "--to", "uvmat", "-o", "OUT"], "new"),
+    **{
+        f"rig to {program}": (["rig", "rig.yaml", "--to", program, "-o", "OUT"], name)
+        for program, name in {
+            "dice": "new.xml",
+            "matlab": "new.mat",
+            "opencv": "new.yml",
+            "uvmat": "new",
+            "vic3d": "new.xml",
+        }.items()
+    },
     "run": (["run", "experiment.yaml", "--workflow", "here.yaml", "-o", "OUT"], "new.zarr"),
     "run, its log": (["run", "experiment.yaml", "--workflow", "here.yaml", "-o", "new.zarr"], "new.log"),
     "run, its verdict": (
@@ -57,6 +68,7 @@ COMMANDS = {
     "run of a catalog": (["run", "runs.yaml", "--workflow", "here.yaml"], "small-tank"),
     "sheet": (["rig", "sheet", *STEREO], "new.yaml"),
     "simulate": (["simulate", "scene.yaml", "OUT"], "tank"),
+    "smooth": (["smooth", "cube.zarr"], "smooth.zarr"),
     "smooth to": (["smooth", "cube.zarr", "-o", "OUT"], "new.zarr"),
 }
 SLOW = ("demo",)  # only with what must be refused
