@@ -41,11 +41,7 @@ def arrived(page, what, where, near=0.02):
     page.wait(f"{[float(v) for v in where]}.every((v, k) => Math.abs(v - ({link})[k]) < {near})")
 
 
-def x_of(field, nx=20):
-    return 0.05 * (np.arange(nx) - (nx - 1) / 2)
-
-
-X, Y = x_of(None, 20), x_of(None, 16)
+X, Y = (0.05 * (np.arange(n) - (n - 1) / 2) for n in (20, 16))
 
 
 @pytest.mark.parametrize(("key", "step"), [("ArrowRight", 3), ("ArrowLeft", 1), ("PageUp", 22), ("End", 159)])

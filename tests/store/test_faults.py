@@ -235,6 +235,7 @@ def test_a_verdict_without_its_checksum_is_not_believed(lab):
         wf.status("cube.zarr")
 
 
+@pytest.mark.slow
 def test_stdout_on_a_full_disk_is_a_sentence(lab):
     with open("/dev/full", "w") as full:
         line = [sys.executable, "-m", "wavefield", "status", "cube.zarr"]

@@ -22,7 +22,7 @@ from wavefield.atomic_write import MARK_ATTRIBUTE, Product, atomic, remove_lefto
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 
-DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "6"))
+DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "4"))
 SECONDS = 120  # no command here takes a tenth of it
 
 # the words of every command that writes, and the path that it writes; OUT stands for this path

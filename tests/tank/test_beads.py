@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from wavefield.grid import Grid
 from wavefield.tank import Scene, Sea, Tank
 from wavefield.tank.beads import carry
 from wavefield.tank.sea import Basin
-from wavefield.tank.truth import truth
 
 SMALL = {"rig": {"crop": 0.2}, "grid": {"x": (-0.1, 0.1), "y": (-0.1, 0.1), "step": 0.02}}
 
@@ -21,15 +19,6 @@ def steep():
     return Tank(small(sea={"rms": 0.018, "shortest": 0.12, "period": 2.0, "order": 2, "interacting": 40}))
 
 
-def test_quick_reading_is_exact_to_a_millionth(steep, rng):
-    x, y = rng.uniform(-0.2, 0.2, (2, 300))
-    names = ("z", "z_x", "z_y", "z_t", "u", "v")
-    exact = steep.sea.at(x, y, 0.37, names)
-    quick = steep.basin.snapshot(0.37, names)(x, y)
-    for name, values in zip(names, quick, strict=True):
-        assert np.abs(values - exact[name]).max() < 1e-6 * np.abs(exact[name]).max()
-
-
 def test_path_agrees_with_tiny_steps_and_leads_back(steep, rng):
     x, y = rng.uniform(-0.15, 0.15, (2, 50))
     ax, ay = carry(steep.basin, x, y, 0.0, 0.05)
@@ -39,16 +28,6 @@ def test_path_agrees_with_tiny_steps_and_leads_back(steep, rng):
     assert np.hypot(ax - bx, ay - by).max() < 2e-7  # metres
     cx, cy = carry(steep.basin, ax, ay, 0.05, 0.0)
     assert np.hypot(cx - x, cy - y).max() < 2e-7
-
-
-def test_truth_gives_both_rates_and_small_steps_bring_them_together(steep):
-    grid = Grid(x=(-0.1, 0.1), y=(-0.05, 0.05), step=0.05)
-    long, short = truth(steep.basin, grid, 0.4, 0.05), truth(steep.basin, grid, 0.4, 0.0005)
-    assert long.z_t == pytest.approx((long.z_end - long.z_start) / 0.05)
-    assert np.abs(long.z_t - long.z_rate).max() > 1e-3
-    assert short.z_t == pytest.approx(short.z_rate, abs=1e-5)
-    for displacement_, velocity in ((short.dx, short.u), (short.dy, short.v), (short.dz, short.w)):
-        assert displacement_ / 0.0005 == pytest.approx(velocity, abs=1e-4)
 
 
 def test_beads_drift_with_the_current_and_with_the_waves():

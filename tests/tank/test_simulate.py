@@ -75,6 +75,7 @@ def test_probes_are_true_and_keep_their_own_time(folder):
         assert row[1] == pytest.approx(sea.at(-0.25, 0.1, row[0], ("z",))["z"], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):
     simulate(SCENE, tmp_path / "alone", workers=1)
     files = sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file())
