@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from wavefield.errors import CubeError
-from wavefield.variables import TABLE, annotate, factor, validate
+from wavefield.variables import TABLE, factor, validate
 
 UNITS = sorted({row.units for row in TABLE.values() if row.units})
 
@@ -64,9 +64,3 @@ def test_what_does_not_fit_is_refused_by_name():
         validate(xr.Dataset({"z": field(dims=("time", "row", "x"))}), "z")
     with pytest.raises(CubeError, match="'quality' has type"):
         validate(xr.Dataset({"quality": field("f4", "1")}), "quality")
-
-
-def test_names_agree_with_their_group():
-    ds = xr.Dataset({"time": ("time", [0.0]), "mean": ((), 1.0)})
-    assert annotate(ds, "statistics")["mean"].attrs["units"] == "m"
-    assert "units" not in annotate(ds)["mean"].attrs

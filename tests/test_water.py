@@ -22,11 +22,6 @@ def test_the_group_velocity_is_the_slope_of_the_relation(k, depth):
     assert float(water.group_velocity(k, depth)) == pytest.approx(float(slope), rel=1e-6)
 
 
-def test_waves_without_length_stand_still_in_deep_water():
-    assert float(water.dispersion(0.0)) == 0
-    assert float(water.wavenumber(0.0)) == pytest.approx(0, abs=1e-12)
-
-
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])
 def test_a_depth_that_is_none_is_refused(depth):
     with pytest.raises(CubeError, match="depth of the water"):

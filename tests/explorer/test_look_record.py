@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from explorer_cases import create_cube, make_cube, write_cube_block
+from explorer_cases import make_cube, write_cube_block
 
 from wavefield.errors import StoreError
 from wavefield.explorer.record import CubeRecord
@@ -36,22 +36,6 @@ def test_a_cube_without_a_sound_preview_shows_the_same(cube, harm):
     record.preview.load(lambda done, total: reported.append((done, total)))
     assert reported == [(1, 3), (2, 3), (3, 3)]
     assert np.array_equal(record.preview.fields, written.preview.fields)
-
-
-def test_a_cube_that_is_being_written_is_read_as_far_as_it_is(tmp_path):
-    path = tmp_path / "cube.zarr"
-    create_cube(path)
-    write_cube_block(path, 40)
-    record = CubeRecord(path)
-    record.preview.load()
-    assert record.first_step() == 40
-    assert record.preview.loaded.tolist() == [False, True, False]
-    assert np.isnan(record.preview.series("z", 5, 5)[:40]).all()
-    assert not record.refresh()
-    write_cube_block(path, 0)
-    assert record.refresh()
-    record.preview.load()
-    assert np.isfinite(record.preview.series("z", 5, 5)[:80]).all()
 
 
 def test_a_block_that_is_measured_again_is_read_again(tmp_path):

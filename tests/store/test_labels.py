@@ -73,13 +73,6 @@ def test_what_reads_the_cube_by_itself_sees_the_new_rate(own_tank, cube, referen
     np.testing.assert_allclose(shown, 2 * wide[0, :: thin.every, :: thin.every], atol=1.01e-4)
 
 
-def test_labels_go_there_and_back_bit_for_bit(own_tank, cube, reference):
-    for old, new in (("20.0", "17.3"), ("17.3", "20.0")):
-        change(own_tank, (f"frame_rate: {old}", f"frame_rate: {new}"))
-        run(own_tank, workflow=HERE)
-    assert not different(cube, reference)
-
-
 def test_a_resumed_run_measures_on_at_the_rate_of_the_store(own_tank, reference, tmp_path):
     change(own_tank, ("frame_rate: 20.0", "frame_rate: 25.0"))
     cube = tmp_path / "cube.zarr"

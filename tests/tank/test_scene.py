@@ -75,15 +75,6 @@ def test_wrong_settings_are_named(tmp_path, changes, words):
     assert len(message) < 300
 
 
-def test_grid_is_what_all_cameras_see_unless_it_is_given():
-    scene = Scene.from_dict({"sea": {"kind": "still"}, "rig": {"crop": 0.3}})
-    x, y = scene.grid.x_nodes, scene.grid.y_nodes
-    assert x[-1] - x[0] > 0.4
-    for camera in scene.build_rig().cameras.values():
-        for corner_x, corner_y in ((x[0], y[0]), (x[-1], y[-1]), (x[0], y[-1]), (x[-1], y[0])):
-            assert camera.sees(corner_x, corner_y, 0.0, 10.0)
-
-
 def test_missing_and_broken_files_are_named(tmp_path):
     with pytest.raises(ExperimentError, match="demo"):
         Scene.load("nosuchscene")
