@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import float64
+from numba.core import caching
 
 import wavefield.compiled
 from wavefield.compiled import clear_compiled, compiled
@@ -33,6 +34,16 @@ def test_a_full_disk_costs_the_time_of_compiling_and_nothing_else(monkeypatch):
 
     assert total(np.arange(3.0)) == 3
     assert len(total.signatures) == 1
+
+
+def test_no_folder_for_compiled_code_is_none_of_the_users_business(monkeypatch):
+    monkeypatch.setattr(caching.tempfile, "TemporaryFile", full)
+
+    @compiled()
+    def halved(x):
+        return x / 2
+
+    assert halved(np.arange(3.0)).tolist() == [0, 0.5, 1]
 
 
 LOOP = """
@@ -96,7 +107,6 @@ def test_first_processes_at_once_keep_the_code_of_each_kind_apart(folder):
     assert {path: path.stat().st_mtime_ns for path in kept(folder)} == before  # read, not compiled again
 
 
-@pytest.mark.slow
 def test_kept_code_is_of_the_sources_as_they_are_now(folder):
     assert answers(started(folder, "c")) == ["6.0"]
     (folder / "loop.py").write_text(LOOP.format(factor=2))
@@ -105,11 +115,16 @@ def test_kept_code_is_of_the_sources_as_they_are_now(folder):
 
 
 @pytest.mark.slow
-def test_damaged_code_is_compiled_again(folder):
+@pytest.mark.parametrize(
+    "damaged",
+    [lambda whole: b"", lambda whole: whole[:-100], lambda whole: whole[:2000] + b"\0" + whole[2001:]],
+    ids=["empty", "cut off", "changed"],
+)
+def test_damaged_code_is_compiled_again(folder, damaged):
     assert answers(started(folder, "c")) == ["6.0"]
     (path,) = kept(folder)
     whole = path.read_bytes()
-    path.write_bytes(whole[:2000] + b"\0" + whole[2001:])
+    path.write_bytes(damaged(whole))
     assert answers(started(folder, "c")) == ["6.0"]
     assert path.read_bytes()[-100:] == whole[-100:]
 

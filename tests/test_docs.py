@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import inspect
+import json
 import re
 import shlex
 import tomllib
@@ -23,9 +24,18 @@ PAGES = sorted(
     if not any(part in BUILT for part in page.parts)
 )
 ROOMS = [
-    *("calibration", "pipeline", "figures", "matching", "measurement", "reports", "rig", "series", "tank"),
+    "calibration",
+    "pipeline",
+    "figures",
+    "matching",
+    "measurement",
+    "reports",
+    "rig",
+    "series",
+    "tank",
     "waves",
 ]
+NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
 
 
 def commands_of(text: str) -> list[list[str]]:
@@ -65,6 +75,18 @@ def test_python_blocks_of_the_pages_are_valid():
             compile(block, str(page), "exec")
 
 
+def test_readme_prints_exactly_two_lines():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"^## Two lines.*?```bash\n(.*?)```", text, re.S | re.M)
+    assert block
+    lines = [line for line in block[1].splitlines() if line and not line.startswith("#")]
+    assert len(lines) == 2
+    assert lines[0].endswith("wavefield demo")
+    assert "pytest" in lines[1]
+    for line in lines:
+        assert "python3 -m venv" in line
+
+
 @pytest.mark.parametrize("script", ["make_tables", "make_validation"])
 def test_tables_of_the_pages_are_made_from_package_and_results(script):
     spec = importlib.util.spec_from_file_location(script, ROOT / "docs" / f"{script}.py")
@@ -73,6 +95,38 @@ def test_tables_of_the_pages_are_made_from_package_and_results(script):
     for page in module.PAGES:
         text = page.read_text(encoding="utf-8")
         assert module.filled(text) == text, f"run `python docs/{script}.py`"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.name)
+def test_notebooks_are_small_and_free_of_private_paths(path):
+    text = path.read_text(encoding="utf-8")
+    assert json.loads(text)["nbformat"] == 4
+    assert len(text) < 1_000_000
+    assert not re.search(r"/(home|root|Users|tmp|work)/", text)
+
+
+def test_every_page_of_the_guide_is_on_the_site():
+    text = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    trees = re.findall(r"```\{toctree\}\n:hidden:\n:caption: [^\n]+\n(.*?)```", text, re.S)
+    listed = set(" ".join(trees).split())
+    on_the_front = {"notebooks", "reference", "commands", "install", "first-experiment"}  # of index.md
+    linked = {target.removesuffix(".md") for target in re.findall(r"\]\((\S+\.md)\)", text)} - on_the_front
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8") + (
+        ROOT / "docs" / "notebooks.md"
+    ).read_text()
+    docs = ROOT / "docs"
+    pages = {page.relative_to(docs).with_suffix("").as_posix() for page in docs.glob("**/*.md")}
+    pages -= {"index", "by_task"}
+    pages = {page for page in pages if page.split("/")[0] not in BUILT or "/" not in page}
+    assert listed == linked
+    assert not [page for page in pages - listed if not re.search(rf"^{page}$", index, re.M)]
+    assert not [path.stem for path in NOTEBOOKS if f"notebooks/{path.stem}" not in index]
+
+
+def test_figures_of_the_gallery_exist():
+    for script in ROOT.glob("docs/examples/*.py"):
+        for name in re.findall(r"figures\.(\w+)\(", script.read_text(encoding="utf-8")):
+            assert hasattr(wavefield.figures, name), f"{script.name} draws {name}"
 
 
 def test_changelog_citation_recipe_and_package_agree_on_the_release():
@@ -123,6 +177,50 @@ def test_experiment_files_of_the_pages_load(tmp_path):
                 assert Experiment.load(tmp_path / "experiment.yaml").cameras, page.name
                 found += 1
     assert found >= 3
+
+
+def test_theory_pages_are_short_have_a_figure_and_no_measured_results():
+    pages = [page for page in sorted((ROOT / "docs" / "theory").glob("*.md")) if page.stem != "paper-errors"]
+    words = {page.name: len(page.read_text(encoding="utf-8").split()) for page in pages}
+    assert 10 <= len(pages) <= 13
+    assert sum(words.values()) <= 5000
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert "validation.md" in text, f"{page.name} links to no validation"
+        assert not re.search(r"\bseeds? \d", text), f"{page.name}: results belong to validation.md"
+        assert re.search(r"!\[[^]]+\]\(figures/[\w-]+\.(?:svg|png)\)", text), page.name
+
+
+def test_places_that_contributing_names_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for path in re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.(?:py|yaml))?)`", text):
+        assert (ROOT / "wavefield" / path).exists() or (ROOT / path).exists(), f"CONTRIBUTING.md names {path}"
+
+
+@pytest.fixture(scope="module")
+def site_parts():
+    for needed in ("latex2mathml", "sphinx_gallery"):
+        pytest.importorskip(needed, reason="needs group docs")
+    spec = importlib.util.spec_from_file_location("site_parts", ROOT / "docs" / "site_parts.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_command_has_a_page_with_its_options_and_an_example(site_parts):
+    pages = {name: site_parts.command_page(name, command) for name, command in site_parts.commands()}
+    assert {"calibrate", "run", "look", "rig convert", "catalog add"} <= set(pages)
+    for name, command in site_parts.commands():
+        for option in (o for p in command.params for o in p.opts if o.startswith("--")):
+            assert option in pages[name] or option == "--help", f"{name}: {option}"
+        assert isinstance(command, click.Group) or "wavefield " + name in pages[name].split("```")[-2], name
+
+
+def test_every_public_name_belongs_to_a_task_of_the_reference(site_parts):
+    tasks = site_parts.tasks()
+    listed = [name for names in tasks.values() for name in names]
+    assert sorted([*listed, "__version__"]) == sorted(wavefield.__all__)
+    assert site_parts.OTHER not in tasks, f"add the module of {tasks.get(site_parts.OTHER)} to TASKS"
 
 
 def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_documented():

@@ -31,8 +31,15 @@ class Browser:
         page.on("websocket", lambda socket: self._requested(socket.url))
 
     def _requested(self, url: str) -> None:
-        hosts = ("http://localhost:", "http://127.0.0.1:", "ws://localhost:", "ws://127.0.0.1:")
-        if not url.startswith((*hosts, "data:", "blob:")):
+        here = (
+            "http://localhost:",
+            "http://127.0.0.1:",
+            "ws://localhost:",
+            "ws://127.0.0.1:",
+            "data:",
+            "blob:",
+        )
+        if not url.startswith(here):
             self.outside.append(url)
 
     def open(self, url: str, ready: str = "map_image") -> None:
@@ -78,6 +85,19 @@ class Browser:
         """Click a point of a figure."""
         self.page.mouse.click(*self.at(figure, x, y))
 
+    def drag(self, figure: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag from one point of a figure to another."""
+        a, b = self.at(figure, *start), self.at(figure, *end)
+        self.page.mouse.move(*a)
+        self.page.mouse.down()
+        for part in (0.3, 0.6, 1.0):
+            self.page.mouse.move(a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]))
+        self.page.mouse.up()
+
     def barriers(self) -> list[str]:
         """What screen readers or weak eyes would stumble over, in words."""
         return self.page.evaluate((Path(__file__).parent / "accessible.js").read_text())
+
+    def screenshot(self, path: Path) -> None:
+        """Keep what is seen."""
+        self.page.screenshot(path=str(path), full_page=True)

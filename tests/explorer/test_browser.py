@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from wavefield.explorer.map import arrows
+from wavefield.explorer.node import spectrum
+from wavefield.figures.display import limit, quality_kind
+
 STEP = 2
 
 
@@ -41,7 +45,24 @@ def arrived(page, what, where, near=0.02):
     page.wait(f"{[float(v) for v in where]}.every((v, k) => Math.abs(v - ({link})[k]) < {near})")
 
 
-X, Y = (0.05 * (np.arange(n) - (n - 1) / 2) for n in (20, 16))
+def choose(page, select, value):
+    """Choose an option as people do."""
+    options = page.page.locator(f"select[name={select}] option").all_inner_texts()
+    label = next(option for option in options if option.split(":")[0] == value)
+    page.page.locator(f"select[name={select}]").select_option(label=label)
+
+
+def x_of(field, nx=20):
+    return 0.05 * (np.arange(nx) - (nx - 1) / 2)
+
+
+X, Y = x_of(None, 20), x_of(None, 16)
+
+
+def test_the_map_is_the_step_of_the_cube(page, fields):
+    np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][STEP], rtol=1e-6)
+    assert page.column("map_image", "x")[0] == pytest.approx(X[0] - 0.025)
+    assert page.column("map_image", "dh")[0] == pytest.approx(0.8)
 
 
 @pytest.mark.parametrize(("key", "step"), [("ArrowRight", 3), ("ArrowLeft", 1), ("PageUp", 22), ("End", 159)])
@@ -49,6 +70,20 @@ def test_keys_step(page, fields, key, step):
     page.page.keyboard.press(key)
     page.wait(at_step(step))
     np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][step], rtol=1e-6)
+
+
+def test_buttons_step_and_the_slider_too(page, fields):
+    page.page.get_by_role("button", name="▶").click()
+    page.wait(at_step(STEP + 1))
+    page.page.get_by_role("button", name="◀").click()
+    page.wait(at_step(STEP))
+    handle = page.page.locator(".noUi-handle").first
+    handle.focus()
+    page.page.keyboard.press("ArrowRight")
+    page.wait(at_step(STEP + 1))
+    np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][STEP + 1], rtol=1e-6)
+    page.page.keyboard.press("m")  # the slider keeps its own keys only
+    page.wait(f"{model('drag')}.value == 'mask'")
 
 
 def test_it_plays_and_stops(page, fields):
@@ -63,6 +98,30 @@ def test_it_plays_and_stops(page, fields):
     np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][step], rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "factor"), [("z", 100), ("z_t", 100), ("u_std", 100), ("eps_y", 1000), ("eps_piv", 1)]
+)
+def test_any_variable_is_shown_in_its_unit(page, fields, name, factor):
+    choose(page, "show", name)
+    page.wait(shown(name))
+    np.testing.assert_allclose(page.image("map_image"), factor * fields[name][STEP], rtol=1e-5)
+
+
+def test_arrows_are_the_velocity_and_go_away(page, fields):
+    u, v = fields["u"][STEP], fields["v"][STEP]
+    shown = page.column("map_arrows", "x").reshape(-1, 7)
+    fastest = limit(np.hypot(u, v), 98)
+    xs, _, metres = arrows(u, v, X, Y, fastest)
+    # the scale stays that of the first step shown: lengths agree up to one factor
+    moved, expected = (a[:, 1] - a[:, 0] for a in (shown, xs.reshape(-1, 7)))
+    assert np.corrcoef(moved, expected)[0, 1] > 0.9999
+    page.page.keyboard.press("a")
+    page.wait(f"{model('map_arrows')}.data.x.length == 0")
+    page.page.keyboard.press("a")
+    page.wait(f"{model('map_arrows')}.data.x.length > 0")
+    assert metres > 0
+
+
 def test_a_click_shows_everything_at_the_node(page, fields):
     j, i = 10, 13
     page.click("map", X[i] + 0.01, Y[j] - 0.01)
@@ -72,6 +131,23 @@ def test_a_click_shows_everything_at_the_node(page, fields):
         np.testing.assert_allclose(
             page.column(f"node_{name}_series", "value"), factor * fields[name][:, j, i], atol=6e-3
         )
+        low, high = page.column(f"node_{name}_series", "low"), page.column(f"node_{name}_series", "high")
+        std = factor * fields[f"{name}_std"][:, j, i]
+        np.testing.assert_allclose(0.5 * (high - low), std, rtol=0.02)
+    kinds = page.column("node_quality", "kind")
+    assert kinds.tolist() == [quality_kind(fields["quality"][:1, j, i])[0]]
+    expected = spectrum(100 * fields["z"][:, j, i], 0.05)
+    np.testing.assert_allclose(page.column("node_spectrum", "f"), expected.frequency, rtol=1e-6)
+    np.testing.assert_allclose(page.column("node_spectrum", "e"), expected.density, rtol=0.05)
+    page.set("node_other", "value", "'eps_piv'")
+    page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('eps_piv')")
+    page.wait(f"Math.abs({model('node_other_series')}.data.value[0] - {fields['eps_piv'][0, j, i]}) < 6e-4")
+    np.testing.assert_allclose(
+        page.column("node_other_series", "value"), fields["eps_piv"][:, j, i], atol=6e-4
+    )
+    page.set("node_which", "value", "'w'")
+    expected = spectrum(100 * fields["w"][:, j, i], 0.05)
+    page.wait(f"Math.abs({model('node_spectrum')}.data.e[3] / {expected.density[3]} - 1) < 0.1")
 
 
 def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_rig, whole):
@@ -101,12 +177,19 @@ def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_r
     page.wait(f"{model('camera_moves')}.data.X0.length > 0")
     moved = (page.column("camera_moves", "X1") - page.column("camera_moves", "X0")) / 5
     np.testing.assert_allclose(moved, (ends[1][0] - ends[0][0])[inside], atol=0.01)
+    wide, high = page.page.evaluate(
+        f"(() => {{ const v = {model('camera_view')}; "
+        "return [(v.x_range.end - v.x_range.start) / v.inner_width,"
+        " (v.y_range.start - v.y_range.end) / v.inner_height] })()"
+    )
+    assert wide == pytest.approx(high, rel=1e-6)  # pixels are square
     j, i = np.argwhere(inside)[inside.sum() // 2]
     page.click("camera_view", float(ends[0][0][j, i]), float(ends[0][1][j, i]))
     page.wait(f"Math.abs({model('map_node')}.data.x[0] - {X[i]}) < 1e-6")
     page.wait(f"Math.abs({model('camera_node')}.data.X[0] - {ends[0][0][j, i]}) < 2")
     page.set("camera_frame", "value", "'second frame'")
     page.wait(f"{model('camera_view')}.title.text.endsWith('frame {STEP + 1}')")
+    page.set("camera_frame", "value", "'first frame'")
     page.set("camera_over", "value", "'nodes'")
     page.set("step", "value", "100")  # whose frame is not there
     page.wait(f"{model('camera_words')}.text.includes('is missing')")
@@ -142,6 +225,11 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
     page.wait(f"{model('wave_directions')}.title.text.includes('{stored[2]:.3g} Hz')")
     plane = waves["spectra"][f"E_kxky_{name}"].isel(omega_map=2).transpose("ky", "kx").values
     np.testing.assert_allclose(page.image("wave_plane"), log_density(plane), atol=1e-5)
+    coherence = waves["coherence"].to_dataset()
+    reliable = coherence.gamma2_w.where(coherence["valid"]).values
+    np.testing.assert_allclose(page.column("wave_coherence", "w"), reliable, rtol=1e-6)
+    direction = waves["direction"].D.isel(omega_map=2).values
+    np.testing.assert_allclose(page.column("wave_direction", "density"), direction, rtol=1e-5)
 
 
 def test_the_link_shows_the_same_view_again(page, chrome, fields):
@@ -186,6 +274,58 @@ def test_screen_readers_and_weak_eyes_can_use_it(chrome, served, query):
     assert window.errors == []
 
 
+def test_a_node_at_a_probe_is_shown_with_its_series(chrome, served, fields):
+    from browser import Browser
+
+    window = Browser(chrome.new_page(viewport={"width": 1400, "height": 900}))
+    window.open(served.url + "?node=0.125,0.125", "node_probe_series")
+    probe = window.column("node_probe_series", "value")
+    t = window.column("node_probe_series", "t")
+    np.testing.assert_allclose(probe, np.sin(2 * np.pi * 1.1 * t), atol=1e-3)
+    bottom = window.page.evaluate(
+        f"(() => {{ const v = Bokeh.index.find_one({model('map')});"
+        " return v.frame.bbox.bottom + v.el.getBoundingClientRect().y })()"
+    )
+    assert 700 < bottom < 900  # the map fills the window
+    window.page.close()
+    assert window.errors == []
+
+
+def test_only_this_machine_may_talk_to_it(served):
+    import urllib.error
+    import urllib.request
+
+    request = urllib.request.Request(served.url + "metadata", headers={"Host": "evil.example"})
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(request)
+
+
+def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
+    from browser import Browser
+    from explorer_cases import create_cube
+
+    from wavefield.explorer.server import look
+
+    tag = "<img src=x onerror=hit()>"
+    folder = tmp_path / tag
+    folder.mkdir()
+    create_cube(folder / "cube.zarr", experiment=tag, experiment_file=tag)
+    served = look(folder / "cube.zarr")
+    window = Browser(chrome.new_page())
+    window.page.add_init_script("window.hits = 0; window.hit = () => { window.hits += 1 }")
+    window.open(served.url)
+    window.page.keyboard.press("3")
+    window.wait(f"{model('wave_words')}.text.includes('onerror=hit()')")
+    window.page.keyboard.press("2")
+    window.wait(f"{model('camera_words')}.text.includes('onerror=hit()')")
+    window.page.get_by_text("no images").wait_for()
+    assert window.page.evaluate("window.hits") == 0
+    assert window.page.evaluate("document.querySelectorAll('img[src=x]').length") == 0
+    window.page.close()
+    served.stop()
+    assert window.errors == []
+
+
 def test_a_lost_connection_is_reported_and_the_page_stays(chrome, whole):
     from browser import Browser
 
@@ -220,6 +360,10 @@ def test_a_cube_that_is_being_written_is_followed(chrome, tmp_path):
         f"{model('map_image')}.data.image[0][100] != null && !isNaN({model('map_image')}.data.image[0][100])"
     )
     np.testing.assert_allclose(window.image("map_image"), 100 * written["w"][10], rtol=1e-6)
+    window.page.keyboard.press("3")
+    window.wait(f"{model('wave_words')}.text.includes('no waves yet')")
+    window.page.keyboard.press("2")
+    window.wait(f"{model('camera_words')}.text.includes('no images')")
     window.page.close()
     served.stop()
     assert window.errors == []

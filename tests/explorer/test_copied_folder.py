@@ -14,6 +14,8 @@ from wavefield.pipeline import open_run
 from wavefield.pipeline.opened_run import fingerprints, image_names, labels
 from wavefield.series import Experiment
 
+PLACES = ["cube.zarr", "1a2b3c4d/cube.zarr"]
+
 
 def write_experiment(folder, seed=1, pattern="{folder}/img_{{frame:05d}}.tif", more=""):
     rng = np.random.default_rng(seed)
@@ -47,7 +49,8 @@ def save_mask(store):
     return panel.words.text
 
 
-@pytest.mark.parametrize(("way", "place"), [("copied", "1a2b3c4d/cube.zarr"), ("moved", "cube.zarr")])
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("way", ["copied", "moved"])
 def test_a_folder_elsewhere_edits_its_own_experiment(tmp_path, place, way):
     first, second = tmp_path / "first", tmp_path / "deeper" / "second"
     write_experiment(first, more="folder: .\n")
@@ -71,6 +74,13 @@ def test_a_cube_that_names_an_absolute_path_prefers_the_file_beside_it(tmp_path)
     assert open_run(first / "cube.zarr").experiment.path == path
     shutil.copytree(first, second)
     assert open_run(second / "cube.zarr").experiment.path == second / "experiment.yaml"
+
+
+def test_a_link_to_the_folder_of_a_cube_finds_its_experiment(tmp_path):
+    path = write_experiment(tmp_path / "run")
+    measured(tmp_path / "run", "1a2b3c4d/cube.zarr")
+    (tmp_path / "run" / "latest").symlink_to("1a2b3c4d")
+    assert open_run(tmp_path / "run" / "latest" / "cube.zarr").experiment.path == path
 
 
 @pytest.mark.parametrize(

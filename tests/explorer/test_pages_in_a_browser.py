@@ -1,9 +1,12 @@
 """The report and the calibration page as a reader has them: on a screen, a phone, in the dark, on paper."""
 
+import base64
 import re
-from importlib.resources import files
 
+import cv2
+import numpy as np
 import pytest
+from accessibility import accessibility_faults
 
 from wavefield.figures.style import panels
 from wavefield.reports import report
@@ -50,17 +53,6 @@ def opened(chrome, path, width=1400, height=900, **how):
     return window
 
 
-def accessibility_faults(window):
-    """What axe-core calls serious or critical."""
-    package = pytest.importorskip(
-        "axe_playwright_python", reason="needs axe-playwright-python (extra browser)"
-    )
-    window.evaluate(files(package).joinpath("axe.min.js").read_text(encoding="utf-8"))
-    found = window.evaluate("() => axe.run()")["violations"]
-    serious = [one for one in found if one["impact"] in ("serious", "critical")]
-    return [f"{one['id']}: {one['nodes'][0]['html'][:120]}" for one in serious]
-
-
 def bottom(window, what):
     return window.locator(what).last.evaluate("one => one.getBoundingClientRect().bottom + scrollY")
 
@@ -78,7 +70,7 @@ def test_the_result_is_on_the_first_screen_and_the_page_has_at_most_eight(chrome
     assert window.locator("table:visible tr").count() <= 24
 
 
-def test_the_surface_moves_with_the_slider(chrome, report_page):
+def test_the_surface_moves_with_the_slider_in_the_colours_of_w(chrome, report_page, whole):
     window = opened(chrome, report_page)
     assert not window.locator("#still img").is_visible()
     drawn = "() => ['map', 'relief'].map((id) => document.getElementById(id).toDataURL())"
@@ -86,6 +78,34 @@ def test_the_surface_moves_with_the_slider(chrome, report_page):
     window.locator("#moment").press("ArrowRight")
     after = window.evaluate(drawn)
     assert all(one != other for one, other in zip(before, after))
+    step = int(window.locator("#moment").input_value())
+    first = (whole[1]["w"].shape[0] - int(window.locator("#moment").get_attribute("max")) - 1) // 2
+    w = whole[1]["w"][first + step]
+    png = base64.b64decode(after[0].partition(",")[2])
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(int)  # blue, green, red
+    nodes = np.argwhere(np.isfinite(w) & (np.abs(w) > 0.5 * np.nanmax(np.abs(w))))
+    right = [np.sign(_redness(image, w.shape, *node)) == np.sign(w[tuple(node)]) for node in nodes]
+    assert len(right) > 20
+    assert np.mean(right) > 0.95
+
+
+def test_maps_of_every_shape_are_drawn(chrome, report_page):
+    window = opened(chrome, report_page)
+    for width in range(560, 720, 7):
+        window.evaluate("(width) => { document.getElementById('map').width = width }", width)
+        window.locator("#moment").press("ArrowRight")
+    assert window.errors == []
+
+
+def _redness(image, shape, j, i):
+    """Red less blue of the map about a node, without its arrow; by the margins of player.js."""
+    (left, top, right, bottom), (high, wide) = (84, 54, 118, 74), image.shape[:2]
+    cell = min((wide - left - right) / shape[1], (high - top - bottom) / shape[0])
+    y = round((high + top - bottom + shape[0] * cell) / 2 - (j + 0.5) * cell)
+    x = round(left + (i + 0.5) * cell)
+    patch = image[y - 7 : y + 8, x - 7 : x + 8].reshape(-1, 3)
+    patch = patch[patch.max(-1) > 60]
+    return np.median(patch[:, 2] - patch[:, 0])
 
 
 def test_folded_parts_open_by_a_link_by_the_button_and_for_printing(chrome, report_page):
@@ -130,3 +150,17 @@ def test_the_calibration_page_begins_with_one_sentence(chrome, rig_page):
     window = opened(chrome, rig_page)
     assert window.locator("header p:not(.verdict)").inner_text() == "On the water a pixel is 1.5 mm."
     assert "cam1: its lens is held" in window.locator("#what-needs-attention").inner_text()
+
+
+@pytest.mark.parametrize(
+    ("style", "fault"),
+    [
+        ("figcaption { color: #aaa }", "contrast 2.3"),
+        ("", ""),
+    ],
+)
+def test_faults_of_a_page_are_found(chrome, rig_page, style, fault):
+    window = opened(chrome, rig_page)
+    window.add_style_tag(content=style or "p { }")
+    found = accessibility_faults(window)
+    assert any(one.startswith(fault) for one in found) if fault else found == []

@@ -70,16 +70,34 @@ def test_version_and_help(capsys):
     assert "wavefield demo" in capsys.readouterr().out
 
 
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "wavefield", "--version"], capture_output=True, text=True)
+    assert done.stdout == f"wavefield {__version__}\n", done.stderr
+
+
 def test_help_is_quick_because_nothing_heavy_is_imported():
     heavy = ["numba", "xarray", "dask", "cv2", "matplotlib", "scipy", "zarr", "distributed"]
     code = f"import sys, wavefield.commands.cli; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 
-@pytest.mark.parametrize("words", [["nonsense"], ["status"], ["analyze", "--what"]])
+@pytest.mark.parametrize(
+    "words",
+    [["nonsense"], ["status"], ["status", "no/such/store"], ["run", "no.yaml"], ["analyze", "--what"]],
+)
 def test_wrong_use_is_status_2(words, capsys):
     assert main(words) == 2
     assert "Error" in capsys.readouterr().err
+
+
+def test_an_error_is_one_sentence_and_status_1(tmp_path, capsys):
+    (tmp_path / "not_a_cube").mkdir()
+    assert main(["status", str(tmp_path / "not_a_cube")]) == 1
+    captured = capsys.readouterr()
+    assert captured.err.startswith("wavefield: ")
+    assert "not_a_cube" in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
 
 
 def test_debug_shows_the_traceback(tmp_path, capsys):
@@ -147,6 +165,10 @@ def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
     assert again["cam1"].fx == pytest.approx(rig["cam1"].fx, rel=1e-12)
     assert main(["rig", "a.xml", "cam2=b.xml"]) == 2
     assert main(["rig", "cam1=a.xml", "--size", "big"]) == 2
+    capsys.readouterr()
+    for words in (["show", str(tmp_path / "rig.yaml")], [str(tmp_path)]):
+        assert main(["rig", *words]) == 0
+        assert "cam3: 2432 x 1728 px" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -180,12 +202,37 @@ def test_the_next_command_is_one_of_this_folder(tmp_path, monkeypatch, capsys):
     assert elsewhere.endswith(f"{tmp_path.parent}/cube.zarr")
 
 
+def test_simulate_lists_every_scene(capsys):
+    from wavefield.tank import Scene
+
+    assert main(["simulate", "--help"]) == 0
+    listed = capsys.readouterr().out.split("Scenes:")[1].split("Examples:")[0].replace(",", " ").split()
+    assert set(Scene.presets()) <= set(listed)
+
+
 def test_every_public_name_is_there_and_known_to_type_checkers():
     import wavefield as wf
 
-    asked = {"calibrate", "check", "run", "analyze", "report", "reconstruct", "open_cube", "Rig", "Grid"}
+    asked = {
+        "calibrate",
+        "check",
+        "run",
+        "analyze",
+        "report",
+        "reconstruct",
+        "open_cube",
+        "Rig",
+        "Grid",
+    }
     assert asked <= set(wf.__all__)
     assert all(callable(getattr(wf, name)) for name in wf.__all__ if name != "__version__")
     rooms = {module.name for module in pkgutil.iter_modules(wf.__path__)}
     assert not rooms & set(wf.__all__)  # else a name is the function or the room, as it was imported before
     assert (Path(wf.__file__).parent / "py.typed").exists()
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = "import sys, wavefield; print([m for m in sys.modules if m.startswith(('wavefield.', 'numpy'))])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == (
+        "['wavefield.lazy_names']\n"
+    )

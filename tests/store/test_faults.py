@@ -1,5 +1,6 @@
 """Faults that destroyed data or were believed once, each with the smallest case that shows it."""
 
+import errno
 import json
 import resource
 import shutil
@@ -14,9 +15,10 @@ import xarray as xr
 import yaml
 
 import wavefield as wf
+from wavefield import atomic_write
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
-from wavefield.pipeline.catalog import catalog_add
+from wavefield.pipeline.catalog import catalog_add, find_cube
 from wavefield.rig import Rig
 
 CATALOG = "catalog.yaml"
@@ -94,7 +96,13 @@ def test_runs_that_are_added_at_once_are_all_registered(lab):
     assert sorted(options) == names
 
 
-@pytest.mark.parametrize("address", ["{run.__class__}", "{env(SECRET)}"])
+def test_a_catalog_sees_a_cube_that_was_measured_before(lab):
+    catalog_add(CATALOG, "experiment.yaml")
+    assert find_cube(CATALOG).resolve() == (lab / "cube.zarr").resolve()
+    assert command("status", CATALOG) in (0, 3)
+
+
+@pytest.mark.parametrize("address", ["{run.__class__}", "{env(SECRET)}", "{run!r}"])
 def test_addresses_of_a_catalog_are_not_format_strings(lab, monkeypatch, capsys, address):
     monkeypatch.setenv("SECRET", "password")
     catalog_add(CATALOG, "experiment.yaml")
@@ -108,7 +116,7 @@ def test_addresses_of_a_catalog_are_not_format_strings(lab, monkeypatch, capsys,
     ("words", "size"),
     [
         *((["export", "cube.zarr", f"o.{ending}"], 2_000) for ending in ("nc", "mat", "uvmat")),
-        *((["rig", "rig.yaml", "--to", to, "-o", "o.txt"], 256) for to in ("opencv",)),
+        *((["rig", "rig.yaml", "--to", to, "-o", "o.txt"], 256) for to in ("dice", "opencv", "wavefield")),
     ],
 )
 @pytest.mark.slow
@@ -148,6 +156,29 @@ def test_a_killed_writer_leaves_nothing_after_the_next_command(lab):
     assert not list(lab.glob(".wavefield-*"))
 
 
+@pytest.mark.parametrize("closed_twice", [False, True])
+def test_a_signal_while_a_draft_is_removed_leaves_nothing_and_still_stops(
+    tmp_path, monkeypatch, closed_twice
+):
+    remove = atomic_write.shutil.rmtree
+    calls = []
+
+    def interrupted(folder, **options):
+        calls.append(folder)
+        if len(calls) == 1:
+            try:
+                raise KeyboardInterrupt
+            finally:
+                if closed_twice:
+                    raise OSError(errno.EBADF, "Bad file descriptor")
+        remove(folder, **options)
+
+    monkeypatch.setattr(atomic_write.shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt), atomic_write.atomic(tmp_path / "x.txt") as draft:
+        draft.write_text("whole")
+    assert not list(tmp_path.glob(".wavefield-*"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_command_that_is_ended_by_a_signal_removes_what_it_began(lab, name):
@@ -161,7 +192,7 @@ def test_a_command_that_is_ended_by_a_signal_removes_what_it_began(lab, name):
     assert not list(lab.glob(".wavefield-*"))
 
 
-@pytest.mark.parametrize("words", [["report", "cube.zarr"], ["rig", "rig.yaml"]])
+@pytest.mark.parametrize("words", [["report", "cube.zarr"], ["rig", "rig.yaml"], ["paper", "cube.zarr"]])
 def test_devices_are_refused_before_they_are_opened(lab, capsys, words):
     assert "is a pipe or a device" in refused(capsys, *words, "-o", "/dev/zero")
 
@@ -182,9 +213,13 @@ def test_smoothed_fields_and_waves_are_verified(lab, capsys, name):
 @pytest.mark.parametrize(
     "words",
     [
+        ["simulate", "demo", "x" * 256],
         ["simulate", "demo", "file/d"],
+        ["smooth", "cube.zarr", "-o", "x" * 255 + ".zarr"],
+        ["export", "cube.zarr", "file/x.nc"],
         ["export", "cube.zarr", "x" * 255 + ".nc"],
         ["export", "cube.zarr", "cube.zarr/x.nc"],
+        ["report", "cube.zarr", "-o", "cube.zarr/x.html"],
         ["smooth", "cube.zarr", "-o", "cube.zarr/smooth.zarr"],
         ["run", "experiment.yaml", "-o", "."],
     ],
@@ -235,7 +270,14 @@ def test_a_verdict_without_its_checksum_is_not_believed(lab):
         wf.status("cube.zarr")
 
 
-@pytest.mark.slow
+def test_no_message_advises_to_remove_a_cube(lab):
+    (lab / "cube.zarr/zarr.json").write_text("{")
+    for read in (wf.open_cube, wf.open_run, wf.status, wf.verify):
+        with pytest.raises(StoreError) as error:
+            read(lab)
+        assert "remove" not in str(error.value)
+
+
 def test_stdout_on_a_full_disk_is_a_sentence(lab):
     with open("/dev/full", "w") as full:
         line = [sys.executable, "-m", "wavefield", "status", "cube.zarr"]

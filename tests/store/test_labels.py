@@ -7,9 +7,10 @@ import pytest
 import xarray as xr
 from cube_cases import HERE, different
 
+from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
-from wavefield.pipeline import chunk, open_cube, run
+from wavefield.pipeline import chunk, open_cube, open_run, run
 from wavefield.store.preview import read_steps, read_thinned, thinning
 from wavefield.store.read import open_group
 from wavefield.store.relabel import RATES
@@ -73,6 +74,23 @@ def test_what_reads_the_cube_by_itself_sees_the_new_rate(own_tank, cube, referen
     np.testing.assert_allclose(shown, 2 * wide[0, :: thin.every, :: thin.every], atol=1.01e-4)
 
 
+def test_a_report_does_not_show_waves_of_another_rate(own_tank, cube, undrawn):
+    assert main(["-q", "analyze", str(cube), "--segment", "8"]) == 0
+    assert open_run(cube).waves is not None
+    change(own_tank, ("frame_rate: 20.0", "frame_rate: 25.0"))
+    run(own_tank, workflow=HERE)
+    found = open_run(cube)
+    assert found.waves is None
+    assert "has changed since" in found.reason("waves")
+
+
+def test_labels_go_there_and_back_bit_for_bit(own_tank, cube, reference):
+    for old, new in (("20.0", "17.3"), ("17.3", "20.0")):
+        change(own_tank, (f"frame_rate: {old}", f"frame_rate: {new}"))
+        run(own_tank, workflow=HERE)
+    assert not different(cube, reference)
+
+
 def test_a_resumed_run_measures_on_at_the_rate_of_the_store(own_tank, reference, tmp_path):
     change(own_tank, ("frame_rate: 20.0", "frame_rate: 25.0"))
     cube = tmp_path / "cube.zarr"
@@ -113,3 +131,9 @@ def test_a_relabelling_that_was_cut_off_is_done_by_the_next_run(own_tank, cube, 
     monkeypatch.undo()
     run(own_tank, workflow=HERE)
     np.testing.assert_allclose(xr.open_zarr(cube).w, 1.25 * open_cube(reference).w, rtol=2e-7)
+
+
+def test_nothing_is_written_where_nothing_changed(own_tank, cube, monkeypatch):
+    run(own_tank, workflow=HERE)  # the place of the file is a label as well
+    monkeypatch.setattr("wavefield.store.relabel._write", lambda *_: pytest.fail("written"))
+    run(own_tank, workflow=HERE)

@@ -36,3 +36,14 @@ def test_the_horizon_is_where_the_dip_puts_it(tank):
         ray = np.array([a, b, 1.0]) @ camera.R
         down = -np.degrees(np.arcsin(ray[2] / np.linalg.norm(ray)))
         assert down == pytest.approx(np.degrees(texture.horizon_dip(12.0)), abs=0.25)
+
+
+def test_foam_is_carried_by_the_water(tank):
+    drift = tank._drift_since_start(2)
+    x, y = np.array([0.0, 4.0]), np.array([22.0, 25.0])
+    first = x + drift[0].ev(y, x), y + drift[1].ev(y, x)
+    from wavefield.tank.beads import carry
+
+    there = carry(tank.basin, *first, tank.time(0), tank.time(2))
+    assert np.hypot(there[0] - x, there[1] - y).max() < 2e-3
+    assert np.hypot(first[0] - x, first[1] - y).min() > 1e-2

@@ -50,16 +50,27 @@ def test_rig_file_is_found_beside_the_scene(tmp_path):
     ("changes", "words"),
     [
         ({"sea": {"kind": "random", "rms": -1, "spectrum": {"kind": "power", "peak": 1}}}, "sea.rms"),
+        ({"sea": {"kind": "tsunami"}}, "tsunami"),
+        ({"sea": {"rms": 0.01}}, "kind"),
         ({"sea": {"kind": "single", "amplitude": 0.01}}, "sea.wavelength is missing"),
+        ({"frames": 0}, "frames"),
         ({"framerate": 20}, "framerate is not a known key; did you mean 'frame_rate'"),
         ({"light": {"bits": 12}}, "light.bits"),
+        ({"light": {"gain": {"cam9": 2.0}}}, "cam9"),
         ({"faults": {"cam8": {"late": 1}}}, "faults names 'cam8'"),
+        ({"faults": {"cam1": {"shows": "cam7"}}}, "cam7"),
         ({"surface": {"hole_diameter": [0.2, 0.1]}}, "surface.hole_diameter"),
         ({"grid": {"x": [1, -1], "y": [0, 1], "step": 0.1}}, "grid"),
+        ({"surface": {"density": 0}}, "surface.density"),
+        ({"surface": {"kind": "oil"}}, "oil"),
         ({"surface": {"kind": "sheet"}, "sea": {"kind": "still", "current": [0.1, 0]}}, "a flow of its own"),
         ({"surface": {"kind": "sheet"}, "faults": {"cam1": {"delay": 0.001}}}, "a delay is not simulated"),
         ({"surface": {"kind": "sheet"}, "timing": {"jitter": 0.001}}, "jitter is not simulated"),
+        ({"surface": {"kind": "sheet", "thickness": 0}}, "surface.thickness"),
         ({"rig": {"angle": 90}}, ": rig.angle "),
+        ({"calibration": {"target": {"kind": "strings", "mesh": "wide"}}}, "calibration.target.mesh"),
+        ({"rig": {"scale": 9}}, ": rig.scale "),
+        ({"rig": {"file": 3}}, ": rig.file "),
     ],
 )
 def test_wrong_settings_are_named(tmp_path, changes, words):
@@ -73,6 +84,15 @@ def test_wrong_settings_are_named(tmp_path, changes, words):
     assert words in message
     assert "\n" not in message
     assert len(message) < 300
+
+
+def test_grid_is_what_all_cameras_see_unless_it_is_given():
+    scene = Scene.from_dict({"sea": {"kind": "still"}, "rig": {"crop": 0.3}})
+    x, y = scene.grid.x_nodes, scene.grid.y_nodes
+    assert x[-1] - x[0] > 0.4
+    for camera in scene.build_rig().cameras.values():
+        for corner_x, corner_y in ((x[0], y[0]), (x[-1], y[-1]), (x[0], y[-1]), (x[-1], y[0])):
+            assert camera.sees(corner_x, corner_y, 0.0, 10.0)
 
 
 def test_missing_and_broken_files_are_named(tmp_path):

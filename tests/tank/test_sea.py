@@ -43,7 +43,11 @@ def test_vertical_velocity_keeps_the_water_on_the_surface(bound, rng):
     assert z_x == pytest.approx(f["z_x"], abs=2e-5)
 
 
-@given(wavelength=st.floats(0.03, 3.0), angle=st.floats(0, 2 * np.pi), depth=st.floats(0.1, 5.0))
+@given(
+    wavelength=st.floats(0.03, 3.0),
+    angle=st.floats(0, 2 * np.pi),
+    depth=st.floats(0.1, 5.0),
+)
 def test_single_wave_obeys_dispersion_with_current_and_moves_with_its_vector(wavelength, angle, depth):
     k = 2 * np.pi / wavelength
     kx, ky = k * np.cos(angle), k * np.sin(angle)
@@ -122,6 +126,15 @@ def test_random_sea_has_its_rms_and_its_spectrum():
     density = PowerLaw(kind="power", peak=1.2)(f)
     above = f > dispersion(k_two, 0.7) / (2 * np.pi)
     assert np.mean(shares) == pytest.approx(density[above].sum() / density.sum(), rel=0.15)
+
+
+def test_spreading_sends_the_waves_in_the_main_direction():
+    sea = random_sea(spread=20.0)
+    power = np.abs(sea.amplitude) ** 2
+    assert np.sum(power * sea.kx / sea.k) / power.sum() > 0.9
+    even = random_sea(spread=0.0)
+    power = np.abs(even.amplitude) ** 2
+    assert abs(np.sum(power * even.kx / even.k)) / power.sum() < 0.2
 
 
 def test_added_waves_come_on_top_of_the_sea():

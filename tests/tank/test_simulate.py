@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+import yaml
 
 from wavefield import variables
 from wavefield.errors import ExperimentError
@@ -46,6 +47,12 @@ def test_folder_is_what_a_laboratory_would_have(folder):
     assert Scene.load(folder / "scene.yaml") == SCENE
 
 
+def test_images_are_those_of_the_tank(folder):
+    images = Tank(SCENE).render(2)
+    for name, image in images.items():
+        assert np.array_equal(read_image(folder / name / "img_00002.tif"), image)
+
+
 def test_truth_is_exact_and_carries_the_schema_of_the_cube(folder):
     ds = xr.open_zarr(folder / "truth" / "truth.zarr")
     variables.validate(ds, "z", "z_t", "u", "v", "w")
@@ -75,7 +82,12 @@ def test_probes_are_true_and_keep_their_own_time(folder):
         assert row[1] == pytest.approx(sea.at(-0.25, 0.1, row[0], ("z",))["z"], abs=1e-6)
 
 
-@pytest.mark.slow
+def test_target_poses_are_kept_with_the_truth(folder):
+    data = yaml.safe_load((folder / "truth" / "target.yaml").read_text())
+    assert set(data["poses"]) == {"tilt_0", "tilt_1", "flat"}
+    assert data["poses"]["flat"]["origin"] == [0.0, 0.0, 0.0]
+
+
 def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):
     simulate(SCENE, tmp_path / "alone", workers=1)
     files = sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file())
