@@ -13,11 +13,7 @@ from wavefield.rig import Camera
 MESH, SIZE = 0.1, (1280, 960)
 FLAT = np.array([-0.45, -0.3, 0.0])  # of node (0, 0)
 NODE = np.mgrid[0:10, 0:7].reshape(2, -1).T
-LENSES = {
-    "equidistant": (0.0, 0.0, 0.0, 0.0),
-    "equisolid": (-1 / 24, 1 / 1920, 0.0, 0.0),
-    "stereographic": (1 / 12, 1 / 120, 17 / 20160, 0.0),
-}
+LENSES = {"equisolid": (-1 / 24, 1 / 1920, 0.0, 0.0), "stereographic": (1 / 12, 1 / 120, 17 / 20160, 0.0)}
 
 
 def pair(rng, field, lens):
@@ -74,9 +70,7 @@ def error_on_water(found, camera):
     return float(np.sqrt(np.mean((np.array(there) - np.array(here))[:, shown] ** 2)))
 
 
-@pytest.mark.parametrize(
-    ("lens", "field"), [("stereographic", 100), ("equidistant", 140), ("equisolid", 180)]
-)
+@pytest.mark.parametrize(("lens", "field"), [("stereographic", 100), ("equisolid", 180)])
 def test_fisheye_lenses_are_recognised_and_calibrated(lens, field):
     rng = np.random.default_rng([field, len(lens), 3])
     cameras = pair(rng, field, LENSES[lens])

@@ -84,11 +84,7 @@ def test_with_the_rig_of_the_target_the_cameras_are_inconsistent_and_nodes_are_r
 
 def test_a_camera_that_moved_is_named_and_corrected():
     tank = Tank(
-        scene(
-            surface=BESIDE,
-            rig=SMALL | {"cameras": 3},
-            faults={"cam1": {"turned": [0.05, 0.03, 0.0]}},
-        )
+        scene(surface=BESIDE, rig=SMALL | {"cameras": 3}, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}})
     )
     images = [tank.render(k) for k in range(3)]
     found = fit_sheet(lambda name, k: images[k][name], range(3), tank.rig)
@@ -137,14 +133,6 @@ def sheet_points(tank, x, y):
 
     axes, origin = plane(tank.scene.surface)
     return np.einsum("ij,jyx->iyx", axes, np.stack([x, y, 0 * x])) + origin[:, None, None]
-
-
-def test_pairs_of_cameras_are_not_compared_in_a_sheet(beside):
-    from wavefield.measurement.diagnostics import diagnose_around
-
-    tank, images, found = beside
-    geometry = GridGeometry(found.rig, tank.scene.grid, Settings(sheet_thickness=1e-3))
-    assert diagnose_around(lambda name, k: images[k][name], 2, geometry, None, 1, PIXEL) is None
 
 
 def test_images_that_show_nothing_in_common_are_refused():

@@ -46,27 +46,6 @@ def test_roll_and_pitch_of_every_frame_are_those_simulated(swaying):
     assert "3 of 3 frames show the horizon" in moved.sentence
 
 
-def test_an_image_is_redrawn_as_a_level_camera_would_have_taken_it():
-    tank = Tank(scene())
-
-    def painted(camera):
-        """Stripes on still water, 3 m apart, fading with distance."""
-        X, Y = np.meshgrid(*(np.arange(float(n)) for n in camera.size))
-        x, y = camera.unproject(X, Y)
-        stripes = np.sin(2 * np.pi * x / 3.0) * np.sin(2 * np.pi * y / 12.0) * np.exp(-((y / 40.0) ** 2))
-        return 120.0 + 80.0 * np.nan_to_num(stripes)
-
-    for frame in range(3):
-        for name in tank.rig:
-            taken, level = tank.rig_at(frame)[name], tank.rig[name]
-            image, exact = painted(taken), painted(level)
-            inside = np.zeros(exact.shape, bool)
-            inside[60:-30, 30:-30] = True
-            redrawn = platform.redrawn(image, taken, level)
-            assert np.sqrt(np.mean((redrawn - exact)[inside] ** 2)) < 1.0
-            assert np.sqrt(np.mean((image - exact)[inside] ** 2)) > 10.0
-
-
 def test_turned_frames_are_an_experiment_of_their_own(swaying):
     folder, moved = swaying
     series = Experiment.load(moved.experiment).open_frames()

@@ -100,12 +100,3 @@ def test_instants_that_show_the_same_waves_give_no_uncertainty_of_the_height(pla
     seen = level_on_water(rig, same, horizons, 2.5)
     assert max(tilt_error(seen.rig[name], true[name]) for name in true) < 2 * seen.tilt_std
     assert "no uncertainty of the height" in seen.sentence
-
-
-def test_neighbouring_instants_of_the_same_waves_widen_the_uncertainty(placed):
-    """Of four waters, each seen twice in succession, groups of one instant are correlated by a half."""
-    rig, matches = placed
-    apart = level_on_water(rig, matches, {}, 2.5)
-    twice = level_on_water(rig, [one for one in matches for _ in range(2)], {}, 2.5)
-    assert 0.8 < twice.height_std / apart.height_std < 2.0
-    assert 0.8 < twice.tilt_std / apart.tilt_std < 2.0

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rendering import camera_at
 from scipy.spatial.transform import Rotation
 from sea_pictures import photograph, sea_rig, texture
 
@@ -15,7 +14,6 @@ from wavefield.errors import RigError
 from wavefield.images import write_image
 from wavefield.quality.remarks import remark_on_rest
 from wavefield.rig import Rig
-from wavefield.rig.field import common_field
 from wavefield.series import Experiment
 
 
@@ -29,35 +27,6 @@ def sea(tmp_path_factory):
             write_image(folder / f"{name}_{k}.png", image)
         matches.append(match_features(*images))
     return cameras, matches, folder
-
-
-def test_features_of_moving_water_are_matched_to_fractions_of_a_pixel(sea):
-    from wavefield.rig.stereo import epipolar_distance
-
-    cameras, matches, _ = sea
-    miss = np.concatenate([np.abs(epipolar_distance(*cameras.values(), *a.T, *b.T)) for a, b in matches])
-    assert len(miss) > 1000
-    assert np.median(miss) < 0.3
-
-
-def test_the_second_camera_is_placed_and_the_sea_levelled(sea):
-    cameras, matches, _ = sea
-    left, right = cameras.values()
-    distance = float(np.linalg.norm(left.centre - right.centre))
-    # in the left camera's own frame, and nothing known of where the right one is
-    first = replace(left, rotation=np.eye(3), translation=np.zeros(3))
-    unknown = replace(right, rotation=np.eye(3), translation=np.zeros(3))
-    both = tuple(np.concatenate([m[side] for m in matches]) for side in (0, 1))
-    rig = Rig({"left": first, "right": place_second(first, unknown, both, distance)})
-    true = right.R @ left.R.T
-    turn = rig["right"].R @ true.T
-    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.1
-    found = level_on_water(rig, [{("left", "right"): m} for m in matches])
-    tilt_left = np.degrees(np.arccos(-found.rig["left"].R[2, 2]))
-    assert tilt_left == pytest.approx(np.degrees(np.arccos(-left.R[2, 2])), abs=0.2)
-    assert found.rig["left"].centre[2] == pytest.approx(left.centre[2], abs=0.05)
-    assert 0 < found.tilt_std < 0.5
-    assert "instants" in found.sentence
 
 
 def test_the_twin_that_a_nearly_flat_sea_has_is_not_taken_for_the_second_camera():
@@ -94,17 +63,6 @@ def test_the_command_places_and_levels_cameras_of_which_only_the_lenses_are_cali
     assert levelled["right"].centre[2] == pytest.approx(cameras["right"].centre[2], abs=0.05)
 
 
-def test_a_grid_is_chosen_though_the_horizon_is_in_view():
-    """12 m up, 80 degrees from the vertical: the upper corners of the images show the sky."""
-    cameras = [camera_at((480, 360), 80.0, turn, 0.0, 12.0, 800.0) for turn in (175.0, 185.0)]
-    assert not np.isfinite(cameras[0].corners()).all()
-    grid = common_field(cameras)
-    x, y = np.meshgrid(grid.x, grid.y)
-    for camera in cameras:
-        assert camera.sees(x, y, 0.0).all()
-        assert np.hypot(x - camera.centre[0], y - camera.centre[1]).max() < 60
-
-
 def test_images_that_share_nothing_are_refused(sea):
     left, right = sea_rig().values()
     one, other = (photograph(left, texture(seed), 0.0, seed) for seed in (50, 60))
@@ -112,11 +70,10 @@ def test_images_that_share_nothing_are_refused(sea):
         place_second(left, right, match_features(one, other), 2.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_rig_of_other_images_is_reported_as_that(sea, seed):
+def test_a_rig_of_other_images_is_reported_as_that(sea):
     cameras, matches, _ = sea
     (first, one), (second, other) = cameras.items()
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     turn = Rotation.from_rotvec(np.radians(rng.uniform(4.0, 8.0, 3) * rng.choice([-1, 1], 3))).as_matrix()
     rig = Rig({first: one, second: replace(other, rotation=turn @ other.R, translation=turn @ other.T)})
     with pytest.raises(RigError, match=r"does not match the images: \d{3,} features.*by \d+\.?\d* px"):

@@ -50,20 +50,6 @@ def test_a_target_moved_along_z_calibrates_from_tables(tmp_path):
     assert any("moved along z" in p for p in calibrate(flat, 0.1, flat="", model=MODEL).problems)
 
 
-def test_nodes_of_two_levels_are_where_they_are():
-    rig, grid, rng = paper_rig(), nodes(), np.random.default_rng(5)
-    level = np.where(grid[:, 1] % 2, -0.02, 0.0)
-    views = {name: {} for name in rig}
-    for pose, (R, t) in poses(seed=2).items():
-        world = np.column_stack([0.1 * grid, level]) @ R.T + t
-        for name in rig:
-            views[name][pose] = seen(rig[name], grid, world, rng, 0.02, z=level)
-    found = calibrate(views, 0.1, model=MODEL)
-    assert found.usable, found.problems
-    assert worst_pixel(found.rig, rig) < 0.02
-    assert found.fit.scale == pytest.approx(1.0, abs=0.05)
-
-
 @pytest.mark.parametrize("line", ["0,0,5.0,6.0,high", "0,0,5.0,6.0"])
 def test_a_table_without_its_heights_is_refused(tmp_path, line):
     (tmp_path / "points.csv").write_text(f"# size 100 80\ni,j,X,Y,z\n{line}\n")

@@ -17,13 +17,11 @@ from rendering import (
     dots,
     dots_with_rings,
     pattern_picture,
-    write_points,
 )
 
 from wavefield.calibration import Target, find_target
-from wavefield.calibration.blobs import centroids
 from wavefield.calibration.lattice import SmoothMap
-from wavefield.calibration.points import TargetPoints, read_points
+from wavefield.calibration.points import read_points
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
 
@@ -102,31 +100,6 @@ def test_dots_are_numbered_from_their_rings_also_partly_out_of_view(seed):
     assert len(points) > 50
     assert np.sqrt((error**2).mean()) < 0.02
     assert np.sqrt((error**2).mean()) < 2.0 * np.median(points.std)
-
-
-def test_uneven_paint_and_specks_beside_it_do_not_move_a_dot():
-    node = np.stack(np.meshgrid(np.arange(5), np.arange(5)), -1).reshape(-1, 2)
-    centre = 50.0 * node + 40.3
-    y, x = np.mgrid[:280, :280]
-    image = np.full(x.shape, 10.0, np.float32)
-    for k, (X, Y) in enumerate(centre):
-        cover = np.clip(15.5 - np.hypot(x - X, y - Y), 0, 1)
-        shade = np.clip(1 + 0.02 * ((x - X) if k % 2 else (Y - y)), 0.7, 1.0)  # darker on one side
-        speck = np.hypot(x - X - 21, y - Y - 2) < 2
-        image += (200 if k % 3 else 100) * (cover * shade) + 60 * speck
-    found, _ = centroids(image, node, centre + 0.5)
-    assert np.abs(found - centre).max() < 0.2
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_rings_are_found_in_uneven_light(seed):
-    image, *_, mesh, diameter = picture_with_rings(seed)
-    plain = find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
-    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
-    light = np.exp(-2.0 * ((x / image.shape[1] - 0.2) ** 2 + (y / image.shape[0] - 0.7) ** 2))
-    points = find_target(image * light, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
-    assert len(points) > 0.9 * len(plain)
-    assert set(map(tuple, points.node)) <= set(map(tuple, plain.node))
 
 
 def test_a_grid_without_all_its_rings_and_one_larger_than_stated_are_refused():
@@ -269,10 +242,7 @@ def test_every_sharp_real_chessboard_is_found(shared):
         ({"kind": "strings"}, "mesh is missing"),
         ({"kind": "strings", "mesh": -1}, "target.mesh: give metres, above 0.00005 and below 2"),
         ({"kind": "strings", "mesh": "ten"}, "target.mesh: give metres, above 0.00005 and below 2"),
-        (
-            {"kind": "strings", "mesh": 0.1, "colour": "white"},
-            "target.colour is not a known key",
-        ),
+        ({"kind": "strings", "mesh": 0.1, "colour": "white"}, "target.colour is not a known key"),
         ({"kind": "strings", "mesh": 0.1, "x_mark": "cross"}, "small disc"),
         ({"kind": "chessboard", "mesh": 0.1}, "needs its shape"),
         ({"kind": "chessboard", "mesh": 0.1, "shape": 9}, "target.shape should be a valid tuple, not 9"),
@@ -288,18 +258,6 @@ def test_every_sharp_real_chessboard_is_found(shared):
 def test_an_impossible_target_is_refused(block, expected):
     with pytest.raises(CalibrationError, match=expected):
         Target.from_dict(block)
-
-
-def test_points_written_are_the_points_read(tmp_path):
-    rng = np.random.default_rng(2)
-    node = np.argwhere(np.ones((4, 3))) - 1
-    points = TargetPoints(node, rng.uniform(0, 500, (12, 2)), rng.uniform(0.01, 0.1, 12), (512, 400))
-    write_points(tmp_path / "cam1" / "points.csv", points)
-    again = read_points(tmp_path / "cam1" / "points.csv")
-    np.testing.assert_array_equal(again.node, points.node)
-    np.testing.assert_array_equal(again.pixel, points.pixel)
-    np.testing.assert_array_equal(again.std, points.std)
-    assert again.size == (512, 400)
 
 
 @pytest.mark.parametrize(

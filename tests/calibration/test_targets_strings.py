@@ -10,8 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from rendering import Picture, camera_at, string_picture, string_truth
 
 from wavefield.calibration import Target, find_target
-from wavefield.calibration.lattice import SmoothMap, crossings
-from wavefield.calibration.string_crossings import fit_crossings, start_parameters
+from wavefield.calibration.lattice import SmoothMap
 from wavefield.errors import CalibrationError
 
 SIZE = (640, 512)
@@ -37,12 +36,7 @@ def compared(camera, picture, **grid):
 
 @pytest.mark.parametrize(
     ("tilt", "turn", "roll", "blur", "width"),
-    [
-        (0, 0, 0, 0.5, 0.003),
-        (45, 30, 20, 0.6, 0.003),
-        (45, 200, -130, 0.9, 0.006),
-        (65, 100, 170, 0.6, 0.004),
-    ],
+    [(0, 0, 0, 0.5, 0.003), (45, 200, -130, 0.9, 0.006), (65, 100, 170, 0.6, 0.004)],
 )
 def test_crossings_in_good_light_are_all_found_within_a_hundredth_of_a_pixel(tilt, turn, roll, blur, width):
     camera = view(tilt, turn=turn, roll=roll)
@@ -110,30 +104,6 @@ def test_sixteen_bits_and_floats_give_what_eight_bits_give():
     second = find_target(image.astype(np.uint16) * 257, TARGET)
     np.testing.assert_array_equal(first.node, second.node)
     np.testing.assert_allclose(first.pixel, second.pixel, atol=1e-3)
-
-
-def test_a_plain_line_is_no_crossing():
-    y, x = np.mgrid[0:100, 0:100].astype(np.float32)
-    line = 200 * np.exp(-0.5 * ((0.6 * x + 0.8 * y - 70) / 1.2) ** 2).astype(np.float32)
-    other = 200 * np.exp(-0.5 * ((0.8 * x - 0.6 * y - 10) / 1.2) ** 2).astype(np.float32)
-    found = crossings(line + other, 1.5)
-    elsewhere = np.hypot(*(found.pixel - [50, 50]).T) > 0.5
-    assert elsewhere.sum() == len(elsewhere) - 1
-    assert found.strength[elsewhere].max() < 0.02 * found.strength.max()
-
-
-def test_one_crossing_is_fitted_to_where_it_was_drawn():
-    y, x = np.mgrid[0:61, 0:61].astype(float)
-    at, angle = np.array([30.37, 29.81]), np.array([0.2, 1.5])
-    c, s = np.cos(angle), np.sin(angle)
-    d = -s[:, None, None] * (x - at[0]) + c[:, None, None] * (y - at[1])
-    image = (20 + 0.1 * x + 150 * np.exp(-0.5 * (d / 1.1) ** 2).sum(0)).astype(np.float32)
-    slopes = 40 * np.stack([c, s], -1)[None]
-    start = start_parameters(at[None] + [[0.8, -0.7]], slopes, 0.9, 1.0)
-    fit = fit_crossings(image, start, slopes, 1.0)
-    np.testing.assert_allclose(fit.pixel[0], at, atol=2e-4)
-    np.testing.assert_allclose(fit.sigma[0], np.sqrt(1.1**2 - 1 / 12), rtol=0.01)  # less the pixel's own
-    np.testing.assert_allclose(fit.arms[0], 1.0, atol=0.05)
 
 
 def test_pictures_without_a_target_are_refused_in_one_sentence():

@@ -12,7 +12,7 @@ from wavefield.rig import Camera, Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.lens import LENS, project
 
-SEEDS = range(6)
+SEEDS = range(2)
 
 
 def directions(seed, widest, n=300):

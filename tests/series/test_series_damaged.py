@@ -105,19 +105,6 @@ def test_a_zarr_array_that_lost_or_broke_a_part_is_reported(tmp_path):
     assert reported >= 30
 
 
-@pytest.mark.parametrize(("name", "code"), [("a.avi", "MJPG"), ("a.mp4", "mp4v"), ("a.mkv", "FFV1")])
-def test_frames_of_a_video_come_in_any_order(tmp_path, name, code):
-    write_video(tmp_path / name, code)
-    kind, count = count_images(tmp_path / name)
-    assert (kind, count) == ("images", COUNT)
-    for k in (4, 0, 5, 2, 3, 1):
-        got = read_entry(ImageEntry(kind, str(tmp_path / name), k)).astype(int)
-        far = [np.abs(got - image).mean() for image in images().astype(int)]
-        assert int(np.argmin(far)) == k
-        assert far[k] < 12  # these codecs lose little
-    close_files()
-
-
 def test_buffers_of_davis_and_sets_of_them(tmp_path):
     lvpyio = pytest.importorskip("lvpyio", reason="LaVision's package is an extra: pip install lvpyio")
     from wavefield.series.listing import number_frames

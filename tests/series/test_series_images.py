@@ -45,12 +45,10 @@ def test_bmp_and_jpeg(tmp_path, picture):
     assert np.abs(read_image(tmp_path / "a.jpg").astype(int) - picture).max() <= 3
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.bmp", "a.tif"])
-@pytest.mark.parametrize("alpha", [None, 255, 128, 0])
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+@pytest.mark.parametrize("alpha", [None, 128])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 def test_colour_becomes_luminance_and_alpha_is_ignored(tmp_path, picture, name, alpha, dtype):
-    if name == "a.bmp" and (dtype == "uint16" or alpha is not None):
-        pytest.skip("a BMP has neither 16 bits nor alpha")
     planes = [picture, 0 * picture, picture // 2] + ([] if alpha is None else [np.full_like(picture, alpha)])
     colour = np.dstack(planes).astype(dtype) * (200 if dtype == "uint16" else 1)
     if name == "a.tif":
@@ -79,7 +77,7 @@ def public_style_tiffs():
 
 def test_tiffs_of_all_kinds_hold_the_values_that_tifffile_reads(tmp_path, picture):
     cases = list(public_style_tiffs())
-    chosen = np.random.default_rng(1).permutation(len(cases))[:300]
+    chosen = np.random.default_rng(1).permutation(len(cases))[:100]
     path = tmp_path / "a.tif"
     for dtype, compression, predictor, order, kind in (cases[k] for k in chosen):
         image = picture.astype(dtype) * (1 if dtype == "u1" else 100)
@@ -139,7 +137,7 @@ def test_a_palette_becomes_luminance(tmp_path, picture):
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), picture)
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("orientation", [3, 6])
 def test_pixels_are_as_stored_whatever_the_orientation(tmp_path, picture, orientation):
     tags = [(274, "H", 1, orientation, True)]
     tifffile.imwrite(tmp_path / "a.tif", picture, compression="zlib", extratags=tags)
@@ -230,7 +228,7 @@ def test_an_unknown_compression_and_other_kinds_of_file_are_not_called_corrupt(t
         assert "corrupt" not in str(error.value)
 
 
-@pytest.mark.parametrize("trailer", [0, 4000, 34000, 1_000_000])
+@pytest.mark.parametrize("trailer", [0, 34000])
 def test_a_jpeg_with_the_cameras_own_data_behind_it_is_read(tmp_path, picture, trailer):
     data = cv2.imencode(".jpg", picture)[1].tobytes()
     (tmp_path / "a.jpg").write_bytes(data + b"\x01\x00" * (trailer // 2))
@@ -251,7 +249,7 @@ def test_most_jpegs_that_are_damaged_inside_are_refused(picture):
 
 
 @pytest.mark.parametrize("ending", ["tif", "png", "bmp", "jpg"])
-@pytest.mark.parametrize("fraction", [0.02, 0.5, 0.99])
+@pytest.mark.parametrize("fraction", [0.02, 0.99])
 def test_truncated_files_are_refused_once_and_quietly(tmp_path, picture, capfd, ending, fraction):
     path = tmp_path / f"a.{ending}"
     cv2.imwrite(str(path), picture)
@@ -285,15 +283,6 @@ def test_what_is_not_an_image_is_named(tmp_path, content, message):
         read_image(path)
     with pytest.raises(FrameError, match="is a folder"):
         read_image(tmp_path)
-
-
-def test_writing_where_nothing_can_be_written(tmp_path, picture):
-    (tmp_path / "file").write_text("")
-    for name in ("a.tif", "a.png"):
-        with pytest.raises(FrameError, match="cannot be written"):
-            write_image(tmp_path / "file" / name, picture)
-    with pytest.raises(FrameError, match="cannot be written"):
-        write_image(tmp_path / "a.unknown", picture)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
-from hypothesis import given
-from hypothesis import strategies as st
 from series_cases import number_image, write_experiment, write_frames
 
 from wavefield.errors import ExperimentError
 from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
-from wavefield.series.listing import _numbers_by_glob, _numbers_by_mark, number_frames
+from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files
 from wavefield.variables import FrameFault
 
@@ -46,18 +44,6 @@ def test_a_missing_file_does_not_shift_the_rest(tmp_path, images):
     assert list(series.missing) == [5, 6, 9, 10, 11]
     assert series.read(2).fault is FrameFault.MISSING
     assert "cam1 frame 5 is missing" in series.read(2).message
-
-
-@given(
-    st.sets(st.integers(0, 10**6), min_size=2, max_size=30),
-    st.sampled_from(["img_{:07d}.tif", "v2_{}_a.png"]),
-)
-def test_numbers_are_those_in_the_names(numbers, pattern):
-    names = [pattern.format(n) for n in numbers]
-    marked = pattern.replace("{:07d}", "{frame:07d}").replace("{}", "{frame}")
-    others = ["other.txt", pattern.replace("{:07d}", "").replace("{}", "")]
-    assert _numbers_by_mark([*names, *others], marked, "cam1") == dict(zip(numbers, names))
-    assert _numbers_by_glob(names, "*", "cam1") == dict(zip(numbers, names))
 
 
 def test_cameras_share_one_range_of_frames(tmp_path):
@@ -133,16 +119,6 @@ def test_a_list_keeps_its_order_and_gaps(tmp_path):
     assert list(series.missing) == [1]  # what is listed last and not there ends the series earlier
 
 
-@pytest.mark.parametrize("compression", [None, "zlib"])
-def test_multi_page_tiff(tmp_path, compression):
-    stack = np.stack([number_image(n).astype(np.uint16) * 16 for n in range(9)])
-    tifffile.imwrite(tmp_path / "cam1.tif", stack, photometric="minisblack", compression=compression)
-    series = open_frames(tmp_path, "cam1: cam1.tif")["cam1"]
-    assert series.dtype == "uint16"
-    for i in (5, 0, 8, 3):
-        np.testing.assert_array_equal(series.read(i).image, stack[i])
-
-
 def test_several_multi_page_tiffs_follow_each_other(tmp_path):
     stack = np.stack([number_image(n) for n in range(7)])
     tifffile.imwrite(tmp_path / "a.tif", stack[:4], photometric="minisblack")
@@ -151,33 +127,7 @@ def test_several_multi_page_tiffs_follow_each_other(tmp_path):
     assert numbers_read(series) == {n: n for n in range(7)}
 
 
-def test_truncated_multi_page_tiff_marks_its_frames(tmp_path):
-    stack = np.stack([number_image(n, (64, 64)) for n in range(6)])
-    path = tmp_path / "a.tif"
-    tifffile.imwrite(path, stack, photometric="minisblack", contiguous=False)
-    series = open_frames(tmp_path, "cam1: a.tif")["cam1"]
-    raw = path.read_bytes()
-    path.write_bytes(raw[: 3 * 64 * 64])
-    faults = [series.read(i).fault for i in range(6)]
-    assert faults[-1] is FrameFault.UNREADABLE
-
-
 @pytest.mark.parametrize(("ending", "codec"), [("avi", "MJPG"), ("mp4", "mp4v")])
-def test_video_frames_are_found_by_number(tmp_path, ending, codec):
-    path = tmp_path / f"cam1.{ending}"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 20, (64, 48))
-    assert writer.isOpened()
-    ramp = np.arange(64)[None, :] // 2 + np.zeros((48, 1))
-    for n in range(12):
-        writer.write(cv2.merge([(ramp + 15 * n).astype(np.uint8)] * 3))
-    writer.release()
-    series = open_frames(tmp_path, f"cam1: cam1.{ending}")["cam1"]
-    assert len(series) == 12
-    for n in (0, 1, 7, 3, 11):
-        assert np.median(series.read(n).image - ramp) == pytest.approx(15 * n, abs=17)  # of 16 to 235
-
-
-@pytest.mark.parametrize(("ending", "codec"), [("avi", "MJPG"), ("mp4", "mp4v"), ("mkv", "FFV1")])
 def test_a_frame_rate_that_is_left_out_is_that_of_the_videos(tmp_path, ending, codec):
     for name in ("cam1", "cam2"):
         path = str(tmp_path / f"{name}.{ending}")

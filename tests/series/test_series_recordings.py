@@ -1,19 +1,16 @@
 """Cameras' own files, written here byte by byte from the formats' public descriptions."""
 
 import struct
-from io import BytesIO
 
 import h5py
 import numpy as np
 import pytest
-import tifffile
 import zarr
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.formats import open_recording
-from wavefield.series.formats.recording import pixels
 from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files, read_entry
 
@@ -132,22 +129,6 @@ def test_images_come_back_to_the_bit_in_any_order(recording):
     opened.close()
 
 
-@pytest.mark.parametrize("bits", [10, 12])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 7), (17, 61), (40, 64), (300, 1001)])
-def test_packed_pixels_of_any_number_are_taken_apart(bits, shape):
-    image = np.random.default_rng(bits).integers(0, 1 << bits, shape)
-    np.testing.assert_array_equal(pixels(shape, bits)[0](BytesIO(pack(image, bits))), image)
-
-
-def test_a_large_image_whose_lowest_row_comes_first_is_turned():
-    image = np.random.default_rng(3).integers(0, 1 << 16, (300, 1001)).astype("<u2")
-    np.testing.assert_array_equal(
-        pixels(image.shape, 16, upside_down=True)[0](BytesIO(image[::-1].tobytes())), image
-    )
-    with pytest.raises(EOFError):
-        pixels(image.shape, 16, upside_down=True)[0](BytesIO(image[1:].tobytes()))
-
-
 @pytest.mark.parametrize(
     "stored", [{"chunks": (1, ROWS, COLUMNS)}, {}, {"compression": "gzip"}, {"chunks": (2, 3, 8)}]
 )
@@ -183,13 +164,6 @@ def test_images_of_zarr_however_they_are_stored(tmp_path, stored, kind, version)
     np.testing.assert_array_equal(read_entry(entries[2]), images(8)[2])
     assert (read_entry(entries[4]) == 7).all()  # never written
     close_files()
-
-
-def test_an_experiment_names_the_file_as_it_is(recording, tmp_path):
-    path, bits = recording
-    entries = number_frames("{camera}" + path.suffix, tmp_path, path.stem)
-    assert sorted(entries) == list(range(COUNT))
-    np.testing.assert_array_equal(read_entry(entries[2]), images(bits)[2])
 
 
 def note(folder, text, more=""):
@@ -263,16 +237,6 @@ def test_several_datasets_are_distinguished_by_name(tmp_path):
     np.testing.assert_array_equal(read_entry(entries[1]), images(8)[1, ::-1])
     with pytest.raises(FrameError, match="no images called 'cam3/images'"):
         open_recording(tmp_path / "run.h5" / "cam3" / "images")
-    close_files()
-
-
-def test_big_tiff_of_many_pages(tmp_path):
-    with tifffile.TiffWriter(tmp_path / "cam1.tif", bigtiff=True) as tiff:
-        for image in images(12):
-            tiff.write(image, contiguous=False)
-    entries = number_frames("{camera}.tif", tmp_path, "cam1")
-    assert len(entries) == COUNT
-    np.testing.assert_array_equal(read_entry(entries[4]), images(12)[4])
     close_files()
 
 

@@ -36,10 +36,7 @@ def test_a_zarr_array_of_images_is_read_in_place(tmp_path):
     [
         ("memory://me:secret@lab/nowhere.zarr?token=hidden", "lab/nowhere.zarr"),
         ("nostore://me:secret@lab/cam1.zarr?token=hidden", "is not a Zarr array"),
-        (
-            "https://me:secret@lab/img_{frame}.tif?token=hidden",
-            "https://lab/img_{frame}.tif: image",
-        ),
+        ("https://me:secret@lab/img_{frame}.tif?token=hidden", "https://lab/img_{frame}.tif: image"),
         ("memory://lab/cam1/*.png", "put them into one Zarr array"),
     ],
 )

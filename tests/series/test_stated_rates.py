@@ -40,8 +40,7 @@ def test_a_rate_that_time_stamps_contradict_is_refused_with_both_numbers(tmp_pat
     name, write = FORMATS[kind]
     chance = np.random.default_rng(7)
     text = "a: {images: a.h5, times: a.txt}" if kind == "times" else f"a: {name}"
-    for _ in range(20):
-        factor = float(10 ** chance.uniform(-1, 1))
+    for factor in (10 ** chance.uniform(-1, 1, 20)[:6]).tolist():
         if abs(factor - 1) < 0.02:
             continue
         write(tmp_path / name, np.arange(STEPS) / 20.0)
@@ -71,7 +70,7 @@ def test_the_unit_of_time_stamps_is_named_where_it_explains_their_rate_and_not_e
     units = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
     chance = np.random.default_rng(8)
     hdf5(tmp_path / "a.h5", np.zeros(STEPS))
-    for _ in range(10):
+    for _ in range(4):
         rate, off = float(10 ** chance.uniform(0, 3)), float(chance.uniform(0.97, 1.03))
         factors = {name: factor * off for name, factor in units.items()}
         factors["seconds"] = float(10 ** chance.uniform(0.1, 2.9) * 1e3 ** chance.integers(-1, 4))
@@ -152,12 +151,6 @@ def test_cameras_in_one_place_are_refused(tmp_path):
     experiment = Experiment.load(note(tmp_path, "a: a.h5, b: b.h5", "frame_rate: 20\n"))
     with pytest.raises(RigError, match="a and b are in one place"):
         experiment.load_rig()
-
-
-@pytest.mark.parametrize("rate", ["1e-300", "1e-9", "0", "inf", "1e9"])
-def test_frame_rates_that_no_camera_has_are_refused(tmp_path, rate):
-    with pytest.raises(ExperimentError, match="frame_rate"):
-        Experiment.load(note(tmp_path, "a: a.h5", f"frame_rate: {rate}\n"))
 
 
 def test_a_polygon_of_many_corners_is_refused_at_once(tmp_path):

@@ -40,9 +40,8 @@ PATTERNS = (
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
-@pytest.mark.parametrize("seed", range(3))
-def test_every_height_of_a_traversed_plate_is_a_pose_of_its_own(tmp_path, pattern, seed):
-    draw = random.Random(seed)
+def test_every_height_of_a_traversed_plate_is_a_pose_of_its_own(tmp_path, pattern):
+    draw = random.Random(0)
     heights = {sign * draw.choice((1, 2, 3, 10, 1.5)) for sign in (-1, 1) for _ in range(4)} | {-3, 3, 0}
     for height in heights:
         for camera in ("cam1", "cam2"):

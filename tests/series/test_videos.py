@@ -94,9 +94,8 @@ def test_frames_and_their_times_are_those_of_the_container(tmp_path, kind):
         alone.close()
 
 
-@pytest.mark.parametrize("cut", [1, 5, 14])
-def test_what_a_trimmed_video_does_not_show_is_not_counted(tmp_path, cut):
-    path = tmp_path / "a.mp4"
+def test_what_a_trimmed_video_does_not_show_is_not_counted(tmp_path):
+    path, cut = tmp_path / "a.mp4", 5
     write_video(path, "libx264", EVEN, {}, 2)
     data = bytearray(path.read_bytes())
     entry = data.index(b"elst") + 12
