@@ -1,12 +1,7 @@
 """Printed targets, descriptions of targets, and files of points."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from rendering import (
     Picture,
     aprilgrid,

@@ -1,12 +1,7 @@
 """The grid of strings is found, located to a hundredth of a pixel, and refused where it is not there."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from rendering import Picture, camera_at, string_picture, string_truth
 
 from wavefield.calibration import Target, find_target

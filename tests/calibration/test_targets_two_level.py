@@ -1,14 +1,9 @@
 """Stereo PIV's target: staggered dots on two levels, a square and a triangle, partly out of view."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from scipy.ndimage import minimum_filter
-
-sys.path.insert(0, str(Path(__file__).parent))
 from rendering import Picture, camera_at, two_level_picture
+from scipy.ndimage import minimum_filter
 
 from wavefield.calibration import Target, calibrate, find_target
 from wavefield.calibration.target_images import placed_at

@@ -1,24 +1,14 @@
 """Two cameras and natural texture: elevation from a run's own path, and what helps where images are poor."""
 
 import numpy as np
-import pytest
 
 from wavefield.commands.cli import main
-from wavefield.errors import ExperimentError
-from wavefield.measurement.settings import Settings
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
 from wavefield.tank import Scene, Tank, simulate
 from wavefield.variables import Quality
-
-
-def test_presets_are_named_where_another_is_asked_for():
-    with pytest.raises(ExperimentError, match=r"one of floating, sheet, texture, not 'best'"):
-        Settings.from_dict({"preset": "best"})
-    assert Settings.from_dict({"preset": "floating"}) == Settings()
-    assert Settings.from_dict({"preset": "texture", "stereo": {"window": 40.0}}).stereo.min_correlation == 0.3
 
 
 def test_an_open_sea_is_measured_from_lenses_and_a_baseline_alone(tmp_path, capsys):

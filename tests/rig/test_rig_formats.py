@@ -27,9 +27,6 @@ def two(*without):
     return Rig({"cam1": random_camera(1, *without), "cam2": random_camera(2, *without)})
 
 
-# -- our own -----------------------------------------------------------------------------------------
-
-
 def test_own_file_keeps_every_bit(tmp_path):
     rig = Rig(two().cameras, {"date": "2026-01-01", "rms_px": {"cam1": 0.01}, "views": ["a", "b"]})
     rig.save(tmp_path / "new" / "rig.yaml")
@@ -89,9 +86,6 @@ def test_an_unknown_camera_is_reported_with_those_of_the_rig():
         two()["cam9"]
 
 
-# -- UVMAT -------------------------------------------------------------------------------------------
-
-
 def uvmat(shared):
     return shared / "data" / "piv_samples" / "Milestone" / "PCO_top.xml"
 
@@ -143,9 +137,6 @@ def test_uvmat_without_a_third_dimension_is_refused(tmp_path, shared):
     (tmp_path / "flat.xml").write_text(text)
     with pytest.raises(RigError, match="three dimensions"):
         load_rig(tmp_path / "flat.xml", sizes={"flat": (10, 10)})
-
-
-# -- VIC-3D ------------------------------------------------------------------------------------------
 
 
 def test_vic_calibration_fits_the_references_matches(shared):
@@ -207,9 +198,6 @@ def test_terms_the_other_program_lacks_are_refused(tmp_path, save):
         save(two(), tmp_path / "x.xml")
 
 
-# -- OpenCV ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("ending", ["yml", "xml"])
 def test_opencv_there_and_back(tmp_path, ending):
     rig = two()
@@ -248,8 +236,6 @@ def test_opencv_second_camera_without_a_pose_is_refused(shared):
         with pytest.raises(RigError, match="no pose"):
             load_rig(shared / "data" / "stereo_chessboard" / "intrinsics.yml", sizes=sizes)
 
-
-# -- other programs ------------------------------------------------------------------------------------
 
 K = np.array([[900.0, 0.0, 330.0], [0.0, 905.0, 250.0], [0.0, 0.0, 1.0]])
 D = np.array([-0.1, 0.02, 1e-3, -2e-3, 0.01])
@@ -313,8 +299,6 @@ def test_an_image_smaller_than_uvmats_marked_points_is_refused(shared):
     with pytest.raises(RigError, match="point marked at"):
         load_rig(uvmat(shared), sizes={"PCO_top": (1280, 1080)})
 
-
-# -- DaVis -------------------------------------------------------------------------------------------
 
 PIXEL = 0.00274  # mm
 

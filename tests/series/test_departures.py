@@ -42,21 +42,3 @@ def test_noise_of_stamps_drift_and_rounding_are_no_departures(frames):
     assert departures(thirty, thirty + 0.123, rate=29.97) is None
     slow = even + 0.004 * np.sin(2 * np.pi * even / 60.0)
     assert frames < 1000 or np.sqrt(np.mean(departures(slow) ** 2)) / RATE < 2e-4
-
-
-def test_frames_that_are_missing_have_no_departure_and_shift_nobody():
-    jitter = np.random.default_rng(3).normal(0, 1e-3, 40)
-    times = np.arange(40) / RATE + jitter
-    times[[7, 8]] = np.nan
-    found = departures(times, times)
-    assert found[7] == found[8] == 0.0
-    there = np.isfinite(times)
-    assert np.std(found[there] / RATE - jitter[there]) < 1e-4
-
-
-def test_times_of_another_rate_or_with_a_pause_are_not_used():
-    times = np.arange(50) / RATE + np.random.default_rng(1).normal(0, 1e-3, 50)
-    halved = departures(times, rate=2 * RATE)
-    np.testing.assert_allclose(halved, departures(times), atol=0.01)
-    times[25:] += 1.4
-    assert departures(times) is None

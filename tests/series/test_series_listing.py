@@ -90,18 +90,15 @@ def test_names_that_cannot_be_numbered_are_refused(tmp_path, names, images, mess
         open_frames(tmp_path, f'cam1: "cam1/{images}"')
 
 
-def test_folders_that_cannot_be_read_are_named(tmp_path):
+def test_folders_that_cannot_be_read_are_named(tmp_path, monkeypatch):
+    def deny(folder):
+        raise PermissionError(13, "Permission denied")
+
     with pytest.raises(ExperimentError, match="images of cam1: there is no folder"):
         open_frames(tmp_path, "cam1: nowhere/*.tif")
     (tmp_path / "file").write_text("")
     with pytest.raises(ExperimentError, match="is not a folder"):
         open_frames(tmp_path, "cam1: file/*.tif")
-
-
-def test_unreadable_folder_is_refused_in_one_sentence(tmp_path, monkeypatch):
-    def deny(folder):
-        raise PermissionError(13, "Permission denied")
-
     write_frames(tmp_path / "cam1", range(2))
     monkeypatch.setattr("os.listdir", deny)  # the tests may run as root, who can read everything
     with pytest.raises(

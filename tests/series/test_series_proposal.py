@@ -66,14 +66,6 @@ def test_the_lines_to_complete_are_those_of_an_experiment_file(folder):
     assert made.probes.file == "probes.csv"
 
 
-def test_numbers_that_outgrow_their_zeros_stay_one_record(tmp_path):
-    for camera in ("a", "b"):
-        (tmp_path / camera).mkdir()
-        for k in (8, 9, 10, 11):
-            (tmp_path / camera / f"{k:02d}.png").touch()
-    assert "4 images, 8 to 11" in propose(tmp_path)
-
-
 def test_names_with_a_time_and_a_number_are_proposed_as_one_camera_each(tmp_path):
     for camera in ("flir1", "flir2"):
         (tmp_path / camera).mkdir()

@@ -150,13 +150,9 @@ def test_images_of_hdf5_however_they_are_stored(tmp_path, stored, kind):
 def test_images_of_zarr_however_they_are_stored(tmp_path, stored, kind, version):
     array = zarr.create_array(
         str(tmp_path / "a.zarr"),
-        **{
-            "shape": (COUNT, ROWS, COLUMNS),
-            "dtype": kind,
-            "chunks": (1, ROWS, COLUMNS),
-            "fill_value": 7,
-            **stored,
-        },
+        **{"shape": (COUNT, ROWS, COLUMNS), "chunks": (1, ROWS, COLUMNS), **stored},
+        dtype=kind,
+        fill_value=7,
         zarr_format=version,
     )
     array[:3] = images(8)[:3]
