@@ -168,13 +168,8 @@ def test_command_finds_the_sheet_of_an_experiment(tmp_path):
     assert "wavefield rig sheet" in str(remark_on_rest(experiment, Rig(rig.cameras)))
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"sheet_thickness": 0.0}, "sheet_thickness"),
-        ({"sheet_thickness": 1e-3, "vibration": "correct"}, "leave one of the two out"),
-    ],
-)
-def test_settings_that_do_not_fit_a_sheet_are_refused(settings, words):
-    with pytest.raises(ExperimentError, match=words):
-        Settings.from_dict(settings)
+def test_settings_that_do_not_fit_a_sheet_are_refused():
+    with pytest.raises(ExperimentError, match="sheet_thickness"):
+        Settings.from_dict({"sheet_thickness": 0.0})
+    with pytest.raises(ExperimentError, match="leave one of the two out"):
+        Settings.from_dict({"sheet_thickness": 1e-3, "vibration": "correct"})

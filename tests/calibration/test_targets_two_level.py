@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 from rendering import Picture, camera_at, two_level_picture
-from scipy.ndimage import minimum_filter
 
-from wavefield.calibration import Target, calibrate, find_target
-from wavefield.calibration.target_images import placed_at
+from wavefield.calibration import Target, find_target
 from wavefield.errors import CalibrationError
 
 MESH, DEPTH, DIAMETER, EXTENT = 0.0075, 0.002, 0.0032, (-12, 12, -10, 10)
@@ -51,47 +49,6 @@ def check(camera, read, marks):
     assert len(missed) <= 0.01 * len(points)
     assert np.sqrt((error**2).mean() / 2) < 0.05
     np.testing.assert_array_equal(points.z, np.where(points.node[:, 1] % 2, -DEPTH, 0.0))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_specks_beside_the_dots_are_no_dots(seed):
-    draw = np.random.default_rng(seed)
-    camera = camera_at((416, 320), 20, draw.uniform(0, 360), draw.uniform(0, 360), 0.8, 2150.0)
-    image = picture(camera)
-    plain = find_target(image, TARGET)
-    ground = np.argwhere(minimum_filter(image < 60, 13))
-    for y, x in draw.permutation(ground)[:40]:
-        image[y - 2 : y + 2, x - 2 : x + 2] = 180
-    points = find_target(image, TARGET)
-    assert len(points) > 0.8 * len(plain)
-    assert set(map(tuple, points.node)) <= set(map(tuple, plain.node))
-
-
-@pytest.mark.slow
-def test_the_target_moved_along_z_gives_the_rig_of_a_stereo_pair():
-    """Known heights, the usual calibration of stereo PIV."""
-    cameras = {
-        name: camera_at((384, 304), 35.0, turn, 3.0, 0.8, 2000.0, k1=-0.2)
-        for name, turn in (("left", 180.0), ("right", 0.0))
-    }
-    views = {name: {} for name in cameras}
-    for seed, height in enumerate((-0.009, -0.0045, 0.0, 0.0045, 0.009)):
-        for name, camera in cameras.items():
-            shift = camera.T + camera.R @ [0.0, 0.0, height]
-            moved = type(camera)(**{**vars_of(camera), "translation": shift})
-            points = find_target(picture(moved, 1.0, seed=seed), TARGET)
-            views[name][f"z {height}"] = placed_at(points, height)
-    found = calibrate(views, TARGET, flat="", model="f k1")
-    assert found.usable, found.problems
-    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 5), np.linspace(-0.04, 0.04, 5))
-    for name, camera in cameras.items():
-        for z in (-0.009, 0.0, 0.009):
-            miss = np.array(found.rig[name].project(x, y, z)) - camera.project(x, y, z)
-            assert np.hypot(*miss).max() < 0.05
-
-
-def vars_of(camera):
-    return {name: getattr(camera, name) for name in camera.__dataclass_fields__}
 
 
 def test_a_target_without_its_marks_is_refused_with_what_was_found():
