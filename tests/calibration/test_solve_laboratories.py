@@ -9,6 +9,7 @@ from solve_cases import nodes, poses
 
 from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints, read_points
+from wavefield.calibration.target_images import placed_at
 from wavefield.commands.cli import main
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
@@ -36,9 +37,9 @@ def test_a_target_moved_along_z_calibrates_from_tables(tmp_path):
     rig, grid, rng = paper_rig(), nodes()[::2], np.random.default_rng(3)
     views = {name: {} for name in rig}
     for height in (-0.06, -0.03, 0.0, 0.03, 0.06):
-        z = np.full(len(grid), height)
+        world = np.column_stack([0.1 * grid, np.full(len(grid), height)])
         for name in rig:
-            points = seen(rig[name], grid, np.column_stack([0.1 * grid, z]), rng, 0.02, z=z, placed=True)
+            points = placed_at(seen(rig[name], grid, world, rng, 0.02), height)
             write_points(tmp_path / f"{name}{height}.csv", points)
             views[name][f"at {height}"] = read_points(tmp_path / f"{name}{height}.csv")
     found = calibrate(views, 0.1, flat="", model=MODEL)

@@ -109,18 +109,15 @@ def test_a_grid_without_all_its_rings_and_one_larger_than_stated_are_refused():
         find_target(image, Target("dots", mesh, (5, 5), diameter=diameter, origin_mark="ring"))
 
 
-def marked_dot(kind, mesh, diameter, bright):
+def marked_dot(kind, mesh, diameter):
     """Reflectance of a large grid of dots of which (20, 15) has a box or a circle around it, or is larger."""
     plain, reach = dots((40, 30), mesh, diameter, True), 0.5 * diameter + 0.12 * mesh
 
     def inside(x, y):
         u, v = x - 20 * mesh, y - 15 * mesh
         away = np.maximum(abs(u), abs(v)) if kind == "box" else np.hypot(u, v)
-        mark = {"larger": away < reach, "none": np.zeros_like(away, bool)}.get(
-            kind, abs(away - reach) < 0.03 * mesh
-        )
-        out = np.where(mark, np.maximum(plain(x, y), 0.6), plain(x, y))
-        return out if bright else 1.0 - out
+        mark = away < reach if kind == "larger" else abs(away - reach) < 0.03 * mesh
+        return 1.0 - np.where(mark, np.maximum(plain(x, y), 0.6), plain(x, y))
 
     return inside
 
@@ -132,7 +129,7 @@ def test_dots_out_of_view_are_numbered_from_an_odd_one(seed):
     diameter = rng.uniform(0.2, 0.55) * mesh
     at = np.array([20, 15]) * mesh + rng.uniform(-2, 2, 2) * mesh
     camera = camera_at(SIZE, rng.uniform(0, 40), rng.uniform(0, 360), rng.uniform(-35, 35), 2.0, 1700, at)
-    image = pattern_picture(camera, marked_dot(kind, mesh, diameter, False), PICTURE, samples=2)
+    image = pattern_picture(camera, marked_dot(kind, mesh, diameter), PICTURE, samples=2)
     points = find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="odd dot"))
     assert len(points) > 30
     axes = (np.array([[1, 0], [0, 1]]), np.array([[0, 1], [-1, 0]]))

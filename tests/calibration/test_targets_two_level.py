@@ -12,8 +12,8 @@ MARKS = (0, 0), (4, 0)
 TARGET = Target("two-level", MESH, depth=DEPTH, diameter=DIAMETER)
 
 
-def picture(camera, read=0.6, marks=MARKS, seed=0):
-    how = Picture(dark=20, bright=200, light=0.3, read=read, seed=seed)
+def picture(camera, read=0.6, marks=MARKS):
+    how = Picture(dark=20, bright=200, light=0.3, read=read)
     return two_level_picture(camera, MESH, DEPTH, DIAMETER, EXTENT, marks, how, samples=2)
 
 

@@ -18,19 +18,6 @@ def tilted(n=400, noise=0.0, seed=0):
     return x, y, 0.03 + 0.02 * x - 0.01 * y + noise * rng.normal(size=n)
 
 
-def test_levelled_rig_sees_the_surface_at_zero(rig):
-    x, y, z = tilted()
-    flat, plane = level(rig, x, y, z)
-    new = plane.axes.T @ (np.stack([x, y, z]) - [[0], [0], [plane.height]])
-    assert abs(new[2]).max() < 1e-12
-    for name in rig:
-        assert np.allclose(flat[name].project(*new), rig[name].project(x, y, z), atol=1e-8)
-    assert flat.provenance["date"] == "today"
-    assert flat.provenance["levelled"]["tilt_deg"] == pytest.approx(
-        np.degrees(np.arctan(np.hypot(0.02, 0.01)))
-    )
-
-
 def test_too_few_points_and_a_line_of_points_are_refused(rig):
     x, y, z = tilted(9)
     with pytest.raises(RigError, match="ten at least"):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rig_cases import field, random_camera
 
-from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
+from wavefield.rig.stereo import triangulate
 
 
 def seen(cameras, x, y, z):
@@ -34,24 +34,3 @@ def test_a_camera_that_does_not_see_a_point_is_left_out():
     assert got[2][[0, 2]] == pytest.approx(z[[0, 2]])
     assert np.isnan(got[2][1])
     assert np.isnan(got[3][0, :, 0]).all()
-
-
-def test_displacement_in_space_is_found_from_the_sensors():
-    cameras = [random_camera(s) for s in (1, 2, 3)]
-    x, y, z = field(4, 50)
-    J = jacobians(cameras, x, y, z)
-    assert J.shape == (50, 6, 3)
-    move = np.array([1e-7, -2e-7, 3e-7])  # small: the Jacobian is exact in the limit
-    seen = np.concatenate(
-        [
-            np.stack(c.project(x + move[0], y + move[1], z + move[2]), -1) - np.stack(c.project(x, y, z), -1)
-            for c in cameras
-        ],
-        axis=-1,
-    )
-    d, _ = solve_displacement(J, seen)
-    assert abs(d - move).max() < 1e-12
-    seen[:, 2:4] = np.nan  # the second camera's frame is missing
-    assert abs(solve_displacement(J, seen)[0] - move).max() < 1e-12
-    seen[:, 4:] = np.nan
-    assert np.isnan(solve_displacement(J, seen)[0]).all()
