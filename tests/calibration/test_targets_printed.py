@@ -201,25 +201,17 @@ def test_pictures_without_the_printed_target_are_refused():
 
 
 @pytest.mark.real_data
-def test_a_real_chessboard_is_found_by_both_cameras_with_the_same_numbers(shared):
+def test_every_sharp_real_chessboard_is_found_and_by_both_cameras_with_the_same_numbers(shared):
+    pictures = sorted((shared / "data" / "stereo_chessboard").glob("*.jpg"))
     target = Target("chessboard", 0.03, (9, 6))
-    left, right = (
-        find_target(read_image(shared / "data" / "stereo_chessboard" / name), target)
-        for name in ("left09.jpg", "right09.jpg")
-    )
-    assert len(left) == len(right) == 54
+    found = {path.name: find_target(read_image(path), target) for path in pictures}
+    assert len(found) == 26
+    assert {len(points) for points in found.values()} == {54}
+    left, right = found["left09.jpg"], found["right09.jpg"]
     order = [np.lexsort(points.node.T) for points in (left, right)]
     shift = left.pixel[order[0]] - right.pixel[order[1]]
     assert np.ptp(shift, axis=0).max() < 40  # a disparity, not a board turned round
     assert max(left.std.max(), right.std.max()) < 0.25
-
-
-@pytest.mark.real_data
-def test_every_sharp_real_chessboard_is_found(shared):
-    pictures = sorted((shared / "data" / "stereo_chessboard").glob("*.jpg"))
-    found = [find_target(read_image(path), Target("chessboard", 0.03, (9, 6))) for path in pictures]
-    assert len(found) == 26
-    assert {len(points) for points in found} == {54}
 
 
 @pytest.mark.parametrize(
