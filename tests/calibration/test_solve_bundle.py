@@ -10,7 +10,6 @@ from wavefield.tank.rigs import paper_rig
 
 @pytest.mark.slow
 def test_stated_uncertainties_are_those_that_occur():
-    """Errors of the fitted parameters over their stated uncertainty scatter by one."""
     rig = paper_rig()
     name = "cam1"
     z = []

@@ -1,4 +1,4 @@
-"""Other people's targets: moved along z, of two levels, in tables; pairs of cameras without a flat view."""
+"""Other people's targets: moved along z, of two levels, in tables."""
 
 from dataclasses import replace
 
@@ -64,7 +64,6 @@ def test_nodes_of_two_levels_are_where_they_are():
 
 
 def test_a_refused_rig_is_written_on_request_and_marked(tmp_path, capsys, undrawn):
-    """Points of 3 px: what comes of them is no rig to trust, but one to look at."""
     exact, grid, rng = paper_rig(), nodes()[::8], np.random.default_rng(7)
     for pose, (R, t) in poses(seed=2).items():
         world = np.column_stack([0.1 * grid, np.zeros(len(grid))]) @ R.T + t

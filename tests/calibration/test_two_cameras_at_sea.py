@@ -1,4 +1,4 @@
-"""Two cameras and natural texture: elevation from a run's own path, and what helps where images are poor."""
+"""An open sea measured by two cameras of which only the lenses and their distance are known."""
 
 import numpy as np
 
