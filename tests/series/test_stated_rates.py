@@ -87,28 +87,6 @@ def test_the_unit_of_time_stamps_is_named_where_it_explains_their_rate_and_not_e
 
 
 @pytest.mark.parametrize(
-    ("lines", "sentence"),
-    [
-        ([f"2024-05-03T10:31:{38 + t:06.3f}Z" for t in np.arange(STEPS) / 20], "is not one time in seconds"),
-        (
-            ["frame,timestamp [ms]", *(f"{k},{50 * k}" for k in range(STEPS))],
-            "'frame,timestamp .ms.' is not one",
-        ),
-        (
-            ["timestamp,frame", *(f"{0.05 * k},{k}" for k in range(STEPS))],
-            "'timestamp,frame' is not one time",
-        ),
-    ],
-)
-def test_times_in_other_units_are_named_and_not_taken_for_dropped_images(tmp_path, lines, sentence):
-    hdf5(tmp_path / "a.h5", np.zeros(STEPS))
-    (tmp_path / "a.txt").write_text("\n".join(lines))
-    with pytest.raises(ExperimentError, match=sentence):
-        Experiment.load(note(tmp_path, "a: {images: a.h5, times: a.txt}", "frame_rate: 20\n")).open_frames()
-    close_files()
-
-
-@pytest.mark.parametrize(
     ("order", "sentence"),
     [((0, 2, 1), "they are transposed: .*permute"), ((2, 1, 0), "time is their last axis")],
 )
