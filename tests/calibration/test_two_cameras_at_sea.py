@@ -3,6 +3,7 @@
 import numpy as np
 
 from wavefield.commands.cli import main
+from wavefield.measurement.search_range import FirstHeights
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
@@ -31,3 +32,7 @@ def test_an_open_sea_is_measured_from_lenses_and_a_baseline_alone(tmp_path, caps
     measured = (fields["quality"][0] & Quality.MEASURED) != 0
     assert measured.mean() > 0.7
     assert np.std(error[measured]) < 0.5 * pixel_size(prepared.rig, prepared.grid)
+
+
+def test_small_images_are_reported_as_too_small_for_a_search_of_elevations():
+    assert "too small to find its range" in FirstHeights((0.0, 0.0), 0, 0, (-0.05, 0.05)).sentence

@@ -33,6 +33,7 @@ def reads(monkeypatch):
 
 
 def test_one_node_per_camera_with_times_from_frame_numbers(experiment):
+    assert xr.backends.list_engines()["wavefield"].guess_can_open(experiment)
     tree = xr.open_datatree(experiment, engine="wavefield")
     assert list(tree.children) == ["cam1", "cam2"]
     assert [str(tree[name].image.camera.values) for name in tree.children] == ["cam1", "cam2"]
@@ -78,6 +79,14 @@ def test_missing_frames_are_zeros_and_a_warning(experiment):
         image = tree["cam1"].image[4].values
     assert not image.any()
     assert int(tree["cam1"].image[5, 0, 0]) == 8
+
+
+def test_images_may_be_elsewhere(experiment, tmp_path):
+    moved = tmp_path / "away" / "experiment.yaml"
+    moved.parent.mkdir()
+    moved.write_text(experiment.read_text())
+    tree = xr.open_datatree(moved, engine="wavefield", folder=str(tmp_path))
+    assert int(tree["cam1"].image[0, 0, 0]) == 3
 
 
 def test_lazy_images_travel_to_other_processes(experiment):

@@ -50,7 +50,7 @@ def test_dates_and_numbers_are_fine_names(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    "name", ["../x", "..", "/abs", "CON", "nul.txt", r"'a\b'", "1:30", "'a*'", '"a\\nb"', "''"]
+    "name", ["../x", "..", "/abs", "CON", "nul.txt", r"'a\b'", "1:30", "'a*'", '"a\\nb"', "''", 101 * "a"]
 )
 def test_names_of_cameras_and_experiments_stay_in_their_folder(tmp_path, name):
     assert "line 1: name: " in complaint(tmp_path, "name: lab", f"name: {name}")
