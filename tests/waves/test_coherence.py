@@ -1,11 +1,56 @@
+import importlib
+from itertools import combinations
+
 import dask
 import numpy as np
 import pytest
 import xarray as xr
-from independent_seas import LatticeSea
+from independent_seas import LatticeSea, random_lattice_sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
+
+coherence_module = importlib.import_module("wavefield.waves.cross")
+NAMES, PAIRS = ("rise", "w", "nl"), (("rise", "w"), ("rise", "nl"), ("w", "nl"))
+
+
+def white_cube(seed, steps=512, ny=24, nx=30):
+    rng = np.random.default_rng(seed)
+    t, y, x = axes(steps, ny, nx, 0.05, 0.04)
+    fields = {n: rng.standard_normal((steps, ny, nx), dtype="f4") for n in ("z", "z_t", "u", "v", "w")}
+    return cube(fields, t, y, x)
+
+
+@pytest.mark.slow
+def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predicted():
+    names = ("rise", "u", "v", "w")
+    pairs = tuple(combinations(names, 2))
+    means, hits, hits_k, over_k = [], [], [], []
+    for seed in range(12):
+        ring = wv.cross_spectra(white_cube(seed, steps=256), names, pairs, segment=64)
+        inside = (ring.k > 10) & (ring.k < np.pi / 0.04)
+        use = inside & (ring.omega > 5) & (ring.omega < 58)
+        for a, b in pairs:
+            samples = (ring[f"dof_{a}"] * ring[f"dof_{b}"]) ** 0.5 / 2
+            level = coherence_module.significance_level(samples)
+            gamma2 = np.abs(ring[f"S_{a}_{b}"]) ** 2 / (ring[f"E_{a}"] * ring[f"E_{b}"])
+            means.append((gamma2 * samples).where(use).mean().item())
+            hits.append((gamma2 > level).where(use).mean().item())
+        # u in the place of the nonlinear term: any two unrelated signals
+        names_of_nl = {
+            name: name.removesuffix("_u") + "_nl" for name in ("samples_rise_u", "samples_k_rise_u")
+        }
+        made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_rise_u="S_rise_nl", **names_of_nl)
+        made = made.assign(S_w_nl=ring.S_u_w.conj())
+        C = coherence_module.coherence_group(made)
+        for name in ("w", "nl"):
+            over_k.append((C[f"gamma2_{name}"] * C[f"samples_{name}"]).where(inside).mean().item())
+            hits_k.append((C[f"gamma2_{name}"] > C[f"level_{name}"]).where(inside).mean().item())
+    assert np.mean(means) == pytest.approx(1, abs=0.03)  # as exact as degrees of freedom are
+    assert np.mean(hits) == pytest.approx(0.05, abs=0.004)
+    # one number for all frequencies: 600 values where there are 50 000 above
+    assert np.mean(over_k) == pytest.approx(1, abs=0.1)
+    assert np.mean(hits_k) == pytest.approx(0.05, abs=0.025)
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +66,13 @@ def test_the_parts_add_up_to_the_whole(sea):
         difference = np.abs(C[f"C_w{ending}"] + C[f"C_nl{ending}"] - total).where(use)
         assert float(difference.max()) < 1e-12
     assert np.iscomplexobj(C.C_w)
+
+
+def test_a_linear_sea_is_coherent_where_its_waves_are(sea):
+    C = wv.coherence(sea, segment=128)
+    band = C.sel(k=slice(8, 30))
+    assert float(band.gamma2_w.min()) > 0.97
+    assert float(np.abs(np.angle(band.C_w)).max()) < 0.05
 
 
 def test_a_cancelling_nonlinear_term_lifts_the_paper_curve_above_one_and_not_the_standard_one():
@@ -44,6 +96,12 @@ def test_chunks_do_not_matter_and_lazy_stays_lazy(sea):
     xr.testing.assert_equal(lazy.compute(), wv.coherence(sea, segment=128))
 
 
+def test_cross_spectra_are_the_power_for_a_field_with_itself(sea):
+    ring = wv.cross_spectra(sea, NAMES, (("w", "w"), *PAIRS), segment=128)
+    np.testing.assert_allclose(ring.S_w_w.real, ring.E_w, rtol=1e-6)
+    assert float(np.abs(ring.S_w_w.imag).max()) < 1e-9 * float(ring.E_w.max())
+
+
 def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
     sea = linear_cube(random_waves(n=150), 400, 40, 50, dx=0.02)
     ring = wv.cross_spectra(sea, ("z", "z_t"), (("z", "z_t"),), segment=128)
@@ -52,6 +110,43 @@ def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
     # z at frame times is half a step early
     half_step = float(line.omega) * 0.05 / 2
     assert np.angle(S) == pytest.approx(-np.pi / 2 - half_step, abs=0.05)
+
+
+def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
+    names = ("rise", "w", "u")
+    ring = wv.cross_spectra(white_cube(0, steps=128), names, tuple(combinations(names, 2)), segment=32)
+    nil = {
+        "E_nl": 0 * ring.E_u,
+        "S_rise_nl": 0 * ring.S_rise_u,
+        "S_w_nl": 0 * ring.S_w_u,
+        "samples_rise_nl": ring.samples_rise_u,
+        "samples_k_rise_nl": ring.samples_k_rise_u,
+    }
+    # in pieces, since xarray keeps silent about what it divides at once; any warning is an error here
+    C = coherence_module.coherence_group(ring.assign(nil).chunk()).compute()
+    assert np.isnan(C["gamma2_nl"]).all()
+    assert np.isnan(C["gamma2_nl_komega"]).all()
+    assert np.isfinite(C["gamma2_w"]).sum() == np.isfinite(C["gamma2_tot"]).sum() > 0
+
+
+@pytest.mark.slow
+def test_of_linear_seas_the_nonlinear_term_exceeds_its_level_in_about_five_percent():
+    # neither too often nor, as with samples counted from cells that share no ridge, hardly ever
+    over = {"": [], "_komega": []}
+    for seed in (21001, 21002, 21003, 21004, 21005):
+        sea, _ = random_lattice_sea(seed)
+        cube = sea.cube(seed)
+        spectra = wv.cross_spectra(cube, ("rise", "nl"))
+        there = spectra.valid
+        for name in ("E_rise", "E_nl"):
+            there &= spectra[name] > 1e-3 * spectra[name].max()
+        found = wv.coherence(cube)
+        exceeded = found.gamma2_nl_komega > found.level_nl_komega
+        over["_komega"].append(float(exceeded.where(there).mean()))
+        strong = spectra.E_rise.sum("omega") > 1e-3 * spectra.E_rise.sum("omega").max()
+        over[""].append(float((found.gamma2_nl > found.level_nl).where(strong)[2:].mean()))
+    assert 0.01 < np.mean(over["_komega"]) < 0.1, over
+    assert np.mean(over[""]) < 0.15, over
 
 
 def test_spectra_of_a_cube_have_fewer_degrees_of_freedom_where_its_current_keeps_waves_in_the_window():
