@@ -88,7 +88,7 @@ def inside(errors: "xr.Dataset", margin: float) -> "xr.Dataset":
     epilog="""\b
 Examples:
   wavefield demo                                # into ./wavefield-demo
-  wavefield demo --scene two_cameras /tmp/two   # of two cameras
+  wavefield demo --scene two_cameras two_cameras   # of two cameras
 """
 )
 @click.argument("directory", default="wavefield-demo", type=click.Path(file_okay=False, path_type=Path))
