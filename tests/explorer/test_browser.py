@@ -383,7 +383,7 @@ def test_masks_are_drawn_with_the_mouse_and_saved_as_polygons(page, whole):
     page.page.get_by_role("button", name="Remove the last corner").click()
     page.wait(f"{model('map_mask')}.data.x.length == 4")
     page.page.keyboard.press("2")
-    page.wait(f"{model('views')}.active == 2 && {model('camera_image')}.data.image.length == 1")
+    page.wait(f"{model('views')}.active == 1 && {model('camera_image')}.data.image.length == 1")
     for number, pixel in enumerate(((20, 20), (80, 25), (50, 70)), 1):
         page.click("camera_view", *pixel)
         page.wait(f"{model('camera_mask')}.data.x.length == {number + 1}")
