@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import resource
 import shutil
 import signal
@@ -20,6 +21,7 @@ from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.pipeline.catalog import catalog_add, find_cube
 from wavefield.rig import Rig
+from wavefield.store.verdict import read_verdict
 
 CATALOG = "catalog.yaml"
 
@@ -294,3 +296,9 @@ def test_two_cameras_in_one_place_are_one_sentence(lab, capsys):
     edit(lab / "experiment.yaml", "cam3/img", "cam1/img")
     assert command("check", "experiment.yaml") == 1
     assert "cam1 and cam3 are in one place" in capsys.readouterr().out
+
+
+def test_a_pipe_in_the_place_of_a_verdict_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "verdict.json")
+    with pytest.raises(StoreError, match="it is no file"):
+        read_verdict(tmp_path / "cube.zarr")

@@ -105,6 +105,8 @@ def read_verdict(store: str | Path) -> Verdict | None:
     """The verdict on a cube, as its run left it."""
     path = beside(Path(store), "verdict", ".json")
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("it is no file")  # reading a pipe would wait for ever
         data = json.loads(path.read_text(encoding="utf-8"))
         if data.pop("checksum") != _checksum(data):
             raise ValueError("its checksum is another")
