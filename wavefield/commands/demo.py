@@ -87,8 +87,8 @@ def inside(errors: "xr.Dataset", margin: float) -> "xr.Dataset":
 @click.command(
     epilog="""\b
 Examples:
-  wavefield demo                                # into ./wavefield-demo
-  wavefield demo --scene two_cameras two_cameras   # of two cameras
+  wavefield demo                          # into ./wavefield-demo
+  wavefield demo --scene two_cameras two  # of two cameras, into ./two
 """
 )
 @click.argument("directory", default="wavefield-demo", type=click.Path(file_okay=False, path_type=Path))

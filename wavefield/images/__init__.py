@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -44,11 +43,6 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
             raise FrameError(f"{path} is a folder, not an image") from None
         except OSError as error:
             raise FrameError(f"{path} cannot be read: {error.strerror or error}") from None
-
-
-def decode_image(data: bytes, name: str) -> np.ndarray:
-    """Read one grey image, (row, column), from the bytes of a file other than IM7."""
-    return _read(BytesIO(data), name, None)
 
 
 def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:

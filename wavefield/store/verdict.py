@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from wavefield.atomic_write import check_replaceable, write_text
 from wavefield.errors import StoreError
+from wavefield.file_access import accessing
 from wavefield.store.store_paths import beside
 from wavefield.text import full_stop, one_line
 
@@ -105,15 +106,16 @@ def read_verdict(store: str | Path) -> Verdict | None:
     """The verdict on a cube, as its run left it."""
     path = beside(Path(store), "verdict", ".json")
     try:
-        if path.exists() and not path.is_file():
-            raise ValueError("it is no file")  # reading a pipe would wait for ever
-        data = json.loads(path.read_text(encoding="utf-8"))
+        with accessing(path, StoreError):
+            data = json.loads(path.read_text(encoding="utf-8"))
         if data.pop("checksum") != _checksum(data):
             raise ValueError("its checksum is another")
         remarks = [Remark(**remark) for remark in data["remarks"]]
         return Verdict.of(remarks, data["pairs"], data.get("frames", ()))
     except (FileNotFoundError, NotADirectoryError):
         return None
+    except StoreError:
+        raise
     except Exception as error:  # whatever damaged bytes hold
         raise StoreError(
             f"{path} is not a verdict as wavefield wrote it ({one_line(error)[:200]}); move it, and "
