@@ -2,7 +2,6 @@
 
 import ast
 import dataclasses
-import importlib
 import inspect
 import re
 import tomllib
@@ -76,7 +75,6 @@ def _line(rows: list[Variable], name: str = "", usual: tuple[str, ...] = ()) -> 
 
 def cube() -> str:
     """Variables of a cube."""
-    importlib.import_module("wavefield.store.layout")  # registers the ledger's variables
     lines = (
         *(
             ("z",),
@@ -88,7 +86,7 @@ def cube() -> str:
             ("u_std", "v_std", "w_std"),
         ),
         *(("quality",), ("path_frames",), ("z_level_std",), ("frame_status",), ("frame_fault",)),
-        *(("camera_shift",), tuple(f"gain/gain_{name}" for name in "zuvw")),
+        tuple(f"gain/gain_{name}" for name in "zuvw"),
     )
     rows = [
         (line[0], line[2] + (line[1] and f" ({line[1]})"))

@@ -70,9 +70,6 @@ class Measured:
     frame_status: np.ndarray  # (n,): See `wavefield.variables.FrameStatus`
     faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the whole series
     messages: list[str]  # A sentence about each of them
-    # (3,): Rotation by which each camera was corrected in each frame, by index in the whole series
-    # (`wavefield.quality.camera_motion`); empty without `vibration: correct`
-    shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
 def make_chunk(
@@ -162,21 +159,13 @@ def measure_chunk(
 
     frames = {name: ChunkFrames(source, chunk) for name, source in chunk.sources.items()}
     masks = {name: ChunkMasks(source, chunk) for name, source in chunk.sources.items()}
-    given: Mapping[str, Sequence[np.ndarray | None]] = frames
-    corrections: dict[int, dict[str, np.ndarray]] = {}
-    if geometry.settings.vibration == "correct":
-        from wavefield.quality.camera_motion import StabilizedFrames, Stabilizer
-
-        stabilizer = Stabilizer(frames, geometry)
-        given, corrections = {name: StabilizedFrames(stabilizer, name) for name in frames}, stabilizer.shifts
-    fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures, terms))
+    fields = dict(measure(frames, geometry, frame_rate, model, masks, chunk.departures, terms))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, chunk, geometry)
     _find_ranges(frames, fields, status, chunk, geometry)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
-    shifts = {chunk.start - AROUND + k: found for k, found in corrections.items()}
-    return Measured(fields, status, faults, messages, shifts)
+    return Measured(fields, status, faults, messages)
 
 
 def _find_dim_frames(
@@ -251,13 +240,6 @@ class Work:
         """Measure and write."""
         measured = measure_chunk(chunk, self.geometry, self.frame_rate, self.model)
         with accessing(self.store, StoreError, "writing"):
-            write_chunk(
-                self.store,
-                chunk.start,
-                measured.fields,
-                measured.frame_status,
-                measured.faults,
-                measured.shifts,
-            )
+            write_chunk(self.store, chunk.start, measured.fields, measured.frame_status, measured.faults)
         failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))
         return Report(chunk.start, chunk.stop, failed, tuple(measured.messages))

@@ -92,15 +92,11 @@ def learn_from(
 ) -> dict[str, Any]:
     """Learn from sample steps; frame rate in Hz."""
     from wavefield.measurement import learn
-    from wavefield.quality.camera_motion import corrected
-
-    def still(images: dict[str, Any]) -> dict[str, Any]:
-        return corrected(images, geometry)[0] if geometry.settings.vibration == "correct" else images
 
     def masks(pair: Mapping[str, Source], back: int) -> dict[str, Any]:
         return {name: source.covered(len(source) - back) for name, source in pair.items()}
 
-    steps = [(still(first), still(second)) for first, second in map(both_frames, pairs)]
+    steps = list(map(both_frames, pairs))
     covered = [(masks(pair, 2), masks(pair, 1)) for pair in pairs]
     with one_thread():  # each of them
         record = learn(steps, geometry, covered, threads, frame_rate)

@@ -27,7 +27,6 @@ from wavefield.measurement.search_range import (
     wide_enough,
 )
 from wavefield.pipeline.opened_run import image_names
-from wavefield.quality.camera_motion import refuse_unless_in_a_row
 from wavefield.quality.remarks import MIN_USEFUL_COVERAGE
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import common_field, pixel_sides, pixel_size
@@ -365,8 +364,6 @@ def prepare(
     series = {name: series[name] for name in used}
     covered = masks.footprints(experiment.mask)
     geometry = GridGeometry(rig, grid, settings, covered)
-    if settings.vibration == "correct":
-        refuse_unless_in_a_row(geometry)
     bare, folder = series, experiment.path.parent
     series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
     look = _SampleImages(series, geometry)

@@ -19,21 +19,10 @@ from wavefield.errors import StoreError
 from wavefield.store.metadata import seal_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.text import one_line
-from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find, register
+from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find
 
 # arrays of which every chunk of steps has a file of its own; the ledger is written last
-CHUNKED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
-
-register(
-    Variable(
-        "camera_shift",
-        ("camera", "frame", "part"),
-        "pixel",
-        "correction of each frame for a camera that shakes",
-        meaning="across the sight lines, px on the water: in the middle, additional at the right, at the "
-        "upper edge; only with `settings: {vibration: correct}`",
-    ),
-)
+CHUNKED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "frame_status")
 
 # value = scale * stored; -32768 is missing, and so is what does not fit into 16 bits
 PACKING = {
@@ -150,15 +139,6 @@ def _lay_out(
             attributes=row.attrs | encoding,
         )
     cameras = len(layout.cameras)
-    if recipe.settings.get("vibration") == "correct":
-        add_array(
-            group,
-            TABLE["camera_shift"],
-            shape=(cameras, n + 1, 3),
-            chunks=(cameras, steps, 3),
-            fill_value=np.nan,
-            compressors=Crc32cCodec(),
-        )
     ledger: dict[str, Any] = {
         "frame_status": {"shape": (n,), "chunks": (steps,)},
         "frame_fault": {"shape": (cameras, n + 1), "chunks": (cameras, steps)},
@@ -199,7 +179,7 @@ def gather_metadata(path: Path) -> None:
         zarr.consolidate_metadata(path)
 
 
-_PLACES = {"frame_fault": "c/0/{}", "frame_status": "c/{}", "camera_shift": "c/0/{}/0"}
+_PLACES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}
 
 
 @contextmanager

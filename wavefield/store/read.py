@@ -62,7 +62,7 @@ def _is_expected(root: Path, name: str, place: str) -> bool:
     if name not in CHUNKED or attributes.get(FINISHED):
         return True
     # "3/0/0" of "z" is chunk 3, "0/3" of "frame_fault" as well
-    number = int(place.split("/")[1 if name in ("frame_fault", "camera_shift") else 0])
+    number = int(place.split("/")[1 if name == "frame_fault" else 0])
     return name != "frame_status" and is_started(root, number)
 
 

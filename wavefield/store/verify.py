@@ -14,8 +14,6 @@ from wavefield.store.read import find_store, is_cube, open_group, open_stored, r
 from wavefield.store.write_cube import reset_chunks
 from wavefield.text import spell_ranges
 
-_BY_CAMERA = ("frame_fault", "camera_shift")  # (camera, frame)
-
 
 @dataclass(frozen=True)
 class Damage:
@@ -144,7 +142,7 @@ def _damages(
     for name in (name for name in CHUNKED if name in group):
         try:
             if read:
-                _ = group[name][:, start:stop] if name in _BY_CAMERA else group[name][start:stop]
+                _ = group[name][:, start:stop] if name == "frame_fault" else group[name][start:stop]
             elif not chunk_path(path, name, number).exists():
                 yield damage(name)
         except Exception:

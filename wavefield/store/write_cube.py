@@ -35,10 +35,9 @@ def write_chunk(
     fields: Mapping[str, np.ndarray],
     frame_status: np.ndarray,
     faults: Mapping[str, Mapping[int, FrameFault]],
-    shifts: Mapping[int, Mapping[str, np.ndarray]] | None = None,
 ) -> None:
     """Write all results of one chunk, the ledger last; no other function writes results.
-    Fields are (n, ny, nx), frame_status is (n,), shifts are (3,), px.
+    Fields are (n, ny, nx), frame_status is (n,).
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
@@ -68,8 +67,6 @@ def write_chunk(
                 if start <= index < last:
                     codes[k, index - start] = fault
         group["frame_fault"][:, start:last] = codes
-        if "camera_shift" in group:
-            group["camera_shift"][:, start:last] = _shifts(shifts or {}, layout.cameras, start, last)
         write_preview(group, start, fields)
         _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
         _write_ledger(path, group, start, frame_status)
@@ -129,17 +126,6 @@ def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
             parent for parent in file.parents if parent.is_relative_to(path / name / "c")
         )
     make_durable(folders)
-
-
-def _shifts(
-    shifts: Mapping[int, Mapping[str, np.ndarray]], cameras: Sequence[str], start: int, last: int
-) -> np.ndarray:
-    out = np.full((len(cameras), last - start, 3), np.nan, np.float32)
-    for index, found in shifts.items():
-        if start <= index < last:
-            for name, low in found.items():
-                out[cameras.index(name), index - start] = low
-    return out
 
 
 def reset_chunks(path: Path, starts: Sequence[int]) -> None:
