@@ -14,10 +14,6 @@ cube = wf.open_cube("wavefield-demo/cube.zarr")
 figures.kinematics_maps(cube.isel(time=20))
 
 # %%
-# Their course in time.
-waves = xr.open_datatree("wavefield-demo/waves.zarr", engine="zarr", consolidated=False)
-figures.balance_history(waves["kinematics"].to_dataset())
-
-# %%
 # Coherence of the rate of rise with each of them.
+waves = xr.open_datatree("wavefield-demo/waves.zarr", engine="zarr", consolidated=False)
 figures.coherence_curves(waves["coherence"].to_dataset())

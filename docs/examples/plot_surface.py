@@ -18,4 +18,4 @@ figures.velocity_map(step)
 
 # %%
 # The elevation by itself.
-figures.elevation_map(step)
+step.z.plot()

@@ -16,6 +16,3 @@ truth = xr.open_zarr("wavefield-demo/truth/truth.zarr", consolidated=False)
 errors = errors_against(cube, truth).isel(x=slice(4, -4), y=slice(4, -4))
 pixel = float(cube.attrs["pixel_size"])
 figures.error_distributions(errors, pixel)
-
-# %%
-figures.error_maps(errors, pixel)

@@ -8,7 +8,6 @@ The same water measured by three cameras and by two of them.
 import xarray as xr
 
 import wavefield as wf
-from wavefield import figures
 from wavefield.reports import errors_against
 from wavefield.variables import Quality
 
@@ -24,7 +23,7 @@ two = (
     .load()
 )
 three = wf.open_cube("wavefield-demo/cube.zarr").isel(time=slice(20, 22)).load()
-figures.elevation_map(two.isel(time=0))
+two.z.isel(time=0).plot()
 
 # %%
 # Errors of z (mm) and of the velocity (mm/s), medians over what was measured: three cameras, then two.

@@ -14,7 +14,7 @@ from bokeh.document import Document
 from wavefield.errors import ExperimentError
 from wavefield.explorer import live
 from wavefield.explorer.follow import FollowPage
-from wavefield.explorer.lights import arrival_lights, frame_features, red_lights, step_lights, summarize_step
+from wavefield.explorer.lights import arrival_lights, frame_features, red_lights
 from wavefield.explorer.live import FolderWatch, Follower
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -252,7 +252,7 @@ def test_the_page_shows_map_lights_and_cameras(followed):
     expected = 100 * follower.latest.fields["w"]
     np.testing.assert_allclose(page.sources["image"].data["image"][0], expected, rtol=1e-6)
     assert "frame 4; measured 5, skipped 0" in page.words["state"].text
-    assert page.words["lights"].text.count("<tr>") == 14
+    assert page.words["lights"].text.count("<tr>") == 12
     assert page.cameras["cam1"].source.data["image"]
     document.to_json()
 
@@ -317,34 +317,3 @@ def test_following_without_the_background_that_is_named_is_refused_as_a_run_is(t
     path.write_text(path.read_text() + 'background: "background/{camera}.tif"\n')
     with pytest.raises(ExperimentError, match=r"`wavefield background experiment\.yaml` writes it"):
         Follower(Experiment.load(path))
-
-
-# -- the light for the kinematics ---------------------------------------------------------------------------
-
-X, Y = np.meshgrid(np.arange(40) * 0.01, np.arange(30) * 0.01)
-RATE = 20.0
-PHASE = 30.0 * X + 10.0 * Y
-
-
-def wave_fields(factor=1.0, std=2e-3):
-    """One step of a wave, with w too large by a factor."""
-    k, amplitude = float(np.hypot(30.0, 10.0)), 4e-3
-    omega = np.sqrt(9.81 * k)
-    z, w = amplitude * np.cos(PHASE), factor * amplitude * omega * np.sin(PHASE)
-    u, v = (amplitude * omega * part / k * np.cos(PHASE) for part in (30.0, 10.0))
-    z_x, z_y = (-amplitude * part * np.sin(PHASE) for part in (30.0, 10.0))
-    z_t = amplitude * omega * np.sin(PHASE) - u * z_x - v * z_y
-    noise = np.random.default_rng(1).normal(0, std, X.shape)
-    out = {"z": z, "u": u, "v": v, "w": w + noise, "z_t": z_t, "eps_piv": np.full(X.shape, 0.02)}
-    out |= {f"{name}_std": np.full(X.shape, std) for name in ("u", "v", "w")}
-    out["z_std"] = np.full(X.shape, 0.5 * std / RATE)
-    return out | {"quality": np.full(X.shape, int(Quality.MEASURED), np.uint16)}
-
-
-@pytest.mark.parametrize(("factor", "state"), [(1.0, "good"), (1.07, "doubtful"), (1.4, "bad")])
-def test_water_that_does_not_move_with_its_surface_has_a_light(factor, state):
-    lights = {
-        one.name: one
-        for one in step_lights(summarize_step(wave_fields(factor), X, Y, (-0.05, 0.05), RATE), None)
-    }
-    assert lights["kinematics"].state == state, lights["kinematics"].words

@@ -16,7 +16,6 @@ from bokeh.document import Document
 from bokeh.models import Div, HoverTool, Select, Title
 from explorer_cases import create_cube, make_cube
 
-from wavefield.commands.look import _link_file
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.explorer.follow import FollowPage, follow_server
 from wavefield.explorer.lights import StatusLight
@@ -123,14 +122,6 @@ def test_tokens_differ_and_are_long(tmp_path):
     for page in pages:
         assert page.url in page._repr_html_()  # the frame of a notebook
         page.stop()
-
-
-@pytest.mark.skipif(os.name == "nt", reason="modes of files are those of POSIX")
-def test_a_browser_is_given_a_file_that_only_its_user_can_read():
-    file = _link_file("http://localhost:1/secret/")
-    assert stat.S_IMODE(file.stat().st_mode) == 0o600
-    assert "http://localhost:1/secret/" in file.read_text()
-    file.unlink()
 
 
 # -- what a browser may ask for ----------------------------------------------------------------------------

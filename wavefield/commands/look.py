@@ -1,9 +1,6 @@
 """`wavefield look` and `wavefield follow`: interactive pages of a cube, and of cameras at work."""
 
-import atexit
 import os
-import tempfile
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,41 +14,27 @@ if TYPE_CHECKING:
 _PORT = click.option(
     "--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free."
 )
-_OPEN = click.option(
-    "--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser."
-)
 LAST = 19  # niceness of a process that takes what the others leave
 
 
-def serve(server: "PageServer", open_page: bool) -> None:
+def serve(server: "PageServer") -> None:
     """Serve a page until Ctrl-C."""
     server.start()
-    announce(server.url, int(server.port or 0), open_page)
+    announce(server.url, int(server.port or 0))
     try:
         server.io_loop.start()
     except KeyboardInterrupt:
         server.stop()
 
 
-def announce(url: str, port: int, open_page: bool) -> None:
-    """Print the address of a page, with how to reach it from another machine, or open it in a browser."""
+def announce(url: str, port: int) -> None:
+    """Print the address of a page, with how to reach it from another machine."""
     click.echo(f"Open {url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):
         click.echo(
             f"From your own machine first: ssh -L {port}:localhost:{port} and this machine's name. If {port} "
             "is taken there, write another number before the colon, and in the address."
         )
-    elif open_page and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.name == "nt"):
-        webbrowser.open(_link_file(url).as_uri())
-
-
-def _link_file(url: str) -> Path:
-    """A file that leads a browser to an address, readable by this user only: command lines are not."""
-    handle, name = tempfile.mkstemp(prefix="wavefield-", suffix=".html")  # mode 0600
-    with os.fdopen(handle, "w") as stream:
-        stream.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}">')
-    atexit.register(Path(name).unlink, missing_ok=True)
-    return Path(name)
 
 
 def give_way(steps_to_come: int) -> None:
@@ -71,15 +54,9 @@ Examples:
 )
 @click.argument("source", metavar=f"{CUBE}|CATALOG", type=PATH)
 @click.argument("run", required=False)
-@click.option(
-    "--waves",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Wave store; by default the one next to the cube.",
-)
 @_PORT
-@_OPEN
-def look(source: Path, run: str | None, waves: Path | None, port: int | None, open_page: bool) -> None:
-    """Open an interactive page of a cube.
+def look(source: Path, run: str | None, port: int | None) -> None:
+    """Serve an interactive page of a cube.
 
     It shows maps, series, spectra, camera images and waves. The page can be opened from this machine only.
     While the cube is being written, the page shows new steps as they come. For a catalog name the RUN, unless
@@ -88,12 +65,12 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import session_server
 
-    session = LookSession(find_cube(source, run), waves)
+    session = LookSession(find_cube(source, run))
     record = session.record
     give_way(record.layout.steps - record.steps_done)
     server = session_server(session, port)
     session.load()
-    serve(server, open_page)
+    serve(server)
 
 
 @click.command(
@@ -106,8 +83,7 @@ Examples:
 @EXPERIMENT
 @RIG
 @_PORT
-@_OPEN
-def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool) -> None:
+def follow(experiment: Path, rig: Path | None, port: int | None) -> None:
     """Monitor cameras while they record: newest map, status lights.
 
     Measures the newest complete set of frames as often as it can, and shows how many it skips. The lights
@@ -121,5 +97,5 @@ def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool
     follower = Follower(Experiment.load(experiment), rig)
     server = follow_server(follower, port)
     follower.start()
-    serve(server, open_page)
+    serve(server)
     follower.stop()

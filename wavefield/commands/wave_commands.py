@@ -1,7 +1,6 @@
 """`wavefield analyze`, `report`, `smooth` and `paper`: from a cube to waves, pages and smoothed fields."""
 
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
 
 import click
 
@@ -10,16 +9,6 @@ from wavefield.commands.progress import Progress, print_next
 from wavefield.commands.sources import CUBE, FILE, STORE, find_cube
 from wavefield.store.store_paths import beside
 from wavefield.text import short_path
-
-
-class AnalyzeOptions(TypedDict):
-    """Options of `wavefield analyze` that are parameters of the analysis."""
-
-    segment: int | None  # Steps
-    probes: Path | None
-    gain: str | None
-    fit: dict[str, str]
-
 
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 _GIVEN = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -40,23 +29,6 @@ Examples:
     help="Steps per Welch segment; by default chosen from the record.",
 )
 @click.option(
-    "--probes", type=_GIVEN, help="CSV of wave probes; by default those that the experiment file names."
-)
-@click.option(
-    "--gain",
-    metavar="GAIN|none",
-    help="Response of the measurement to short waves, which the spectra are corrected for: by default that "
-    "stored with the cube. A gain measured on a simulated experiment, or `none`.",
-)
-@click.option(
-    "--fit",
-    multiple=True,
-    metavar="NAME=VALUE",
-    callback=campaign_commands.named,
-    help="How the current is fitted: lowest=1.5, highest=4 (Hz; by default from the spectrum), or"
-    " current_x=0.1, current_y=0 (m/s), used where the fit is refused. May be repeated.",
-)
-@click.option(
     "--workflow",
     type=_GIVEN,
     help="Where to compute: a file as in workflows/; by default the cores of this machine.",
@@ -66,8 +38,8 @@ def analyze(
     context: click.Context,
     source: campaign_commands.CommandSource,
     output: Path | None,
+    segment: int | None,
     workflow: Path | None,
-    **options: Unpack[AnalyzeOptions],
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
@@ -76,15 +48,14 @@ def analyze(
     """
     if output and source.is_catalog():
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
-    exit_status = source.for_each_cube(lambda cube: _analyze(cube, output, workflow, options))
+    exit_status = source.for_each_cube(lambda cube: _analyze(cube, output, segment, workflow))
     print_next("report", source.path)
     context.exit(exit_status)
 
 
-def _analyze(store: Path, output: Path | None, workflow: Path | None, options: AnalyzeOptions) -> int:
+def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Path | None) -> int:
     from wavefield.pipeline import analyze_on_workers, open_run
     from wavefield.pipeline.analysis import analyze as analyze_cube
-    from wavefield.series.probes import read_probes
     from wavefield.store.ledger import unfinished_note
 
     note = unfinished_note(store)
@@ -92,17 +63,13 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, options: A
         click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
     run = open_run(store)
-    probes = read_probes(options["probes"]) if options["probes"] else run.probes
-    if probes is None and run.experiment is not None and run.experiment.probes:
+    if run.probes is None and run.experiment is not None and run.experiment.probes:
         click.echo(f"note: without the probes {run.reason('probes')}", err=True)
-    gain: Any = False if options["gain"] == "none" else options["gain"]
-    more: dict[str, Any] = {"segment": options["segment"], "fit": options["fit"] or None}
-    more |= {"probes": probes, "gain": gain}
     with Progress(f"Analysing {short_path(store)}") as progress:
         if workflow:
-            analyze_on_workers(store, output, workflow, progress=progress, **more)
+            analyze_on_workers(store, output, workflow, progress=progress, segment=segment, probes=run.probes)
         else:
-            analyze_cube(store, output, progress=progress, **more)
+            analyze_cube(store, output, progress=progress, segment=segment, probes=run.probes)
     click.echo(f"Wrote {short_path(output)}.")
     return 3 if note else 0
 
@@ -116,15 +83,8 @@ Examples:
 )
 @campaign_commands.takes_source(f"{CUBE}|CATALOG")
 @click.option("-o", "--output", type=FILE, help="HTML file to write.")
-@click.option(
-    "--waves",
-    type=_FOLDER,
-    help="Wave store; by default the one that `wavefield analyze` writes beside the cube.",
-)
 @click.pass_context
-def report(
-    context: click.Context, source: campaign_commands.CommandSource, output: Path | None, waves: Path | None
-) -> None:
+def report(context: click.Context, source: campaign_commands.CommandSource, output: Path | None) -> None:
     """Write the report of a cube: one HTML file that opens offline.
 
     For a catalog: the report of every run, and next to the catalog (or as -o) one page that compares them.
@@ -134,7 +94,7 @@ def report(
     def work(cube: Path, page: Path | None = None) -> int:
         page = page or beside(cube, "report", ".html")
         with Progress(f"Drawing {short_path(page)}", "parts") as progress:
-            write(cube, page, waves=waves, progress=progress)
+            write(cube, page, progress=progress)
         click.echo(f"Wrote {short_path(page)}; open it in a browser.")
         return 0
 
@@ -143,8 +103,6 @@ def report(
         status = work(cube, output)
         print_next("look", cube)
         context.exit(status)
-    if waves:
-        raise click.UsageError("the waves of a campaign are next to its cubes; leave out --waves")
     from wavefield.reports.campaign import compare
 
     cubes = source.cubes()
@@ -162,8 +120,7 @@ def report(
 @STORE
 @click.option("--rest", type=_FOLDER, help="Cube of still water, from the same cameras.")
 @click.option("-o", "--output", type=FILE, help="HTML file to write.")
-@click.option("--waves", type=_FOLDER, help="Wave store; by default the one next to the cube.")
-def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | None) -> None:
+def paper(store: Path, rest: Path | None, output: Path | None) -> None:
     """Write the figures and numbers of the method's paper.
 
     One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, still water, the
@@ -174,7 +131,7 @@ def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | Non
 
     output = output or beside(store, "paper", ".html")
     with Progress(f"Drawing {output}", "parts") as progress:
-        write(store, output, rest=rest, waves=waves, progress=progress)
+        write(store, output, rest=rest, progress=progress)
     click.echo(f"Wrote {output}; open it in a browser.")
     print_next("look", store)
 

@@ -77,9 +77,8 @@ class FollowPage:
             "map", image=parts.IMAGE, arrows="x y", probes="x y name align offset"
         )
         if probes is not None:
-            gauges, x, y = [str(name) for name in probes.probe.values], probes.probe_x, probes.probe_y
-            columns = parts.probe_columns(gauges, x.values, y.values, float(x.mean()))
-            self.sources["probes"].data = columns
+            names, x, y = probes.probe.values.astype(str), probes.probe_x.values, probes.probe_y.values
+            self.sources["probes"].data = parts.probe_columns(names, x, y, float(np.nanmean(x)))
         self.map = self._draw_map()
         self.cameras = {name: CameraView(name) for name in follower.experiment.cameras}
 

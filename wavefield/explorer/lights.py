@@ -8,15 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.quality.cameras import blur
-from wavefield.quality.record import kinematic_misfit
-from wavefield.quality.remarks import RECORD_LIMITS
 from wavefield.robust import PER_MEDIAN
 from wavefield.text import spell_time
 from wavefield.variables import Quality
 
 State = Literal["good", "doubtful", "bad", "unknown"]
 Limits = tuple[float, float]  # for doubtful, for bad
-Array = NDArray[np.floating]
 _CELL_PX = 16  # every cell of this size should contain a bead
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)  # largest grey levels of 8, 10, 12, 14 and 16 bits
 _BEAD_SIZE_PX = 1024  # size of the part in which the beads are measured
@@ -27,7 +24,7 @@ T = TypeVar("T")
 _RANK: dict[State, int] = {"good": 0, "unknown": 1, "doubtful": 2, "bad": 3}
 # the order in which bad lights are named: causes before their consequences
 _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "focus", "eps_y", "eps'",
-          "kinematics", "range of z", "coverage", "tilt")  # fmt: skip
+          "range of z", "coverage")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,11 +39,8 @@ class LightLimits:
     eps_y: Limits = (0.5, 1.0)  # mismatch of sight lines, px
     matched: Limits = (0.5, 0.2)  # fraction of the visible blocks
     eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
-    # residual of the kinematic condition over its standard uncertainty
-    kinematics: Limits = (RECORD_LIMITS.kinematic_misfit, RECORD_LIMITS.kinematic_misfit_grave)
     coverage: Limits = (0.6, 0.3)  # fraction of measured nodes
     range_used: Limits = (0.8, 0.95)  # largest elevation, as a fraction of the searched range
-    tilt: Limits = (3e-3, 1e-2)  # slope of the mean surface in excess of twice its uncertainty, rad
 
 
 @dataclass(frozen=True)
@@ -64,7 +58,6 @@ class RelativeLimits:
 ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames, not about their content
 LIMITS, RELATIVE = LightLimits(), RelativeLimits()
 INTERVALS = 5  # frame intervals without a new frame that are still normal
-MIN_STEPS_FOR_TILT = 20
 MIN_EPS_Y_PX = 0.15  # smallest reference for the mismatch, px
 
 
@@ -115,10 +108,6 @@ class StepSummary:
     eps_piv: float  # misfit of the cameras' displacements, rms, px
     coverage: float  # fraction of measured nodes
     range_used: float  # largest elevation as a fraction of the searched range
-    slope_x: float  # of the plane through the water
-    slope_y: float
-    height: float  # of that plane at the origin, m
-    kinematic_misfit: float = np.nan  # residual of the kinematic condition over its standard uncertainty
 
 
 @dataclass(frozen=True)
@@ -129,30 +118,20 @@ class PairSummary:
     matched: float  # fraction of the visible blocks that match
 
 
-def summarize_step(
-    fields: Mapping[str, NDArray[Any]], x: Array, y: Array, z_range: tuple[float, float], rate: float
-) -> StepSummary:
-    """Numbers of a measured step; fields, x and y (ny, nx), metres; frames per second."""
+def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
+    """Numbers of a measured step from its fields (ny, nx) and the searched range of z, metres."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
-        return StepSummary(np.nan, 0.0, np.nan, np.nan, np.nan, np.nan)
+        return StepSummary(np.nan, 0.0, np.nan)
     measured = valid & ((fields["quality"].astype(int) & int(Quality.FILLED)) == 0)
     misfit = np.asarray(fields["eps_piv"], float)[measured if measured.any() else valid]
     misfit = misfit[np.isfinite(misfit)]
     middle, half = 0.5 * (z_range[0] + z_range[1]), 0.5 * (z_range[1] - z_range[0])
-    series = {name: np.asarray(values)[None] for name, values in fields.items()}
-    spacing = float((x[0, -1] - x[0, 0]) / (x.shape[1] - 1))
-    axes = np.stack([x[valid], y[valid], np.ones(valid.sum())], axis=1)
-    slope_x, slope_y, height = map(float, np.linalg.lstsq(axes, z[valid], rcond=None)[0])
     return StepSummary(
         eps_piv=float(np.sqrt(np.mean(misfit**2))) if misfit.size else np.nan,
         coverage=float(np.mean(measured)),
         range_used=float(np.percentile(np.abs(z[valid] - middle), 99.5) / half),
-        slope_x=slope_x,
-        slope_y=slope_y,
-        height=height,
-        kinematic_misfit=float(kinematic_misfit(series, measured[None], spacing, rate)[0]),
     )
 
 
@@ -242,34 +221,16 @@ def arrival_lights(
 
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
-    """Misfit, kinematics, coverage and range of a measured step."""
+    """Misfit, coverage and range of a measured step."""
     coverage = _state(now.coverage, LIMITS.coverage)
     if first is not None:
         coverage = _worse(coverage, _state(_ratio(now.coverage, first.coverage), RELATIVE.coverage))
     misfit, used = _state(now.eps_piv, LIMITS.eps_piv), _state(now.range_used, LIMITS.range_used)
-    rise = _state(now.kinematic_misfit, LIMITS.kinematics)
-    words = "" if np.isfinite(now.kinematic_misfit) else "too little is measured"
     return [
         StatusLight("eps'", "", misfit, f"displacements differ by {now.eps_piv:.2f} px"),
-        StatusLight(
-            "kinematics", "", rise if not words else "unknown",
-            words or f"the surface rises as its water moves, within {now.kinematic_misfit:.1f} std",
-        ),
         StatusLight("coverage", "", coverage, f"{100 * now.coverage:.0f} % of the nodes measured"),
         StatusLight("range of z", "", used, f"{100 * now.range_used:.0f} % of it used"),
     ]  # fmt: skip
-
-
-def tilt_light(steps: Sequence[StepSummary]) -> StatusLight:
-    """Whether z = 0 is the mean surface: the plane through the water, averaged over waves."""
-    planes = np.array([[one.slope_x, one.slope_y, one.height] for one in steps if np.isfinite(one.height)])
-    if len(planes) < MIN_STEPS_FOR_TILT:
-        return StatusLight("tilt", "", "unknown", f"after {MIN_STEPS_FOR_TILT} steps")
-    mean, std = planes.mean(axis=0), planes.std(axis=0) / np.sqrt(len(planes) / 4)  # waves last some steps
-    tilt = float(np.hypot(mean[0], mean[1]))
-    state = _state(tilt - 2 * float(np.hypot(std[0], std[1])), LIMITS.tilt)
-    words = f"{1e3 * tilt:.1f} mrad, mean z {1e3 * mean[2]:+.1f} mm, {len(planes)} steps"
-    return StatusLight("tilt", "", state, words)
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:

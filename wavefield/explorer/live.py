@@ -33,11 +33,10 @@ _STEPS_BACK = 3  # older steps tried if the newest frames cannot be read yet
 _MAX_DELAY_S = 1.0  # a camera further behind the others counts as stopped
 _STEPS = 2  # the newest steps, from which the record is learned
 _MIN_PAUSE_S = 5.0  # between two learnings
-_PAUSE_PER_DURATION = 3.0  # pause over the duration of the learning, which slows the measurement
+_PAUSE_PER_DURATION = 10.0  # pause over the duration of the learning, which delays the measurement
 Fields = dict[str, NDArray[Any]]
 Frames = Mapping[str, NDArray[Any] | None]
 Masks = Mapping[str, NDArray[np.bool_]]
-_TILT_STEPS = 200  # steps over which the tilt is averaged
 _PAUSE_S = 0.15  # between polls of the folders
 
 
@@ -152,7 +151,7 @@ class LiveMeasurement:
             return {}, None
         self.trouble = ""
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
-        return fields, lights.summarize_step(fields, geometry.x, geometry.y, geometry.z_range, rate)
+        return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
         """Consistency of each pair of cameras on the second frame; nothing without a rig."""
@@ -217,37 +216,22 @@ class Learner:
         self.model: Model | None = None
         self._steps: deque[tuple[tuple[Frames, Frames], tuple[Masks, Masks]]] = deque(maxlen=_STEPS)
         self._next_s = 0.0
-        self._thread: threading.Thread | None = None
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
-        """Learn from both frames of a step: the first time at once, later in a thread of its own."""
+        """Learn from both frames of a step, unless the last time is too recent: learning delays the step."""
         self._steps.append((frames, masks))
-        if self.model is None:
-            self._learn()
-        elif time.monotonic() >= self._next_s and not (self._thread and self._thread.is_alive()):
-            self._thread = threading.Thread(target=self._learn, daemon=True, name="learn")
-            self._thread.start()
-
-    def _learn(self) -> None:
         begun = time.monotonic()
-        steps = list(self._steps)
+        if self.model is not None and begun < self._next_s:
+            return
+        both, covered = ([step[k] for step in self._steps] for k in (0, 1))
         try:
-            frames, masks = ([one[i] for one in steps] for i in (0, 1))
-            record = learn(frames, self.geometry, masks, frame_rate=self._frame_rate)
+            record = learn(both, self.geometry, covered, frame_rate=self._frame_rate)
             if record is not None:
                 self.model = Model(self.geometry, record)
         except (WavefieldError, ValueError) as error:  # the model stays
             log.warning("nothing was learned from these frames: %s", error)
-        except RuntimeError as error:
-            if not str(error).startswith("cannot schedule"):  # the program ends, and its pools before it
-                raise
-        pause = max(_MIN_PAUSE_S, _PAUSE_PER_DURATION * (time.monotonic() - begun))
-        self._next_s = time.monotonic() + pause
-
-    def wait(self) -> None:
-        """Wait until the learning that goes on has ended."""
-        if self._thread is not None:
-            self._thread.join(20)
+        now = time.monotonic()
+        self._next_s = now + max(_MIN_PAUSE_S, _PAUSE_PER_DURATION * (now - begun))
 
 
 @dataclass(frozen=True)
@@ -274,7 +258,6 @@ class Follower:
         self.watch = FolderWatch(experiment)
         self._measurer = LiveMeasurement(experiment, rig)
         self._baseline = lights.Baseline()
-        self._summaries: deque[StepSummary] = deque(maxlen=_TILT_STEPS)
         self._stop = threading.Event()
         self._first: int | None = None  # number of the first frame that was taken
         self._measured = 0
@@ -297,8 +280,6 @@ class Follower:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(20)
-        if self._measurer.learner is not None:
-            self._measurer.learner.wait()
 
     def _work(self) -> None:
         while not self._stop.is_set():
@@ -367,6 +348,5 @@ class Follower:
         for name, pair in pairs.items():
             out.append(lights.pair_light(name, pair, first.of(PairSummary, name)))
         if step is not None:
-            self._summaries.append(step)
-            out += [*lights.step_lights(step, first.of(StepSummary)), lights.tilt_light(self._summaries)]
+            out += lights.step_lights(step, first.of(StepSummary))
         return out

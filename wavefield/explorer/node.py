@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from bokeh.layouts import column, row
+from bokeh.layouts import column
 from bokeh.models import Select, Span
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -97,48 +97,38 @@ class NodePanel:
         self._node: tuple[float, float] | None = None  # the picked one, m
         self._refining = False
         self._main = tuple(name for name in _MAIN if name in record.stored)
-        others = [n for n in record.stored if n not in (*_MAIN, "quality") and not n.endswith("_std")]
         self.words = parts.words_of("node_words", "Click a node of the map.", html=True)
-        self.other = Select(
-            title="Fifth series", value=others[0] if others else "", options=others, name="node_other"
-        )
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
         # One source per figure: what arrives together is painted once, and all of it must fit a browser's
         # buffer of 128 kB, or half of it is painted first.
         series = {f"{name}_series": "t value low high" for name in self._main}
-        more = {"other_series": "t value", "quality": "left right kind", "probe_series": "t value"}
+        more = {"quality": "left right kind", "probe_series": "t value"}
         spectra = {"spectrum": "f e low high", "probe_spectrum": "f e"}
         self.sources = parts.make_sources("node", **series, **more, **spectra)
         self.now = Span(dimension="height", location=0, line_color=parts.INK, line_dash="dotted")
         self.figures: dict[str, figure] = {}
-        for name in (*self._main, "other"):
+        for name in self._main:
             self.figures[name] = self._draw_series(name)
         self.spectrum = self._draw_spectrum()
-        self.other.on_change("value", lambda attr, old, new: self._show_other())
         self.which.on_change("value", lambda attr, old, new: self._show_spectrum())
         self.layout = column(
-            self.words, *self.figures.values(), self._draw_strip(), row(self.other, self.which),
-            self.spectrum, sizing_mode="stretch_width",
+            self.words, *self.figures.values(), self._draw_strip(), self.which, self.spectrum,
+            sizing_mode="stretch_width",
         )  # fmt: skip
 
     def _draw_series(self, name: str) -> figure:
         time, source = self._record.time, self.sources[f"{name}_series"]
         x_range = next(iter(self.figures.values())).x_range if self.figures else (time[0], time[-1])
-        shown = parts.chosen(self.other) if name == "other" else name
         made = parts.make_figure(
             f"node_{name}_figure", height=_SERIES_PX, x_range=x_range,
-            y_axis_label=display(shown).label if shown else "",
+            y_axis_label=display(name).label,
         )  # fmt: skip
         if not self.figures:
             made.x_range.on_change("start", lambda attr, old, new: self._zoomed())
         made.xaxis.visible = False
-        if name == "other":
-            made.line("t", "value", source=source, color=parts.BLUE, line_width=1.1)
-            parts.add_hover(made, mode="vline")
-        else:
-            parts.draw_band(made, source, "t", "value", line_width=1.1)
-            rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {display(name).unit}")
-            parts.add_hover(made, *rows, renderers=made.renderers[1:2], mode="vline")
+        parts.draw_band(made, source, "t", "value", line_width=1.1)
+        rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {display(name).unit}")
+        parts.add_hover(made, *rows, renderers=made.renderers[1:2], mode="vline")
         if name == "z":
             made.line(
                 "t", "value", source=self.sources["probe_series"], color=parts.VERMILION, line_width=1.3,
@@ -149,7 +139,7 @@ class NodePanel:
 
     def _draw_strip(self) -> figure:
         made = parts.make_figure(
-            "node_strip", height=66, x_range=self.figures["other"].x_range, y_range=(0, 1),
+            "node_strip", height=66, x_range=next(iter(self.figures.values())).x_range, y_range=(0, 1),
             x_axis_label="t (s); strip: quality",
         )  # fmt: skip
         colour = {"field": "kind", "transform": parts.quality_mapper()}
@@ -193,7 +183,7 @@ class NodePanel:
         j, i = self._index(record.y, record.x)
         values = {name: float(record.field(name, place.step)[j, i]) for name in record.stored}
         kind = quality_kind(np.array([int(values.get("quality", 0))]))[0]
-        others = [str(option) for option in self.other.options]
+        others = [n for n in record.stored if n not in (*_MAIN, "quality") and not n.endswith("_std")]
         every, near = record.preview.thin.every, self._near()
         self.words.text = (
             f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, "
@@ -223,7 +213,7 @@ class NodePanel:
 
     def _window(self) -> slice:
         """Steps in view: all of them before anyone zooms."""
-        time, view = self._record.time, self.figures["other"].x_range
+        time, view = self._record.time, next(iter(self.figures.values())).x_range
         first = int(np.searchsorted(time, view.start or time[0]))
         last = int(np.searchsorted(time, view.end or time[-1], side="right"))
         return slice(max(first - 1, 0), max(last + 1, first + 2))
@@ -240,7 +230,6 @@ class NodePanel:
             low, high = parts.band(value, std, thinned=t.size < time.size)
             self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
         self._show_probe(part)
-        self._show_other()
 
     def _show_probe(self, part: slice) -> None:
         """Draw the elevation at the probe over that of the node."""
@@ -253,17 +242,6 @@ class NodePanel:
             data = dict(zip(("t", "value"), parts.envelope(near.time.values, values)))
         if data["t"].size or len(self.sources["probe_series"].data["t"]):
             self.sources["probe_series"].data = data
-
-    def _show_other(self) -> None:
-        name = parts.chosen(self.other)
-        if self._node is None or not name:
-            return
-        shown, part = display(name), self._window()
-        self.figures["other"].yaxis.axis_label = shown.label
-        rows = [("t", "@t{0.000} s"), (name, f"@value{{0.[0000]}} {shown.unit}")]
-        self.figures["other"].hover.tooltips = rows
-        t, value = parts.envelope(self._record.time[part], self._series(name)[part])
-        self.sources["other_series"].data = {"t": t, "value": value}
 
     def _show_quality(self) -> None:
         record = self._record

@@ -19,7 +19,7 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer import parts
 from wavefield.explorer.map import MapPanel
 from wavefield.explorer.node import NodePanel
-from wavefield.explorer.parts import COLOUR_MAPS, OVERLAYS, TABS, LazyPanel, Panel, PanelEvents, Place, number
+from wavefield.explorer.parts import OVERLAYS, TABS, LazyPanel, Panel, PanelEvents, Place
 from wavefield.explorer.record import LookSession
 from wavefield.figures.display import display
 from wavefield.store.verdict import WORDS, read_verdict
@@ -96,7 +96,7 @@ class LookPage:
 
     def _make_controls(self) -> None:
         record, place, low = self.session.record, self.place, {"align": "end"}
-        maps, names = [(name, name or "automatic") for name in COLOUR_MAPS], parts.named(record.names)
+        names = parts.named(record.names)
         above = [
             Select(name="show", title="Map of", value=place.show, options=names, width=230),
             Button(name="back", label="◀", width=40, **low),
@@ -108,7 +108,6 @@ class LookPage:
             ),
         ]  # fmt: skip
         below = [
-            Select(name="colours", title="Colour map", value=place.colours, options=maps, width=105),
             NumericInput(name="low", title="Colours from", mode="float", width=90),
             NumericInput(name="high", title="to", mode="float", width=80),
             Button(name="fit", label="Fit", width=46, **low),
@@ -116,7 +115,7 @@ class LookPage:
             Select(name="drag", title="Clicks", value="move", options=DRAGS, width=105),
         ]
         self.controls = {str(one.name): one for one in (*above, *below)}
-        self.of_scale = below[:4]
+        self.of_scale = below[:3]
         for name, by in (("back", -1), ("forward", 1)):
             step = CustomJS(args={"step": self.controls["step"], "by": by}, code=_STEP)
             self.controls[name].js_on_click(step)
@@ -141,7 +140,7 @@ class LookPage:
         self.head = row(self.state, self.verdict, name="state", sizing_mode="stretch_width", styles=wrap)
 
     def _listen(self) -> None:
-        for name in ("show", "step", "colours", "overlay"):
+        for name in ("show", "step", "overlay"):
             self.controls[name].on_change("value", lambda a, o, new, name=name: self._entered(name))
         for name in ("low", "high"):
             self.controls[name].on_change("value", lambda a, o, new: self._limits_entered())
@@ -198,9 +197,9 @@ class LookPage:
         """Draw the probes on the map, and compare the node with one beside it."""
         record = self.session.record
         names, x, y = probes.probe.values.astype(str), probes.probe_x.values, probes.probe_y.values
-        self.map.mark_probes(list(names), x, y)
         self.node.probes = probes
         inside = (x >= record.x[0]) & (x <= record.x[-1]) & (y >= record.y[0]) & (y <= record.y[-1])
+        self.map.mark_probes(list(names[inside]), x[inside], y[inside])
         placed = np.isfinite(x) & np.isfinite(y)
         for words, which in (("outside the map", placed & ~inside), ("without a place", ~placed)):
             if which.any():
@@ -358,7 +357,7 @@ class LookPage:
     # -- the head --------------------------------------------------------------------------------------
 
     def _show_head(self) -> None:
-        """Show how far the run and the reading of its preview are, and the significant height."""
+        """Show how far the run and the reading of its preview are."""
         record, preview = self.session.record, self.session.record.preview
         done, steps = record.steps_done, record.layout.steps
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
@@ -367,24 +366,9 @@ class LookPage:
         if not preview.complete:
             percent = 100 * preview.count // max(int(preview.measured.sum()), 1)
             words += f"; reading the preview for series: {percent} %"
-        if height := self._significant_height():
-            words += f"; <b>Hs {height}</b>"
         for trouble in filter(None, (preview.trouble, self.trouble)):
             words += f"; {parts.plain(trouble)}"
         self.state.text = f"{self._error} {words}".strip()
-
-    def _significant_height(self) -> str:
-        """That of the analysis, with its uncertainty; empty without both."""
-        if "run" not in vars(self.session):  # not read yet
-            return ""
-        try:
-            found = self.session.run.wave_group("statistics")
-        except WavefieldError:  # the panel of the waves reports it
-            return ""
-        if found is None or not {"significant_height", "significant_height_std"} <= set(found):
-            return ""
-        height, std = (100 * float(found[f"significant_height{end}"]) for end in ("", "_std"))
-        return f"{number(height)} ± {number(std, 2)} cm"
 
     def _show_verdict(self) -> None:
         """Show the verdict that the run left, with its remarks folded."""

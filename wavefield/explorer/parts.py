@@ -32,13 +32,12 @@ from jinja2 import Environment
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from wavefield.figures.display import KINDS, display
+from wavefield.figures.display import KINDS, POSITIVE, SIGNED, display
 from wavefield.variables import TABLE
 
 TABS = ("map", "cameras", "waves")
-COLOUR_MAPS = ("", "RdBu_r", "cividis", "viridis", "inferno", "turbo", "gray")  # "": that of the variable
 OVERLAYS = ("arrows", "nothing")  # drawn on the map
-_CHOICES = {"tab": TABS, "colours": COLOUR_MAPS, "overlay": OVERLAYS}
+_CHOICES = {"tab": TABS, "overlay": OVERLAYS}
 Value = str | int | tuple[float, ...] | None
 
 
@@ -50,7 +49,6 @@ class Place:
     step: int = 0  # index of the step
     tab: str = "map"  # one of TABS
     limits: tuple[float, float] | None = None  # of the colour scale, in the displayed unit; None: fitted
-    colours: str = ""  # one of COLOUR_MAPS
     overlay: str = "arrows"  # one of OVERLAYS
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
 
@@ -62,7 +60,7 @@ class Place:
     @property
     def colour_map(self) -> str:
         """The matplotlib colour map of the displayed variable."""
-        return self.colours or display(self.coloured).colour_map
+        return display(self.coloured).colour_map
 
     def query(self) -> str:
         """The part of a link after the question mark; defaults are left out."""
@@ -108,10 +106,7 @@ INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", 
 SKY, YELLOW = "#56B4E9", "#F0E442"
 MOST_POINTS = 1000  # points of a line: two per pixel of half a page
 IMAGE = "image x y dw dh"  # columns of a source of an image
-_PALETTES = {
-    "RdBu_r": palettes.RdBu11, "cividis": palettes.Cividis256, "viridis": palettes.Viridis256,
-    "inferno": palettes.Inferno256, "turbo": palettes.Turbo256, "gray": palettes.Greys256,
-}  # fmt: skip
+_PALETTES = {SIGNED: palettes.RdBu11, POSITIVE: palettes.Cividis256}
 _KEYS = (
     ("← →", "step"), ("space", "play"), ("1–3", "views"), ("M", "mask"), ("P", "pick"), ("A", "arrows"),
     ("Home End", "first, last step"),
@@ -354,7 +349,7 @@ def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -
 
 @cache
 def palette(colour_map: str) -> list[str]:
-    """256 colours of a matplotlib colour map, one of `place.COLOUR_MAPS`."""
+    """256 colours of one of the two colour maps of the figures."""
     return list(palettes.interp_palette(_PALETTES[colour_map], 256))
 
 

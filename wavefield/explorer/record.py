@@ -190,10 +190,9 @@ class Preview:
 class LookSession:
     """What all pages of one server share: a cube, also an unfinished or damaged one, and its run."""
 
-    def __init__(self, path: str | Path, waves: str | Path | None = None) -> None:
+    def __init__(self, path: str | Path) -> None:
         self.record = CubeRecord(path)
-        usual = beside(self.record.path, "waves", ".zarr")
-        self.waves_path = Path(waves) if waves is not None else usual
+        self.waves_path = beside(self.record.path, "waves", ".zarr")
 
     @cached_property
     def run(self) -> "Run":

@@ -196,15 +196,13 @@ class ServedPage:
         return f"a page at {self.url}; `.stop()` closes it"
 
 
-def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None = 0) -> ServedPage:
+def look(cube: str | Path, *, port: int | None = 0) -> ServedPage:
     """Look at a cube in a notebook: maps, series, spectra, camera images, waves.
 
     Parameters
     ----------
     cube : path
         Store written by `run`, finished or not.
-    waves : path, optional
-        Its wave store; by default where `wavefield analyze` writes it.
     port : int, optional
         Where the page is served, on the loopback only; by default any that is free.
 
@@ -226,7 +224,7 @@ def look(cube: str | Path, *, waves: str | Path | None = None, port: int | None 
         ...
     wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
     """
-    session = LookSession(Path(str(cube).removeprefix("file://")), waves)
+    session = LookSession(Path(str(cube).removeprefix("file://")))
     loading = session.load()
     page = ServedPage(lambda: session_server(session, port))
     weakref.finalize(page, loading.join)

@@ -1,4 +1,4 @@
-"""Waves: E(k, omega) with a curve of the dispersion relation, maps at a frequency, coherence, directions."""
+"""Waves: E(k, omega) with a curve of the dispersion relation, and E(kx, ky) at one frequency."""
 
 import numpy as np
 import xarray as xr
@@ -19,13 +19,6 @@ _PLANE_PX = 340  # height of the map of (kx, ky)
 DEEP_WATER_M = 5.0  # in place of an unknown depth
 _SPECTRUM, _MAP = "E_komega_", "E_kxky_"  # prefixes of variables in the wave store
 _WRAP = {"flex-wrap": "wrap"}
-# coherence of z_t with ...: column, variable, label, colour, dash
-_CURVES = (
-    ("w", "gamma2_w", "z_t with w", parts.BLUE, "solid"),
-    ("nl", "gamma2_nl", "z_t with −u·∇z", parts.VERMILION, "dashed"),
-    ("tot", "gamma2_tot", "z_t with both", parts.INK, "dotdash"),
-    ("level", "level_w", "chance, 5 %", parts.GREEN, "dotted"),
-)
 
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -64,7 +57,6 @@ class WavePanel:
         )  # fmt: skip
         self.sources = parts.make_sources(
             "wave", image=parts.IMAGE, plane=parts.IMAGE, ruler="k f", circle="kx ky", window="left right",
-            coherence="k w nl tot level", direction="angle density",
         )  # fmt: skip
         self.picked = Span(
             dimension="width", location=0, line_color="white", line_dash="dotted", line_width=1.5
@@ -74,13 +66,8 @@ class WavePanel:
         for slider in (self.current, self.depth):
             slider.on_change("value", lambda attr, old, new: self._show_relation())
         top_row = row(self.variable, self.current, self.depth, sizing_mode="stretch_width", styles=_WRAP)
-        below = row(
-            self.figures["map"], self.figures["directions"], sizing_mode="stretch_width", styles=_WRAP
-        )
-        self.layout = column(
-            self.words, top_row, self.figures["spectrum"], below, self.figures["coherence"],
-            sizing_mode="stretch_width",
-        )  # fmt: skip
+        figures = self.figures["spectrum"], self.figures["map"]
+        self.layout = column(self.words, top_row, *figures, sizing_mode="stretch_width")
 
     def _draw(self) -> dict[str, figure]:
         source = self.sources
@@ -116,27 +103,7 @@ class WavePanel:
             plane, ("kx, ky / 2π", "$x{0.00}, $y{0.00} 1/m"),
             ("log₁₀ of E relative to its largest", "@image{0.00}"), renderers=[image],
         )  # fmt: skip
-        directions = parts.make_figure(
-            "wave_directions", height=_PLANE_PX, min_width=280, x_axis_label="direction (degrees)",
-            y_axis_label="D (1/rad)", tools="reset",
-        )  # fmt: skip
-        directions.line("angle", "density", source=source["direction"], color=parts.BLUE, line_width=1.8)
-        parts.add_hover(directions, ("direction", "@angle{0}°"), ("D", "@density{0.000} 1/rad"), mode="vline")
-        curves = parts.make_figure(
-            "wave_coherence_figure", height=240, x_axis_label="k / 2π (1/m)", y_axis_label="coherence γ²",
-            x_range=Range1d(0, 1), y_range=Range1d(0, 1.02), tools="xpan,xwheel_zoom,reset",
-        )  # fmt: skip
-        for name, _, label, colour, dash in _CURVES:
-            curves.line(
-                "k", name, source=source["coherence"], color=colour, line_dash=dash, line_width=1.8,
-                legend_label=label,
-            )  # fmt: skip
-        rows = ((label, f"@{name}{{0.000}}") for name, _, label, *_ in _CURVES)
-        parts.add_hover(
-            curves, ("k / 2π", "@k{0.00} 1/m"), *rows, renderers=curves.renderers[:1], mode="vline"
-        )
-        curves.legend.update(label_text_font_size="11px", background_fill_alpha=0.7)
-        return {"spectrum": spectrum, "map": plane, "directions": directions, "coherence": curves}
+        return {"spectrum": spectrum, "map": plane}
 
     # -- showing ---------------------------------------------------------------------------------------
 
@@ -157,8 +124,7 @@ class WavePanel:
             return
         names = [str(name) for name in self._spectra.data_vars]
         options = [name.removeprefix(_SPECTRUM) for name in names if name.startswith(_SPECTRUM)]
-        self.words.text = "Click E(k, ω) to choose a frequency for the map and the directions."
-        self._show_coherence()
+        self.words.text = "Click E(k, ω) to choose the frequency of the map."
         self.variable.update(options=options, value="w" if "w" in options else options[0])
         self._show_spectrum()
 
@@ -169,8 +135,7 @@ class WavePanel:
         hertz, cycles = energy.omega.values / (2 * np.pi), energy.k.values / (2 * np.pi)
         self.sources["image"].data = parts.image_data(log_density(energy.values), cycles, hertz)
         shortest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
-        for key in ("spectrum", "coherence"):
-            self.figures[key].x_range.update(start=0, end=min(float(cycles[-1]), 1.25 * shortest))
+        self.figures["spectrum"].x_range.update(start=0, end=min(float(cycles[-1]), 1.25 * shortest))
         self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
         title = f"log₁₀ of E(k, ω) of {parts.chosen(self.variable)}, relative to its largest"
         self.figures["spectrum"].title.text = title
@@ -186,7 +151,7 @@ class WavePanel:
         self._show_circle()
 
     def choose(self, frequency: float) -> None:
-        """Show the map and the directions nearest to a frequency, Hz."""
+        """Show the map nearest to a frequency, Hz."""
         if self._spectra is None or "omega_map" not in self._spectra.coords:
             return
         hertz = self._spectra.omega_map.values / (2 * np.pi)
@@ -205,7 +170,6 @@ class WavePanel:
         self.picked.location = hertz
         self.figures["map"].title.text = f"E(kx, ky) of {name} at {number(hertz)} Hz, the nearest stored"
         self._show_circle()
-        self._show_directions(float(energy.omega_map))
 
     def _show_circle(self) -> None:
         spectra = self._spectra
@@ -217,21 +181,3 @@ class WavePanel:
         self.sources["circle"].data = {"kx": radius * np.cos(turn), "ky": radius * np.sin(turn)}
         half = min(3 * radius, float(np.abs(spectra.kx.values).max()) / (2 * np.pi))
         self.sources["window"].data = {"left": [-half], "right": [half]}
-
-    def _show_directions(self, omega: float) -> None:
-        found = self._session.run.wave_group("direction")
-        if found is None or "D" not in found:
-            return
-        density = found.D.sel(omega_map=omega, method="nearest")
-        angle = np.degrees(density.theta.values)
-        self.sources["direction"].data = {"angle": angle, "density": density.values}
-        hertz = float(density.omega_map) / (2 * np.pi)
-        self.figures["directions"].title.text = f"directions of the waves of {number(hertz)} Hz"
-
-    def _show_coherence(self) -> None:
-        found = self._session.run.wave_group("coherence")
-        if found is not None and "gamma2_w" in found:
-            if "valid" in found:
-                found = found.where(found["valid"])  # in noise, coherence rises to 1
-            curves = {column: found[variable].values for column, variable, *_ in _CURVES}
-            self.sources["coherence"].data = {"k": found.k.values / (2 * np.pi)} | curves

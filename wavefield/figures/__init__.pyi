@@ -1,6 +1,5 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.figures.kinematics import (
-    balance_history,
     coherence_curves,
     kinematics_maps,
     nonlinear_ratio_curves,
@@ -10,7 +9,6 @@ from wavefield.figures.measurement import (
     coverage_map,
     distributions,
     error_distributions,
-    error_maps,
     fault_history,
     misfit_distributions,
     misfit_maps,
@@ -19,7 +17,7 @@ from wavefield.figures.measurement import (
     uncertainty_maps,
 )
 from wavefield.figures.rig import camera_frames, rig_views
-from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
+from wavefield.figures.surface import surface_3d, velocity_map
 from wavefield.figures.waves import (
     bicoherence_map,
     crest_curves,
@@ -28,14 +26,12 @@ from wavefield.figures.waves import (
     elevation_spectra,
     flatness_curves,
     komega_map,
-    noise_spectra,
     probe_series,
     wavenumber_spectra,
     wavevector_map,
 )
 
 __all__ = [
-    "balance_history",
     "bicoherence_map",
     "camera_frames",
     "coherence_curves",
@@ -44,17 +40,14 @@ __all__ = [
     "directions",
     "dispersion_ridge",
     "distributions",
-    "elevation_map",
     "elevation_spectra",
     "error_distributions",
-    "error_maps",
     "fault_history",
     "flatness_curves",
     "kinematics_maps",
     "komega_map",
     "misfit_distributions",
     "misfit_maps",
-    "noise_spectra",
     "nonlinear_ratio_curves",
     "plane_coherence_maps",
     "probe_series",

@@ -10,7 +10,6 @@ from wavefield.figures.style import (
     CYCLES,
     HERTZ,
     LINES,
-    RIGHT,
     cycles,
     draw_cells,
     draw_curves,
@@ -140,30 +139,4 @@ def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
         finish(ax, label, "u·∇z over w, amplitude (1)")
     for ax in axes[0]:
         ax.set_ylim(0, 1.3 * top or 1.0)
-    return figure
-
-
-def balance_history(kinematics: xr.Dataset) -> Figure:
-    """Rms of the terms of the kinematic condition over time.
-
-    Parameters
-    ----------
-    kinematics : Dataset
-        Group ``/kinematics`` of a wave store.
-
-    Returns
-    -------
-    Figure
-    """
-    figure, [[ax]] = panels(1, width=7.6, height=3.6)
-    labels = {
-        "w_rms": "w",
-        "nonlinear_rms": "u·∇z",
-        "residual_rms": "residual z_t − w + u·∇z",
-    }
-    stored = {name: label for name, label in labels.items() if name in kinematics}
-    curves = {label: 100 * kinematics[name].values for name, label in stored.items()}
-    curves = {label: values for label, values in curves.items() if np.isfinite(values).any()}
-    draw_curves(ax, kinematics.time.values, curves, log="y")
-    finish(ax, "time (s)", "rms over the grid (cm s⁻¹)", RIGHT)
     return figure

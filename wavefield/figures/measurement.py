@@ -309,26 +309,3 @@ def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
             _draw_density(ax, error.astype(float), "px", label, style, span)
         finish(ax, f"measured − exact{unit}", "probability density (px⁻¹)", ABOVE)
     return figure
-
-
-def error_maps(errors: xr.Dataset, pixel: float) -> Figure:
-    """Root mean square in time of the errors against the truth, as maps.
-
-    Parameters
-    ----------
-    errors : Dataset, (time, y, x)
-        Measured minus exact: z (m) and w (m s-1), with the attribute frame_rate (Hz).
-    pixel : float
-        Size of a pixel on the water, m.
-
-    Returns
-    -------
-    Figure
-    """
-    rate = float(errors.attrs["frame_rate"])
-    figure, axes = map_panels(errors.z, 2)
-    for ax, name, factor, label in zip(
-        axes[0], ("z", "w"), (1 / pixel, 1 / (rate * pixel)), ("z", "dz = w dt"), strict=True
-    ):
-        draw_positive_map(ax, rms_in_time(errors[name]), f"rms error of {label} (px)", factor)
-    return figure

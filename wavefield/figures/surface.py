@@ -103,20 +103,3 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
     ax.set_title(moment_title(snapshot), loc="left")
     _draw_vectors(ax, snapshot)
     return figure
-
-
-def elevation_map(snapshot: xr.Dataset) -> Figure:
-    """Elevation in colour.
-
-    Parameters
-    ----------
-    snapshot : Dataset, (y, x)
-        One step of a cube with z (m).
-
-    Returns
-    -------
-    Figure
-    """
-    figure, [[ax]] = map_panels(snapshot.z, 1, width=7.4)
-    draw_map(ax, snapshot.z, "z (cm)", factor=100, title=moment_title(snapshot))
-    return figure

@@ -205,37 +205,6 @@ def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
     return figure
 
 
-def noise_spectra(spectra: xr.Dataset, fusion: xr.Dataset) -> Figure:
-    """Noise of the stereo elevation and of the integrated w, and the weight of each in the fusion.
-
-    Parameters
-    ----------
-    spectra : Dataset
-        Group ``/spectra`` of a wave store.
-    fusion : Dataset
-        Group ``/fusion``.
-
-    Returns
-    -------
-    Figure
-    """
-    figure, [[left, right]] = panels(2)
-    curves = {
-        "elevation (fusion)": spectra.Ez_fusion.values,
-        "noise of stereo z": fusion.noise_z.values,
-        "noise of integrated w": fusion.noise_w.values,
-    }
-    draw_curves(left, hertz(fusion), curves, log="xy")
-    peak = float(np.nanmax(spectra.Ez_fusion.values))
-    if peak > 0:
-        left.set_ylim(peak * 1e-9, peak * 5)
-    finish(left, HERTZ, "spectral density (m² s rad⁻¹)")
-    weight = 100 * fusion.weight_z.values
-    draw_curves(right, hertz(fusion), {"stereo z": weight, "integrated w": 100 - weight}, LINES[1:], log="x")
-    finish(right, HERTZ, "weight in the fusion (%)", ylim=(-3, 103))
-    return figure
-
-
 def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
     """The measured points against the dispersion relation.
 

@@ -1,4 +1,4 @@
-"""Section on errors: internal, of pairs of cameras, of the spectra, and against the truth."""
+"""Section on errors: internal, of pairs of cameras, and against the truth."""
 
 import numpy as np
 import xarray as xr
@@ -10,15 +10,14 @@ from wavefield.figures.style import LINES, panels, plain_axes
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Picture, ReportSection, Table, Text
 from wavefield.reports.numbers import number, rms_of, thinned
-from wavefield.reports.waves import noise_pictures
 from wavefield.rig.field import pixel_size
 
 _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "mm/s"))
 
 
 def accuracy(run: Run) -> ReportSection:
-    """Errors: internal, between pairs of cameras, of the spectra, against the truth where it is known."""
-    items = [*_internal(run.cube), *pair_items(run), *noise_pictures(run), *_against_truth(run)]
+    """Errors: internal, between pairs of cameras, against the truth where it is known."""
+    items = [*_internal(run.cube), *pair_items(run), *_against_truth(run)]
     shown = "misfits, standard uncertainties, pairs of cameras"
     compared = ", errors against the exact fields" if run.truth is not None else ""
     return ReportSection("Accuracy", items, folded=True, gist=f"{shown}{compared}")
@@ -64,7 +63,6 @@ def _against_truth(run: Run) -> list[Item]:
             "displacements in one step.",
             f"Densities of the errors. Rms: {rms}.",
         ),
-        Picture(figures.error_maps(errors, pixel), "Maps of these errors.", "Maps of the rms of z and dz."),
     ]
 
 

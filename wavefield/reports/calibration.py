@@ -1,6 +1,7 @@
 """The page of a calibration with its pictures and numbers, and its section in a report."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from wavefield.calibration.model_choice import MODELS
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.result import Calibration
 from wavefield.errors import RigError
+from wavefield.figures import rig_views
 from wavefield.pipeline import Run
 from wavefield.reports import calibration_pictures as pictures
 from wavefield.reports.html import Head, Item, Listing, Picture, ReportSection, Table, Text, render
@@ -101,8 +103,9 @@ def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
     """The pictures of the page."""
-    cameras = [calibration.rig[name] for name in observations.cameras]
-    yield "rig", "The rig and the target's poses", pictures.rig_drawing(observations, fit, cameras)
+    with suppress(RigError):  # cameras without a common field
+        seen = common_field(calibration.rig.cameras.values())
+        yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
     yield "coverage", "Positions of the target in the images", pictures.coverage(observations)
     if surface is not None:
         title = f"z of the target in view {calibration.reference}, triangulated"

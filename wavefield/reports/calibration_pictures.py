@@ -1,4 +1,4 @@
-"""Pictures of a calibration: residuals, coverage, the flat target, the rig from the side and from above."""
+"""Pictures of a calibration: residuals, coverage, the flat target, the target in the images."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,7 +17,6 @@ from wavefield.figures.style import LINES, panels, round_down
 from wavefield.images import read_image
 from wavefield.reports.numbers import small
 from wavefield.rig import Rig
-from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # distinct for all eyes
@@ -132,43 +131,6 @@ def flat_target(surface: FlatSurface, mesh: float) -> Figure:
         fontsize=10,
         loc="left",
     )
-    return figure
-
-
-def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera]) -> Figure:
-    """The rig and the poses of the target, from the side and from above."""
-    o, g = observations, fit.geometry
-    figure = _figure(11.0, 4.4)
-    axes: Sequence[Axes] = figure.subplots(1, 2)
-    plan = o.plan[np.unique(o.node)]
-    lo, hi = plan.min(axis=0), plan.max(axis=0)
-    board = np.array([[lo[0], lo[1], 0], [hi[0], lo[1], 0], [hi[0], hi[1], 0], [lo[0], hi[1], 0]])
-    views = ((axes[0], 0, 2, "from the side"), (axes[1], 0, 1, "from above"))
-    for ax, i, j, title in views:
-        for p in np.unique(o.pose):
-            outline = board @ g.pose_R[p].T + g.pose_t[p]
-            outline = np.vstack([outline, outline[:1]])
-            ax.plot(outline[:, i], outline[:, j], color=GREY, lw=0.6, alpha=0.8, zorder=2)
-        for c, camera in enumerate(cameras):
-            colour, centre = COLOURS[c % 6], camera.centre
-            foot = np.column_stack([camera.corners(0.0), np.zeros(4)])  # of its view on z = 0
-            if np.isfinite(foot).all():
-                for corner in foot:
-                    ax.plot([centre[i], corner[i]], [centre[j], corner[j]], color=colour, lw=0.7, alpha=0.6)
-                closed = np.vstack([foot, foot[:1]])
-                ax.fill(closed[:, i], closed[:, j], color=colour, alpha=0.12, lw=0)
-                ax.plot(closed[:, i], closed[:, j], color=colour, lw=1.0)
-            ax.plot(centre[i], centre[j], "o", color=colour, ms=7, zorder=4)
-            ax.annotate(
-                o.cameras[c], (centre[i], centre[j]), (0, 8), textcoords="offset points", ha="center",
-                fontsize=9, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1},
-            )  # fmt: skip
-        ax.set(xlabel="x (m)", ylabel=("x (m)", "y (m)", "z (m)")[j], aspect="equal")
-        ax.set_title(title, fontsize=10, loc="left")
-        ax.margins(0.1)
-        ax.grid(color=PALE, lw=0.5)
-        ax.set_axisbelow(True)
-    axes[0].axhline(0.0, color=COLOURS[5], lw=1.2, zorder=1)
     return figure
 
 

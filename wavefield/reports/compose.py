@@ -25,7 +25,6 @@ def report(
     store: str | Path,
     output: str | Path | None = None,
     *,
-    waves: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Write the report of a cube as one HTML file that opens offline.
@@ -36,8 +35,6 @@ def report(
         Cube written by `run`.
     output : path, optional
         File to write; by default ``..._report.html`` next to the cube.
-    waves : path, optional
-        Its waves; by default those next to it, if there are any.
     progress : callable, optional
         Called with (sections drawn, all sections).
 
@@ -59,7 +56,7 @@ def report(
     'report.html'
     """
     output = Path(output) if output is not None else page_of(store, "report")
-    run = measured_run(store, waves)
+    run = measured_run(store)
     check_writable(output, Product("report", source_of(run.cube)), inputs=[run.store])
     return write_report(run, output, progress, read_verdict(run.store))
 
@@ -69,9 +66,9 @@ def page_of(cube: str | Path, kind: str) -> Path:
     return beside(find_store(cube), kind, ".html")
 
 
-def measured_run(store: str | Path, waves: str | Path | None = None) -> Run:
+def measured_run(store: str | Path) -> Run:
     """Open a run with at least one measured step."""
-    run = open_run(store, waves=waves)
+    run = open_run(store)
     if not (run.cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
     return run

@@ -25,7 +25,6 @@ from wavefield.reports.waves import (
 from wavefield.rig.field import pixel_size
 from wavefield.store.read import find_store, open_cube
 from wavefield.store.recipe import source_of
-from wavefield.store.store_paths import beside
 from wavefield.waves import plane_coherence
 
 _METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
@@ -36,7 +35,6 @@ def paper(
     output: str | Path | None = None,
     *,
     rest: str | Path | None = None,
-    waves: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Write the figures and numbers of the paper for one experiment as one HTML file that opens offline.
@@ -49,8 +47,6 @@ def paper(
         File to write; by default ``..._paper.html`` next to the cube.
     rest : path, optional
         Cube of still water, by the same cameras; without it there is no figure of still water.
-    waves : path, optional
-        Waves of the cube; by default those next to it,
     progress : callable, optional
         Called with (sections drawn, all sections).
 
@@ -74,9 +70,8 @@ def paper(
     output = Path(output) if output is not None else page_of(store, "paper")
     path = find_store(store)
     check_writable(output, _product(open_cube(path)), inputs=[path])
-    expected = beside(path, "waves", ".zarr") if waves is None else Path(waves)
     still = None if rest is None else measured_run(rest).cube
-    return _write(measured_run(path, expected), still, output, progress)
+    return _write(measured_run(path), still, output, progress)
 
 
 def _write(

@@ -139,28 +139,4 @@ def nonlinearity(run: Run) -> ReportSection:
     if kinematics is not None:
         share = 100 * float(kinematics.residual_fraction)
         section.gist = f"residual over nonlinear term {share:.0f} %"
-        section.items.append(
-            Picture(
-                figures.balance_history(kinematics),
-                "The terms of the kinematic condition over time.",
-                "Curves of the rms of w, of the nonlinear term and of the residual over time; residual over "
-                f"nonlinear term {share:.0f} %.",
-            )
-        )
     return section
-
-
-def noise_pictures(run: Run) -> list[Item]:
-    """The noise of stereo z and of the integrated w."""
-    group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
-    if group is None or "Ez_fusion" not in group or fusion is None or "noise_z" not in fusion:
-        return []
-    return [
-        Picture(
-            figures.noise_spectra(group, fusion),
-            "Noise of the two measurements of the elevation, estimated without a still-water record, and "
-            "the weight of each in their best combination.",
-            "Noise spectra of the elevation by stereo and by the integrated vertical velocity; weights in "
-            "percent over frequency.",
-        )
-    ]
