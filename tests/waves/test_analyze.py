@@ -216,3 +216,8 @@ def test_a_bad_cell_costs_neither_its_probe_nor_the_others(sea, probes, tmp_path
         left = wv.probe_spectra(read, omega, span)
     assert np.isnan(left.Ez_probe[0]).all()
     assert np.isfinite(left.Ez_probe[1:]).any()
+    with pytest.raises(CubeError, match="every probe lacks more than 3 values in a row"):
+        wv.probe_spectra(read.isel(probe=[0]), omega, span)
+    paused = read.isel(time=np.r_[0:500, 520 : read.sizes["time"]])
+    with pytest.raises(CubeError, match="time steps are unequal"):
+        wv.probe_spectra(paused, omega, span)

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import signal
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
@@ -17,60 +16,27 @@ Array = NDArray[Any]
 
 FIELDS = ("z", "z_t", "u", "v", "w")
 STEPS_AT_A_TIME = 256
-MIN_PERIODS = 4
-HARMONICS = 3
-
-
-def _phase_of_probe(probe: xr.DataArray, time: Array) -> tuple[Array, float]:
-    """Phase of the strongest wave of a signal (time,) at some times, rad, and its period, s."""
-    t, values = probe["time"].values.astype(float), probe.values.astype(float)
-    if not (t.size > 8 and np.isfinite(values).all()):
-        raise CubeError(
-            "the probe has gaps, or fewer than nine samples: give a signal without gaps, or period"
-        )
-    if t[0] > time[0] + 1e-9 or t[-1] < time[-1] - 1e-9:
-        raise CubeError(
-            f"the probe was recording from {t[0]:g} to {t[-1]:g} s, the cameras from {time[0]:g} to"
-            f" {time[-1]:g} s: it must cover them"
-        )
-    dt = float(np.median(np.diff(t)))
-    if not np.allclose(np.diff(t), dt, rtol=0.02):
-        raise CubeError("the steps of the probe are uneven: interpolate it to even times")
-    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(t.size))) ** 2
-    frequency = np.fft.rfftfreq(t.size, dt)
-    peak = frequency[1 + int(np.argmax(power[1:]))]
-    if peak <= 4 / (t[-1] - t[0]):
-        raise CubeError("the probe holds fewer than four periods of its strongest wave: give period")
-    # a band around the peak, so that the phase is that of this wave
-    band = np.array([0.6, 1.5]) * peak
-    filtered = signal.sosfiltfilt(
-        signal.butter(2, np.minimum(band, 0.45 / dt), "bandpass", fs=1 / dt, output="sos"), values
-    )
-    phase = np.unwrap(np.angle(signal.hilbert(filtered)))
-    return np.interp(time, t, phase), float(2 * np.pi * (t[-1] - t[0]) / (phase[-1] - phase[0]))
+MIN_PERIODS = 4  # fewer do not tell what repeats from other waves of nearly the same period
+HARMONICS = 3  # the third of Stokes waves has 3/8 (k a)^2 of the first: 3 % at k a = 0.3
 
 
 @takes(a_cube)
 def phase_average(
     cube: xr.Dataset,
-    period: float | None = None,
-    probe: xr.DataArray | None = None,
+    period: float,
     *,
     phases: int = 24,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Average a cube over the phase of a wave of known period, or of a probe's signal.
+    """Average a cube over the phase of a wave of known period.
 
     Parameters
     ----------
     cube : Dataset
         z and, where present, z_t, u, v, w over (time, y, x), m and m/s. Read once, in pieces; computed at
         once.
-    period : float, optional
+    period : float
         Period of the wave maker, s; phase 0 is at time 0 of the cube.
-    probe : DataArray, optional
-        A signal over ``time``, s, that covers the record, such as a wave probe or the stroke of a wave maker:
-        the phase is that of its strongest wave, from step to step; phase 0 is at its crests.
     phases : int
         Number of phases of a period.
     record : Record, optional
@@ -87,8 +53,7 @@ def phase_average(
     Raises
     ------
     CubeError
-        If not one of period and probe is given, the record holds fewer than four periods, a phase holds fewer
-        than two steps, or the probe does not cover the record.
+        If the record holds fewer than four periods, or a phase holds fewer than two steps.
 
     Notes
     -----
@@ -111,8 +76,6 @@ def phase_average(
     >>> round(1e3 * float(found.z_rest.mean()), 1)
     2.0
     """
-    if (period is None) == (probe is None):
-        raise CubeError("phase_average needs the period of the waves, s, or a probe: give one of the two")
     names = [name for name in FIELDS if name in cube]
     if "z" not in names:
         raise CubeError("the cube has no 'z': phase averages need it")
@@ -120,17 +83,13 @@ def phase_average(
     record = find_record(fields) if record is None else record
     steps = np.concatenate([np.arange(a, b) for a, b in record.runs])
     time = fields["time"].values.astype(float)[steps]
-    if probe is not None:
-        angle, period = _phase_of_probe(probe, time)
-    else:
-        angle = 2 * np.pi * time / float(period or 0)
-    assert period is not None
     periods = time.size * record.dt / period if period > 0 else 0.0
     if not 2 * record.dt < period or periods < MIN_PERIODS:
         raise CubeError(
             f"the record holds {periods:.3g} periods of {period:g} s, of steps of {record.dt:g} s: four"
             " periods of more than two steps are needed"
         )
+    angle = 2 * np.pi * time / period
     weights = phase_weights(angle, phases)
     if (weights > 0).sum(axis=0).min() < 2:
         raise CubeError(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft, ndimage  # scipy.signal takes a second to import
+from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.parabola import parabola_vertex
@@ -26,10 +26,10 @@ from wavefield.waves.welch import (
 
 Array = NDArray[Any]
 
-MIN_OVERLAP = 0.5  # of the elevation's record, at any lag that is tried
-MIN_SAMPLES = 40
-SAME_WAVES = 0.8  # correlation
-MIN_IMPROVEMENT = 0.1  # of the correlation, by another lag or place
+# chosen: of narrow-banded waves fewer samples, or half of a record, agree at a wrong lag too
+MIN_OVERLAP, MIN_SAMPLES = 0.5, 40  # of the elevation's record at any lag; of either
+SAME_WAVES = 0.8  # correlation; noise of a fifth of the waves' variance leaves .9
+MIN_IMPROVEMENT = 0.1  # of the correlation by another lag
 _UNITS = {1e3: "mm", 1e2: "cm", 1e6: "um", 1e-3: "km"}
 
 
@@ -43,20 +43,14 @@ class ProbeFit:
     # Seconds by which the probe's clock is ahead: its event comes that much later by its own clock
     lag: float
     gain: float  # Standard deviation of the probe over that of the elevation
-    # (float, float): Where in the cube it fits, m, if that is elsewhere than stated
-    place: tuple[float, float] | None = None
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
         """Faults of the probe, each with a remedy."""
         if abs(self.best) < SAME_WAVES:
-            if self.place is not None:
-                x, y = self.place
-                yield f"it fits the elevation at x {x:.2f}, y {y:.2f} m", "Correct its place"
-            else:
-                yield (
-                    f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
-                    "Is it in the cameras' field, of the same record, and was it wet?",
-                )
+            yield (
+                f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
+                "Check its `places` and that it is of the same record and was wet",
+            )
             return
         if self.best < 0:
             yield "it falls where the elevation rises", "Turn its sign (`factor: -1` in `probes:`)"
@@ -97,8 +91,7 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
         clock, values = series
         here = z.interp(x=x, y=y).values.astype(float)
         if np.isfinite(here).sum() >= MIN_SAMPLES:
-            fit = _fit(str(name), time, here, clock, values, dt)
-            out.append(_elsewhere(fit, z, clock, values, dt) if fit and abs(fit.best) < SAME_WAVES else fit)
+            out.append(_fit(str(name), time, here, clock, values, dt))
     return [fit for fit in out if fit is not None]
 
 
@@ -135,14 +128,13 @@ def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: f
 
 def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
     """Lags of two series (n,), and their correlation there, normalised over the overlap."""
+    from scipy.signal import correlate, correlation_lags  # takes a second to import
+
     known = [np.isfinite(v).astype(float) for v in (a, b)]
     value = [np.where(k > 0, v - np.nanmean(v), 0.0) for k, v in zip(known, (a, b))]
 
     def sums(p: Array, q: Array) -> Array:
-        full = len(p) + len(q) - 1
-        length = fft.next_fast_len(full, real=True)
-        product = fft.rfft(q, length) * np.conj(fft.rfft(p, length))
-        return np.asarray(np.roll(fft.irfft(product, length), len(p) - 1)[:full])
+        return np.asarray(correlate(q, p))
 
     count = sums(known[0], known[1])
     one, other = sums(value[0], known[1]), sums(known[0], value[1])
@@ -150,33 +142,14 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
     power = (sums(value[0] ** 2, known[1]) - one**2 / held) * (
         sums(known[0], value[1] ** 2) - other**2 / held
     )
-    peak_correlation = (sums(value[0], value[1]) - one * other / held) / np.sqrt(np.maximum(power, 1e-30))
-    lags = np.arange(-(a.size - 1), b.size)
+    found = (sums(value[0], value[1]) - one * other / held) / np.sqrt(np.maximum(power, 1e-30))
     enough = (count > least - 0.5) & (power > 1e-12 * float(np.max(power)))
-    return lags[enough], np.clip(peak_correlation[enough], -1.0, 1.0)
+    return correlation_lags(b.size, a.size)[enough], np.clip(found[enough], -1.0, 1.0)
 
 
-def _elsewhere(fit: ProbeFit, z: xr.DataArray, clock: Array, values: Array, dt: float) -> ProbeFit:
-    """The fit, with the place in the cube that matches the probe better, if its clock is right."""
-    there = np.interp(z["time"].values.astype(float), clock, values, left=np.nan, right=np.nan)
-    good = np.isfinite(there)
-    if good.sum() < MIN_SAMPLES:
-        return fit
-    field = z.values[good].astype(float)
-    field = field - field.mean(axis=0)
-    requested = there[good] - there[good].mean()
-    power = np.sqrt((field**2).sum(axis=0) * (requested**2).sum())
-    peak_correlation = np.nan_to_num(np.tensordot(requested, field, 1) / np.where(power > 0, power, np.inf))
-    row, column = np.unravel_index(int(np.argmax(peak_correlation)), peak_correlation.shape)
-    if peak_correlation[row, column] < max(SAME_WAVES, abs(fit.peak_correlation) + MIN_IMPROVEMENT):
-        return fit
-    place = float(z["x"][column]), float(z["y"][row])
-    return ProbeFit(fit.name, fit.peak_correlation, fit.best, fit.lag, fit.gain, place)
-
-
-LONGEST_GAP = 3  # samples that are bridged
-MIN_SEGMENTS_FOR_COHERENCE = 4
-COHERENCE_LINES = 9  # over which it is averaged
+LONGEST_GAP = 3  # samples that are bridged: a glitch of the logger
+MIN_SEGMENTS_FOR_COHERENCE = 4  # with fewer, coherence by chance (1 / segments) hides the waves'
+COHERENCE_LINES = 9  # over which it is averaged, against that chance
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
@@ -210,35 +183,25 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     """
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
-    time, rate, elevation = _shared_time(probes["time"].values, probes["elevation"].values, span, duration)
-    values = np.array([_bridged(row) for row in elevation])
+    inside, rate = _shared_time(probes["time"].values, span, duration)
+    values = np.array([_bridged(row) for row in probes["elevation"].values[:, inside]])
     usable = np.isfinite(values).all(axis=1)
     if not usable.any():
-        part = max((_longest_whole(row) for row in values), key=lambda part: part.stop - part.start)
-        if part.stop - part.start < 0.9 * duration * rate:
-            raise CubeError(
-                "every probe has missing values during the record, and none is whole for one segment of "
-                f"{duration:.3g} s: repair or leave out the probes"
-            )
-        warnings.warn(
-            f"every probe has missing values during the record: spectra are of {time[part.start]:g} to "
-            f"{time[part.stop - 1]:g} s, the longest part without any",
-            stacklevel=2,
+        raise CubeError(
+            f"every probe lacks more than {LONGEST_GAP} values in a row during the record: repair or leave"
+            " out the probes"
         )
-        values = values[:, part]
-        usable = np.isfinite(values).all(axis=1)
     for name, row in zip(probes["probe"].values[~usable], values[~usable]):
         warnings.warn(
             f"probe {name} is left out: {np.isnan(row).sum()} of its {row.size} values during the record are "
             f"missing, more than {LONGEST_GAP} in a row",
             stacklevel=2,
         )
-    own, density, count, coherence = _density(values, rate, duration)
+    own, density, count, coherence = _density(values[usable], rate, duration)
     # the frequencies agree where the rates divide; else straight lines between them
-    on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
-    on_grid[~usable] = np.nan
-    independent = _independent(coherence[np.ix_(usable, usable)], count)
-    dof = degrees_of_freedom(count) * np.interp(target, own, independent)
+    on_grid = np.full((usable.size, target.size), np.nan)
+    on_grid[usable] = [np.interp(target, own, row, right=np.nan) for row in density]
+    dof = degrees_of_freedom(count) * np.interp(target, own, _independent(coherence, count))
     low, high = interval(dof)
     out = xr.Dataset(
         {
@@ -270,21 +233,8 @@ def _bridged(values: Array) -> Array:
     return out
 
 
-def _longest_whole(values: Array) -> slice:
-    """The longest part of a series (n,) without NaN."""
-    known = np.concatenate([[0], np.isfinite(values).astype(int), [0]])
-    edges = np.flatnonzero(np.diff(known))
-    if not edges.size:
-        return slice(0, 0)
-    starts, stops = edges[::2], edges[1::2]
-    k = int(np.argmax(stops - starts))
-    return slice(int(starts[k]), int(stops[k]))
-
-
-def _shared_time(
-    time: Array, elevation: Array, span: tuple[float, float], duration: float
-) -> tuple[Array, float, Array]:
-    """Times during the record, their rate, and elevations (probe, n): missing where the logger paused."""
+def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
+    """Samples of the probes during the record, and their rate, 1/s."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
@@ -292,26 +242,10 @@ def _shared_time(
             f" they share less than one segment of {duration:.3g} s; check the clock of the probes or"
             " leave them out"
         )
-    time, elevation = time[inside], elevation[:, inside]
-    steps = np.diff(time)
-    rate = float((time.size - 1) / (time[-1] - time[0]))
-    step = float(np.median(steps))
-    paused = np.flatnonzero(steps > 1.5 * step)
-    if paused.size:
-        steps_between = np.delete(steps, paused)
-        step = float(steps_between.mean())
-        rate = 1 / step
-        lost = steps[paused] / step - 1
-        count = np.maximum(np.rint(lost), 1).astype(int)
-        # a pause that is no multiple of the step is not bridged: what follows has other times
-        count[np.abs(lost - count) > 0.05] += LONGEST_GAP
-        at = np.repeat(paused + 1, count)
-        after = np.concatenate([np.arange(1, n + 1) for n in count]) * step
-        elevation = np.insert(elevation, at, np.nan, axis=1)
-        time, steps = np.insert(time, at, time[at - 1] + after), steps_between
-    if np.abs(steps * rate - 1).max() > 0.01:
+    step = np.diff(time[inside])
+    if np.abs(step / step.mean() - 1).max() > 0.01:
         raise CubeError("the probes' time steps are unequal: resample them at a fixed rate first")
-    return time, rate, elevation
+    return inside, float(1 / step.mean())
 
 
 def _independent(coherence: Array, count: int) -> Array:
@@ -327,24 +261,17 @@ def _independent(coherence: Array, count: int) -> Array:
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int, Array]:
     """Frequencies, one-sided density (probe, omega), number of segments, squared coherence of each pair."""
+    from scipy.signal import csd  # takes a second to import
+
     n = min(round(duration * rate), values.shape[1])
     n -= n % 2
-    half, window = n // 2, hann(n)
-    count = segment_count(values.shape[1], n)
-    ramp = np.arange(n) - (n - 1) / 2
-    total = np.zeros((values.shape[0], values.shape[0], n // 2 + 1), complex)
-    for s in range(count):
-        part = values[:, s * half : s * half + n]
-        part = part - part.mean(axis=1, keepdims=True)
-        part = part - np.outer(part @ ramp / (ramp @ ramp), ramp)
-        lines = fft.rfft(part * window, axis=1)
-        total += lines[:, None].conj() * lines
-    power = np.einsum("iiw->iw", total).real
+    hertz, cross = csd(
+        values[:, None], values, fs=rate, window=hann(n), nperseg=n, noverlap=n // 2, detrend="linear"
+    )
+    power = np.einsum("iiw->iw", cross).real
     with np.errstate(divide="ignore", invalid="ignore"):
-        coherence = np.nan_to_num(np.abs(total) ** 2 / (power[:, None] * power))
-    density = power / (count * (window**2).sum() * rate * 2 * np.pi)
-    density[:, 1:-1] *= 2
-    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, coherence
+        coherence = np.nan_to_num(np.abs(cross) ** 2 / (power[:, None] * power))
+    return 2 * np.pi * hertz, power / (2 * np.pi), segment_count(values.shape[1], n), coherence
 
 
 def _group(probes: xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Dataset | None:
