@@ -24,28 +24,6 @@ def made(catalog, run):
     return folder / "cube.zarr"
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("intake.readers.user_parameters:SimpleUserParameter", "os:system"),
-        ("intake.readers.readers:XArrayDatasetReader", "intake.readers.readers:import_name"),
-        ('root: ""', "root: '{import(evil:root)}'"),
-        ('root: ""', "root: ['{pickle64(gASVAA==)}']"),
-        ("version: 2", "version: 2\ncls: evil:Catalog"),
-    ],
-)
-def test_a_catalog_names_drivers_of_intake_only(catalog, old, new, monkeypatch):
-    import intake
-
-    made(catalog, "calm")
-    text = catalog.read_text()
-    assert old in text
-    catalog.write_text(text.replace(old, new))
-    monkeypatch.setattr(intake, "open_catalog", lambda path: pytest.fail("it was opened"))
-    with pytest.raises(WavefieldError, match="intake's drivers"):
-        find_cube(catalog, "calm")
-
-
 def test_a_run_of_a_catalog_is_opened_by_name(catalog):
     with pytest.raises(WavefieldError, match="no cube of any run yet; make it with `wavefield run"):
         find_cube(catalog)

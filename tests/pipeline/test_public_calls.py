@@ -183,7 +183,7 @@ def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
     assert catalog_add(catalog, own_tank) == "small-tank"  # twice does no harm
     with pytest.raises(ExperimentError, match="has no run 'run99'; it has small-tank, other-tank"):
         run_catalog(catalog, ["run99"], workflow=HERE)
-    with pytest.raises(ExperimentError, match="has no parameter 'place'; it has run, recipe, location, part"):
+    with pytest.raises(ExperimentError, match="has no parameter 'place'; it has run, recipe, location"):
         run_catalog(catalog, ["other-tank"], workflow=HERE, parameters={"place": "here"})
     with pytest.raises(ExperimentError, match="one store cannot hold 2 runs"):
         run_catalog(catalog, out=tmp_path / "cube.zarr", workflow=HERE)

@@ -104,16 +104,6 @@ def test_a_catalog_sees_a_cube_that_was_measured_before(lab):
     assert command("status", CATALOG) in (0, 3)
 
 
-@pytest.mark.parametrize("address", ["{run.__class__}", "{env(SECRET)}", "{run!r}"])
-def test_addresses_of_a_catalog_are_not_format_strings(lab, monkeypatch, capsys, address):
-    monkeypatch.setenv("SECRET", "password")
-    catalog_add(CATALOG, "experiment.yaml")
-    edit(lab / CATALOG, "{run}/{recipe}/cube.zarr", f"{address}/cube.zarr")
-    printed = refused(capsys, "status", CATALOG)
-    assert "is not the name of a parameter" in printed
-    assert "password" not in printed
-
-
 @pytest.mark.parametrize(
     ("words", "size"),
     [

@@ -8,7 +8,8 @@ A catalog ``tank.yaml`` has a folder ``tank`` next to it, and in it one folder p
     tank/coriolis-07/1a2b3c4d/waves.zarr
     tank/coriolis-07/latest                 link to the recipe run last
 
-so that a changed recipe is kept next to the old one. ``run`` and ``recipe`` are parameters of the catalog.
+so that a changed recipe is kept next to the old one. Commands take files from these places; the catalog's
+entries, with the parameters ``run``, ``recipe`` and ``location``, give the same to `intake.open_catalog`.
 """
 
 import errno
@@ -20,7 +21,6 @@ from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote, urlparse
 
 import yaml
 from filelock import FileLock
@@ -33,19 +33,12 @@ from wavefield.errors import ExperimentError, StoreError
 
 if TYPE_CHECKING:  # slow to import: most commands ask only whether a file is a catalog, and of which runs
     from wavefield.execution.workflow import Workflow
-    from wavefield.pipeline.prepare import PreparedRun
     from wavefield.pipeline.running import ProgressFunction
     from wavefield.rig import Rig
     from wavefield.series import Experiment
     from wavefield.store.ledger import Status
 
-_XARRAY = "intake.readers.readers:XArrayDatasetReader"
-_DRIVERS = {  # what a catalog may have intake import, by key
-    "datatype": r"intake\.readers\.datatypes:[A-Z]\w*",
-    "reader": r"intake\.readers\.readers:[A-Z]\w*",
-    "cls": r"intake\.readers\.user_parameters:[A-Z]\w*",
-    "output_instance": r"(xarray|pandas|numpy|dask)[\w.]*:[A-Z]\w*|numpy:ndarray",
-}
+_PARAMETERS = ("run", "recipe", "location")
 
 
 def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = None) -> str:
@@ -98,7 +91,7 @@ def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> N
     """Link the folder of a cube that was measured already as that of its recipe, which becomes the latest."""
     from wavefield.store.read import is_cube, open_group
 
-    if not is_cube(cube) or "recipe" not in data["user_parameters"]:
+    if not is_cube(cube):
         return
     short = str(open_group(cube).attrs["recipe_hash"])[:8]
     folder = place / short
@@ -120,12 +113,6 @@ def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str
             f"{catalog} has no parameter `{parameter}` with options; let `wavefield catalog add` make a new "
             "catalog"
         ) from None
-
-
-def new_catalog(stem: str) -> dict[str, Any]:
-    """An intake catalog without runs."""
-    data: dict[str, Any] = yaml.safe_load(_template(stem))
-    return data
 
 
 def _template(stem: str) -> str:
@@ -175,7 +162,7 @@ def run_catalog(
     progress : callable, optional
         Called with steps done, steps of the run, and a sentence that names the run.
     parameters : mapping, optional
-        Values of the catalog's parameters.
+        ``location``: the folder of the images, if not that of the experiment file.
 
     Returns
     -------
@@ -185,7 +172,7 @@ def run_catalog(
     Raises
     ------
     ExperimentError
-        If a run or a parameter is unknown, or the catalog lacks what is needed.
+        If a run or a parameter is unknown.
 
     Examples
     --------
@@ -211,13 +198,13 @@ def run_catalog(
     for number, run in enumerate(runs, 1):
         chosen = {"run": run, **(parameters or {})}
         prepared = prepare(find_experiment(path, chosen), rig, workflow)
-        store = Path(out) if out is not None else store_of(path, chosen, prepared)
+        store = Path(out) if out is not None else _new_cube(path, run, prepared.recipe.hash[:8])
         with (
             Lock.hold(store.absolute()) as lock,
             open_cluster(prepared.workflow, jobs_folder(store), MEASURING) as mapped,
         ):
             done.append(process(prepared, lock, mapped, _named(progress, f"{run} ({number} of {len(runs)})")))
-        if out is None and store.parent.name == prepared.recipe.hash[:8]:
+        if out is None:
             _link_latest(store.parent)
     return done
 
@@ -247,64 +234,31 @@ def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
         raise ExperimentError(f"{catalog}: run {error}") from None
 
 
+def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
+    """The experiment of a run; its images are in the folder ``location`` if that is chosen."""
+    from wavefield.series import Experiment
+
+    place = _folder(catalog, chosen)
+    return Experiment.load(place / "experiment.yaml", chosen.get("location") or None)
+
+
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
     """Path of the cube of a run: that of the recipe run last, unless ``recipe`` is chosen."""
-    return Path(_local(_open_entry(Path(catalog).absolute(), "cube", chosen).kwargs["data"].url))
+    return _folder(catalog, chosen) / chosen.get("recipe", "latest") / "cube.zarr"
+
+
+def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
+    """Folder of the run that is chosen."""
+    unknown = [name for name in chosen if name not in _PARAMETERS]
+    if unknown:
+        raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(_PARAMETERS)}")
+    return Path(catalog).absolute().with_suffix("") / chosen["run"]
 
 
 def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction | None":
     if progress is None:
         return None
     return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
-
-
-def check_drivers(catalog: Path, part: object) -> None:
-    """Refuse a part of a catalog that would have intake import anything but its own drivers."""
-    if isinstance(part, str) and re.match(r"{?(import|func|pickle64)[(]", part.strip()):
-        raise ExperimentError(f"{catalog}: {part!r} would run code; a catalog can only name intake's drivers")
-    if isinstance(part, str):
-        for field in re.findall(r"{([^{}]*)}", part):
-            if not re.fullmatch(r"(data\()?[A-Za-z_]\w*(?(1)\))", field):
-                raise ExperimentError(
-                    f"{catalog}: {{{field}}} in {part!r} is not the name of a parameter, such as {{run}}"
-                )
-    if isinstance(part, list):
-        for value in part:
-            check_drivers(catalog, value)
-    if isinstance(part, dict):
-        for key, value in part.items():
-            driver = _DRIVERS.get(str(key))
-            if driver and value is not None and not re.fullmatch(driver, str(value)):
-                raise ExperimentError(
-                    f"{catalog}: {key}: {value!r} is none of intake's drivers, such as {_XARRAY}; "
-                    "correct it, or let `wavefield catalog add` make a new catalog"
-                )
-            check_drivers(catalog, value)
-
-
-def _open_entry(catalog: Path, entry: str, chosen: Mapping[str, str]) -> Any:
-    import intake
-
-    check_drivers(catalog, read_yaml(catalog))
-    opened = intake.open_catalog(str(catalog))
-    known = [name for name in opened.user_parameters if not name.isupper()]
-    unknown = [name for name in chosen if name not in known]
-    if unknown:
-        raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
-    if entry not in list(opened):
-        raise ExperimentError(f"{catalog} has no entry {entry!r}; it has {', '.join(opened)}")
-    try:
-        return opened(**chosen)[entry]
-    except (ValueError, TypeError, KeyError) as error:
-        raise ExperimentError(f"{catalog}: entry {entry!r}: {error}") from None
-
-
-def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
-    """The experiment that a catalog's entry ``frames`` opens."""
-    from wavefield.series import Experiment
-
-    reader = _open_entry(Path(catalog).absolute(), "frames", chosen)
-    return Experiment.load(_local(reader.kwargs["data"].url), reader.kwargs.get("folder") or None)
 
 
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
@@ -322,23 +276,13 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
     return next(iter(existing.values()))
 
 
-def store_of(catalog: Path, chosen: Mapping[str, str], prepared: "PreparedRun") -> Path:
-    """Path of the cube of a run in a catalog; its recipe becomes one of the catalog's options."""
-    if "recipe" in read_yaml(catalog).get("user_parameters", {}):
-        short = prepared.recipe.hash[:8]
-        with _editing(catalog) as data:
-            options = data["user_parameters"]["recipe"].get("options")
-            if options is not None and short not in options:
-                options.append(_quoted(short))
-        chosen = {**chosen, "recipe": short}
-    return cube_of(catalog, chosen)
-
-
-def _local(url: str) -> str:
-    parts = urlparse(url)
-    if parts.scheme not in ("", "file"):
-        raise ExperimentError(f"{url} is not on this machine's disks; a run needs local files")
-    return unquote(parts.path) if parts.scheme else url
+def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
+    """Path of the cube of a run and recipe, which becomes one of the catalog's options."""
+    with _editing(catalog) as data:
+        options = _options(catalog, data, "recipe")
+        if recipe not in options:
+            options.append(_quoted(recipe))
+    return cube_of(catalog, {"run": run, "recipe": recipe})
 
 
 def _link_latest(folder: Path) -> None:
