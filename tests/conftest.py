@@ -82,7 +82,7 @@ def without_pixels() -> Callable[[], AbstractContextManager[None]]:
 # What takes longest comes first, so that no worker is left alone with it at the end. On a new machine the
 # very first compiles the loops that measure, for a minute and more: the other tests waves meanwhile.
 LONG = [
-    *("run", "end_to_end", "faults", "spectra", "verify", "analyze", "fisheye_lenses", "public_calls"),
+    *("run", "end_to_end", "faults", "spectra", "verify", "analyze", "public_calls"),
     *("fusion", "record", "labels", "measure", "solve_rig", "light_sheet", "verdict", "dispersion"),
     *("knocked_camera", "follow", "current_fit", "smooth", "targets_printed", "page", "coherence"),
     *("relative_frame", "solve_rest", "targets_two_level", "camera_faults", "referee", "masked"),

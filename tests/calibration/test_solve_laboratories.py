@@ -86,27 +86,6 @@ def test_a_refused_rig_is_written_on_request_and_marked(tmp_path, capsys, undraw
     assert written.provenance["problems"]
 
 
-def test_images_that_were_squeezed_when_they_were_stored_have_oblong_pixels():
-    rng, grid = np.random.default_rng(8), nodes()[::2]
-    square = paper_rig()
-    rig = Rig(
-        {
-            n: replace(c, fx=0.84 * c.fx, cx=0.84 * c.cx, size=(int(0.84 * c.size[0]), c.size[1]))
-            for n, c in square.cameras.items()
-        }
-    )
-    views = {name: {} for name in rig}
-    for pose, (R, t) in poses(seed=4).items():
-        world = np.column_stack([0.1 * grid, np.zeros(len(grid))]) @ R.T + t
-        for name in rig:
-            views[name][pose] = seen(rig[name], grid, world, rng, 0.05)
-    found = calibrate(views, 0.1, model="paper")
-    assert found.usable, found.problems
-    assert worst_pixel(found.rig, rig) < 0.1
-    for name in rig:
-        assert found.rig[name].fy / found.rig[name].fx == pytest.approx(1 / 0.84, abs=1e-3)
-
-
 @pytest.mark.parametrize("header", ["", "x,y,z,X,Y\n"])
 def test_free_points_of_known_position_calibrate_from_tables(tmp_path, header):
     rig, rng = paper_rig(), np.random.default_rng(11)

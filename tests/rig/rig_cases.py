@@ -1,6 +1,7 @@
-"""Random cameras and points for the tests of this room."""
+"""Random cameras and points for the tests of this room, and files of other programs."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wavefield.rig import Camera
 
@@ -37,20 +38,44 @@ def field(seed, n=200):
     return (*rng.uniform(-0.5, 0.5, (2, n)), rng.uniform(-0.1, 0.1, n))
 
 
-def random_fisheye(seed, *without):
-    """A camera whose fisheye lens shows 100 to 200 degrees along the sides of its image."""
-    rng = np.random.default_rng(seed + 7000)
-    plain = random_camera(seed, *TERMS)
-    f = 512.0 / np.radians(rng.uniform(50.0, 100.0))
-    terms = {
-        "k1": rng.uniform(-0.03, 0.05),
-        "k2": rng.uniform(-0.005, 0.01),
-        "k3": rng.uniform(-0.001, 0.003),
-        "k4": rng.uniform(-0.0002, 0.0005),
-        "skew": rng.uniform(-2.0, 2.0),
-    }
-    for name in without:
-        terms[name] = 0.0
-    fy = f * rng.uniform(0.99, 1.01)
-    c = rng.uniform(490.0, 530.0, 2)
-    return Camera(f, fy, c[0], c[1], plain.R, plain.T, plain.size, fisheye=True, **terms)
+def vic_xml(rig):
+    """A rig as VIC-3D writes it: lengths in millimetres, angles about x, y, z in turn, degrees."""
+    cameras = ""
+    for camera in rig.cameras.values():
+        terms = [getattr(camera, name) for name in ("cx", "cy", "fx", "fy", "skew", "k1", "k2", "k3")]
+        angles = Rotation.from_matrix(camera.R).as_euler("xyz", degrees=True)
+        pose = " ".join(repr(float(v)) for v in (*angles, *(1e3 * camera.T)))
+        cameras += f"<camera>{' '.join(map(repr, terms))}<orientation>{pose}</orientation></camera>"
+    width, height = camera.size
+    mask = f'<polygonmask width="{width}" height="{height}"/>'
+    return f"<project><calibration>{cameras}</calibration>{mask}</project>"
+
+
+def dice_xml(rig):
+    """A rig as DICe's camera system."""
+    cameras = ""
+    for camera in rig.cameras.values():
+        terms = {
+            "CX": "cx",
+            "CY": "cy",
+            "FX": "fx",
+            "FY": "fy",
+            "FS": "skew",
+            "K1": "k1",
+            "K2": "k2",
+            "K3": "k3",
+        }
+        values = {key: repr(getattr(camera, name)) for key, name in terms.items()}
+        values |= dict(zip(("TX", "TY", "TZ"), map(repr, (1e3 * camera.T).tolist())))
+        values |= {"IMAGE_HEIGHT_WIDTH": "{{ {}, {} }}".format(*camera.size[::-1])}
+        values |= {"LENS_DISTORTION_MODEL": "OPENCV_LENS_DISTORTION"}
+        rows = {
+            f"ROW {k}": str(row).replace("[", "{").replace("]", "}")
+            for k, row in enumerate(camera.R.tolist())
+        }
+        own, turn = (
+            "".join(f'<Parameter name="{key}" value="{value}"/>' for key, value in one.items())
+            for one in (values, rows)
+        )
+        cameras += f"<ParameterList>{own}<ParameterList>{turn}</ParameterList></ParameterList>"
+    return f"<ParameterList>{cameras}</ParameterList>"

@@ -108,7 +108,7 @@ def test_a_catalog_sees_a_cube_that_was_measured_before(lab):
     ("words", "size"),
     [
         *((["export", "cube.zarr", f"o.{ending}"], 2_000) for ending in ("nc", "mat", "uvmat")),
-        *((["rig", "rig.yaml", "--to", to, "-o", "o.txt"], 256) for to in ("dice", "opencv", "wavefield")),
+        *((["rig", "rig.yaml", "--to", to, "-o", "o.txt"], 256) for to in ("opencv", "wavefield")),
     ],
 )
 @pytest.mark.slow

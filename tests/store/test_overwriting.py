@@ -52,11 +52,9 @@ COMMANDS = {
     **{
         f"rig to {program}": (["rig", "rig.yaml", "--to", program, "-o", "OUT"], name)
         for program, name in {
-            "dice": "new.xml",
             "matlab": "new.mat",
             "opencv": "new.yml",
             "uvmat": "new",
-            "vic3d": "new.xml",
         }.items()
     },
     "run": (["run", "experiment.yaml", "--workflow", "here.yaml", "-o", "OUT"], "new.zarr"),

@@ -204,7 +204,6 @@ def calibrate_each(
     mesh: float,
     origin: tuple[float, float],
     flats: Sequence[str],
-    lens: str,
     findings: Findings,
 ) -> dict[str, SingleCamera]:
     """Each camera calibrated on its own; views that are no plane grid are removed from `usable`."""
@@ -213,7 +212,7 @@ def calibrate_each(
         if not views:
             continue
         try:
-            single[name] = calibrate_single(collect({name: views}, mesh, origin), lens)
+            single[name] = calibrate_single(collect({name: views}, mesh, origin))
         except CalibrationError as error:
             findings.problems.append(str(error))
     for name, camera in single.items():

@@ -22,17 +22,8 @@ TERMS: dict[str, tuple[str, ...]] = {
     "k2": ("k2",),
     "p": ("p1", "p2"),
     "k3": ("k3",),
-    "k4": ("k4",),
     "tilt": ("tau_x", "tau_y"),
 }
-
-
-def terms_of_kind(terms: Sequence[str], fisheye: bool) -> tuple[str, ...]:
-    """Free terms of a kind of lens: a fisheye has k4, and its centre absorbs a tilt of the sensor."""
-    if not fisheye:
-        return tuple(term for term in terms if term != "k4")
-    own = ["c" if term == "tilt" else term for term in terms if term != "p"]
-    return tuple(dict.fromkeys([*own, *(["k4"] if "k3" in own else [])]))
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
@@ -317,7 +308,6 @@ def fit(
     Levenberg-Marquardt with the analytic Jacobian and Huber's loss at four standard deviations.
     """
     o = observations
-    models = [terms_of_kind(own, bool(lens[-1])) for own, lens in zip(models, start.lens, strict=True)]
     plan = layout(o, models, reference, flat, placed)
     start = replace(start, offset=np.zeros_like(start.offset))
     inverse = 1.0 / np.repeat(o.std, 2)

@@ -9,9 +9,7 @@ import numpy as np
 from wavefield.calibration.bundle import Fit, fit
 from wavefield.calibration.observations import LIMITS, Geometry, Observations
 from wavefield.errors import CalibrationError
-from wavefield.rig import fisheye
 from wavefield.rig.lens import LENS, Array
-from wavefield.robust import robust_std
 
 Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
@@ -36,96 +34,17 @@ def angle_between(A: Array, B: Array) -> float:
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
 
 
-FOCAL_LENGTHS_TRIED = np.geomspace(0.15, 3.0, 60)  # image widths: 380 to 19 degrees along the image
-MIN_POINTS = 8
-INLIER_DEVIATIONS = 6.0
-
-
-def equidistant_start(o: Observations, views: list[int]) -> tuple[float, dict[int, Pose]] | None:
-    """Focal length, px, and poses of the views of one camera; None where no focal length fits any."""
-    (size,) = o.sizes
-    centre = (np.array(size) - 1) / 2
-    best: tuple[float, float, dict[int, Pose]] | None = None
-    for f in FOCAL_LENGTHS_TRIED * max(size):
-        x, y = ((o.pixel - centre) / f).T
-        rays = np.stack(fisheye.directions(x, y, (0.0, 0.0, 0.0, 0.0)), -1)
-        poses, errors = {}, []
-        for p in views:
-            rows = o.pose == p
-            pose = pose_along_rays(o.plan[o.node[rows]], rays[rows])
-            if pose is not None:
-                poses[p] = pose
-                errors.append(_angles(o.plan[o.node[rows]], rays[rows], pose))
-        if not poses:
-            continue
-        # angles that a lens shows narrower are smaller: as pixels they compare
-        misfit = f * float(np.median(np.concatenate(errors))) / len(poses)
-        if best is None or misfit < best[0]:
-            best = misfit, float(f), poses
-    return None if best is None else best[1:]
-
-
-def pose_along_rays(points: Array, rays: Array) -> Pose | None:
-    """Pose of a plane target, points (n, 3), metres, seen along unit rays (n, 3); None if there is none."""
-    level = np.median(points[:, 2])
-    used = np.isfinite(rays).all(1) & (np.abs(points[:, 2] - level) < 1e-8)
-    plan = points[:, :2]
-    if used.sum() < MIN_POINTS or not np.ptp(plan[used], axis=0).all():
-        return None
-    scale = float(np.ptp(plan[used], axis=0).max())
-    plan = np.column_stack([plan / scale, np.ones(len(plan))])
-    pose = None
-    for _ in range(3):
-        # ray x (H p) = 0
-        p, r = plan[used], rays[used]
-        zero = np.zeros_like(p)
-        rows = np.concatenate([
-            np.column_stack([zero, -r[:, 2:] * p, r[:, 1:2] * p]),
-            np.column_stack([r[:, 2:] * p, zero, -r[:, :1] * p]),
-            np.column_stack([-r[:, 1:2] * p, r[:, :1] * p, zero]),
-        ])  # fmt: skip
-        H = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
-        H = H / (0.5 * (np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1])))
-        if np.median(np.sum((p @ H.T) * r, axis=1)) < 0.0:
-            H = -H
-        U, _, V = np.linalg.svd(np.column_stack([H[:, :2], np.cross(H[:, 0], H[:, 1])]))
-        R: Array = U @ V
-        pose = R, scale * H[:, 2] - level * R[:, 2]
-        error = _angles(points, rays, pose)
-        inlier = used & (error < INLIER_DEVIATIONS * robust_std(error[used]) + 1e-9)
-        if inlier.sum() < MIN_POINTS or (inlier == used).all():
-            break
-        used = inlier
-    return pose
-
-
-def _angles(points: Array, rays: Array, pose: Pose) -> Array:
-    """Angles between points and their rays, rad; pi where there is no ray."""
-    R, t = pose
-    there = points @ R.T + t
-    there /= np.linalg.norm(there, axis=1, keepdims=True)
-    sine = np.linalg.norm(np.cross(there, rays), axis=1)
-    out: Array = np.nan_to_num(np.arctan2(sine, np.sum(there * rays, axis=1)), nan=np.pi)
-    return out
-
-
 MAX_HOMOGRAPHY_MISFIT = 8.0  # px: of an inlier, before the lens distortion is fitted
 PLAUSIBLE_FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length is not plausible
 MAX_MEDIAN_MISFIT = 0.02  # image widths: of points with known z
-LENSES = ("auto", "perspective", "fisheye")
-SUSPICIOUS_MISFIT = 0.05  # px, rms: beyond it the lens may be a fisheye
-MAX_OBLONG_RATIO = 0.5  # of the misfit with pixels that are not square to that with square ones
-MAX_VIEW_MISFIT = 8.0, 6.0  # px, and times the median view's: a view beyond both is no plane grid
-FEW_TERMS = ("f", "c", "k1")
-FULL_TERMS = ("f", "aspect", "c", "k1", "k2", "p", "k3")  # of both kinds of lens
-FISHEYE_RATIOS = 0.2, 0.95  # of the sums of squares to a perspective lens's, by few and by all terms
+START_TERMS = ("f", "c", "k1")
 
 
 @dataclass(frozen=True)
 class SingleCamera:
     """One camera calibrated on its own."""
 
-    lens: Array  # (14,): `LENS`
+    lens: Array  # (12,): `LENS`
     poses: dict[str, Pose]  # Target to camera for each pose observed
     spread: float  # Largest angle between two views of the target, degrees
     deep: bool = False  # Whether nodes of known height determine the focal length, however parallel the views
@@ -163,7 +82,7 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 
 
 def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
-    """A lens without distortion as `LENS` (14,) and as a camera matrix (3, 3)."""
+    """A lens without distortion as `LENS` (12,) and as a camera matrix (3, 3)."""
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, cx, cy
@@ -181,93 +100,21 @@ def plane_pose(H: Array, K: Array) -> Pose:
     return rotation, np.asarray(h[:, 2], float)
 
 
-def calibrate_single(observations: Observations, lens: str = "auto") -> SingleCamera:
-    """Calibrate one camera on its own; with ``auto`` as a fisheye where its images fit nothing else."""
+def calibrate_single(observations: Observations) -> SingleCamera:
+    """Calibrate one camera on its own: Zhang's method, then a fit."""
     o = observations
-    kind = {"perspective": _perspective_fit, "fisheye": _fisheye_fit}.get(lens, _fit_of_likely_lens)
-    result, poses = kind(o)
-    g = result.geometry
+    start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
+    g = _first_fit(o, start, poses).geometry
     fitted = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in poses}
     normals = np.stack([R[:, 2] for R, _ in fitted.values()])
     spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
     return SingleCamera(g.lens[0], fitted, spread, deep=bool(o.placed))
 
 
-def _fit_of_likely_lens(o: Observations) -> tuple[Fit, list[int]]:
-    """A perspective lens, but a fisheye where that fits clearly better by few terms, and by all terms too.
-    With all its terms a perspective lens follows a fisheye's images as well, and is wrong between them.
-    """
-    refused: CalibrationError | None = None
-    try:
-        plain, poses = _perspective_fit(o)
-        if _rms(plain) < SUSPICIOUS_MISFIT and len(poses) == len(np.unique(o.pose)):
-            return plain, poses
-    except (CalibrationError, np.linalg.LinAlgError) as error:
-        refused = CalibrationError(str(error))
-    try:
-        wide, all_poses = _fisheye_fit(o)
-    except CalibrationError:
-        if refused is not None:
-            raise refused from None
-        return plain, poses
-    if refused is not None:
-        return wide, all_poses
-    used = o.only(np.isin(o.pose, poses))
-    for terms, ratio in zip((FEW_TERMS, FULL_TERMS), FISHEYE_RATIOS, strict=True):
-        perspective, fisheye = (
-            fit(used, one.geometry, [terms], poses[0], noise_scale=1.0, placed=o.placed).chi2
-            for one in (plain, wide)
-        )
-        if not fisheye < ratio * perspective:
-            return plain, poses
-    return wide, all_poses
-
-
-def _perspective_fit(o: Observations) -> tuple[Fit, list[int]]:
-    """Zhang's method, then a fit; with the poses found."""
-    start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
-    return _first_fit(o, start, poses), poses
-
-
-def _fisheye_fit(o: Observations) -> tuple[Fit, list[int]]:
-    """Fit a fisheye lens; returns it with the poses found."""
-    if o.placed:
-        raise CalibrationError("a fisheye lens needs tilted views: leave `heights` out")
-    (name,), (size,) = o.cameras, o.sizes
-    found = equidistant_start(o, np.unique(o.pose).tolist())
-    if found is None:
-        raise CalibrationError(f"no view of {name} shows a plane target: photograph it again")
-    f, views = found
-    lens, _ = _pinhole(f, size)
-    lens[LENS.index("fisheye")] = 1.0
-    poses = sorted(views)
-    result = _first_fit(o, _of_poses(o, lens, views), poses)
-    misfit = np.hypot(*result.residual.T)
-    pose = o.pose[np.isin(o.pose, poses)]
-    by_view = np.array([np.median(misfit[pose == p]) for p in poses])
-    least, ratio = MAX_VIEW_MISFIT
-    plane = by_view < max(least, ratio * float(np.median(by_view)))
-    if plane.all():
-        return result, poses
-    poses = [p for p, good in zip(poses, plane, strict=True) if good]
-    if not poses:
-        raise CalibrationError(f"the views of {name} fit no fisheye lens")
-    return _first_fit(o, _of_poses(o, lens, {p: views[p] for p in poses}), poses), poses
-
-
 def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
     used = o.only(np.isin(o.pose, poses))
-    terms = ("f", "k1") if len(poses) < 3 else FEW_TERMS
-    square = fit(used, start, [terms], poses[0], placed=o.placed)
-    if len(poses) < 3 or _rms(square) < SUSPICIOUS_MISFIT:
-        return square
-    # images that were squeezed when they were stored
-    oblong = fit(used, start, [(*terms, "aspect")], poses[0], placed=o.placed)
-    return oblong if _rms(oblong) < MAX_OBLONG_RATIO * _rms(square) else square
-
-
-def _rms(result: Fit) -> float:
-    return float(np.sqrt(np.mean(result.residual**2)))
+    terms = ("f", "k1") if len(poses) < 3 else START_TERMS
+    return fit(used, start, [terms], poses[0], placed=o.placed)
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:

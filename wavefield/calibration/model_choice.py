@@ -186,17 +186,13 @@ def choose(
     fits: dict[str, Fit] = {}
     bic: dict[str, float] = {}
     needed: set[str] = set()
-    all_fisheye = False
     for done, name in enumerate(CANDIDATES):
         if progress:
             progress(done, len(CANDIDATES))
         terms = MODELS[name]
         if needed - set(terms) - ({"c"} if "tilt" in terms else set()):
             continue
-        if fits and all_fisheye and ("p" in terms or "tilt" in terms):
-            continue  # which these lenses have not
         fits[name] = result = fit_model(terms)
-        all_fisheye = bool(result.geometry.lens[:, LENS.index("fisheye")].all())
         needed = needed or significant_terms(result, o.sizes)
         k = len(result.layout.names)
         bic[name] = float(count * np.log(max(result.chi2, 1e-300) / count) + k * np.log(count))

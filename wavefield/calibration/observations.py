@@ -130,7 +130,7 @@ def collect(
 class Geometry:
     """Cameras and poses of the target."""
 
-    lens: Array  # (C, 14): `LENS` of each camera
+    lens: Array  # (C, 12): `LENS` of each camera
     R: Array  # (C, 3, 3): World to camera, metres
     T: Array
     pose_R: Array  # (P, 3, 3): Target to world, metres

@@ -14,16 +14,13 @@ from wavefield.calibration.assess import (
     usable_views,
 )
 from wavefield.calibration.bundle import Fit, fit
-from wavefield.calibration.camera_start import LENSES
 from wavefield.calibration.model_choice import CANDIDATES, MODELS, Choice, choose, predict_errors, terms_of
 from wavefield.calibration.observations import Findings, Geometry, Observations, collect
 from wavefield.calibration.points import Mask
 from wavefield.calibration.pose_consistency import PhysicalFrame, physical_frame, start_geometry
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.target import Target
-from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
-from wavefield.rig.lens import LENS
 from wavefield.robust import robust_std
 
 OUTLIER_DEVIATIONS = 6.0  # of a point or view from the fit, over the typical deviation
@@ -37,7 +34,6 @@ def calibrate(
     *,
     flat: str | Sequence[str] = "flat",
     model: str | Sequence[str] = "auto",
-    lens: str = "auto",
     target_std: float = 0.0,
     camera_distance: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -58,8 +54,6 @@ def calibrate(
     model : str or sequence of str, default "auto"
         Camera model: a name of `wavefield.calibration.model_choice.MODELS`, a list of terms,
         or ``auto``: the one that predicts best where the rig will be used (`model_choice`).
-    lens : {"auto", "perspective", "fisheye"}, default "auto"
-        Kind of all lenses; ``auto`` takes a camera for a fisheye where its images fit no perspective lens.
     target_std : float, default 0
         Uncertainty of the target's nodes per axis, metres. If given, the nodes' offsets are solved for,
         with this as prior; take the level from the water at rest afterwards.
@@ -100,22 +94,17 @@ def calibrate(
     """
     mesh, origin = (target, (0.0, 0.0)) if isinstance(target, float | int) else (target.mesh, target.origin)
     flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
-    if lens not in LENSES:
-        raise CalibrationError(f"lens {lens!r} is unknown; use {', '.join(LENSES)}")
     findings = Findings()
     if progress:
         progress(0, len(CANDIDATES))
     usable = usable_views(views, findings)
-    single = calibrate_each(usable, mesh, origin, flats, lens, findings)
+    single = calibrate_each(usable, mesh, origin, flats, findings)
     if not single:
         if not findings.problems:
             findings.problems.append("no camera has a view of the target: photograph it with all cameras")
         return Calibration(
             Rig({}), False, tuple(findings.problems), tuple(findings.notes), left_out=findings.left_out
         )
-    wide = [name for name, camera in single.items() if camera.lens[LENS.index("fisheye")]]
-    if wide and lens == "auto":
-        findings.notes.append(f"taken for fisheye lenses, which fit better: {', '.join(wide)}")
     consistent = consistent_cameras(single, usable, mesh, findings)
     observations = collect({name: usable[name] for name in consistent}, mesh, origin)
     frame = physical_frame(observations, flats, findings)
@@ -186,13 +175,12 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
         "p": (6, 7),
         "k3": (8,),
         "tilt": (9, 10),
-        "k4": (12,),
     }
     fixed = [column for term, columns in free.items() if term not in terms for column in columns]
     perfect = np.zeros_like(lens)
     perfect[:, 2:4] = (np.array(observations.sizes) - 1) / 2
     lens[:, fixed] = perfect[:, fixed]
-    lens[:, LENS.index("skew")] = 0.0
+    lens[:, 11] = 0.0  # skew
     if "aspect" not in terms:
         lens[:, :2] = np.sqrt(lens[:, :1] * lens[:, 1:2])
     return replace(geometry, lens=lens)

@@ -200,7 +200,6 @@ def calibrate_experiment(
         target,
         flat="flat" if section.flat else "",
         model=section.model or "auto",
-        lens=section.lens,
         target_std=section.target_std,
         camera_distance=section.camera_distance,
         progress=solving,

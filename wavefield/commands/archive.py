@@ -88,7 +88,7 @@ def add(catalog: Path, experiment: Path) -> None:
     print_next("run", catalog, name)
 
 
-_PROGRAMS = ("wavefield", "uvmat", "vic3d", "dice", "opencv", "matlab")
+_PROGRAMS = ("wavefield", "uvmat", "opencv", "matlab")
 
 
 class _Files(click.Group):

@@ -33,7 +33,7 @@ _CORRELATED = "Parameters are correlated with the pose: judge the rig by the pre
 CalibrationPicture = tuple[str, str, Figure]  # short name, title, picture
 Content = Mapping[str, Any]  # of numbers.yaml
 _LENS_TERMS = {
-    "cx": "_px", "cy": "_px", "k1": "", "k2": "", "p1": "", "p2": "", "k3": "", "k4": "", "tau_x": "_rad",
+    "cx": "_px", "cy": "_px", "k1": "", "k2": "", "p1": "", "p2": "", "k3": "", "tau_x": "_rad",
     "tau_y": "_rad",
 }  # fmt: skip
 

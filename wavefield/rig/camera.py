@@ -13,17 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.errors import RigError
-from wavefield.rig import fisheye as fisheye_lens
 from wavefield.rig.lens import Array, apply_homography, distort, distort_jacobian, rotation_about, tilt_matrix
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with radial and tangential distortion and a tilted sensor, or one with a fisheye lens.
+    """A pinhole camera with radial and tangential distortion and a tilted sensor.
 
     The paper's model is (fx, fy, cx, cy, k1); the further terms are OpenCV's (k2, p1, p2, k3, and the
-    Scheimpflug tilt tau_x, tau_y). Terms that are zero cost nothing. A fisheye lens has OpenCV's fisheye
-    terms k1 to k4 (`wavefield.rig.fisheye`), and neither p1, p2 nor a tilt.
+    Scheimpflug tilt tau_x, tau_y). Terms that are zero cost nothing.
 
     Parameters
     ----------
@@ -45,15 +43,6 @@ class Camera:
         Tilt of the sensor (Scheimpflug mount), radians, in OpenCV's convention.
     skew : float
         Shear of the sensor axes, px: X = fx X' + skew Y' + cx.
-    k4 : float
-        The highest radial term of a fisheye lens.
-    fisheye : bool
-        Whether k1 to k4 are those of a fisheye lens.
-
-    Raises
-    ------
-    RigError
-        If a term does not belong to the kind of lens.
 
     Examples
     --------
@@ -81,8 +70,6 @@ class Camera:
     tau_x: float = 0.0
     tau_y: float = 0.0
     skew: float = 0.0
-    k4: float = 0.0
-    fisheye: bool = False
 
     def __post_init__(self) -> None:
         rotation = tuple(
@@ -94,12 +81,6 @@ class Camera:
         for f in fields(self):
             if f.type in (float, "float"):
                 object.__setattr__(self, f.name, float(getattr(self, f.name)))
-        object.__setattr__(self, "fisheye", bool(self.fisheye))
-        foreign = ("p1", "p2", "tau_x", "tau_y") if self.fisheye else ("k4",)
-        extra = [name for name in foreign if getattr(self, name) != 0.0]
-        if extra:
-            kind = "a fisheye lens" if self.fisheye else "a lens other than a fisheye"
-            raise RigError(f"{kind} does not have the terms {', '.join(extra)}")
 
     # -- derived constants ---------------------------------------------------------------------------
 
@@ -125,12 +106,7 @@ class Camera:
 
     @property
     def D(self) -> Array:
-        """Distortion as OpenCV's coefficients.
-
-        They are k1 k2 p1 p2 k3, (5,), with the sensor's tilt (14,), and k1 k2 k3 k4, (4,), of a fisheye lens.
-        """
-        if self.fisheye:
-            return np.array(self._bending)
+        """Distortion as OpenCV's coefficients k1 k2 p1 p2 k3, (5,), or (14,) with the sensor's tilt."""
         D = np.array([self.k1, self.k2, self.p1, self.p2, self.k3, *[0.0] * 7, self.tau_x, self.tau_y])
         return D if D[5:].any() else D[:5]
 
@@ -149,20 +125,8 @@ class Camera:
     def _tangential(self) -> tuple[float, float]:
         return self.p1, self.p2
 
-    @property
-    def _bending(self) -> fisheye_lens.Terms:
-        return self.k1, self.k2, self.k3, self.k4
-
-    @cached_property
-    def _least_cosine(self) -> float:
-        """Cosine of the widest angle to the axis that a fisheye lens shows."""
-        return float(np.cos(fisheye_lens.widest_angle(self._bending)))
-
     def _to_pixels(self, a: Array, b: Array) -> tuple[Array, Array]:
         x, y = distort(a, b, self._radial, self._tangential)
-        return self._on_sensor(x, y)
-
-    def _on_sensor(self, x: Array, y: Array) -> tuple[Array, Array]:
         if self._tilt is not None:
             x, y, _ = apply_homography(self._tilt, x, y)
         X = self.fx * x + self.cx
@@ -170,18 +134,7 @@ class Camera:
             X = X + self.skew * y
         return X, self.fy * y + self.cy
 
-    def _directions(self, X: Array, Y: Array) -> tuple[Array, Array, Array | float]:
-        """Vectors along the sight lines of pixels, in the camera's frame."""
-        if not self.fisheye:
-            return *self._to_tangents(X, Y), 1.0
-        y = (Y - self.cy) / self.fy
-        return fisheye_lens.directions((X - self.cx - self.skew * y) / self.fx, y, self._bending)
-
     def _to_tangents(self, X: Array, Y: Array) -> tuple[Array, Array]:
-        if self.fisheye:
-            x, y, z = self._directions(X, Y)
-            z = np.where(np.asarray(z) > 0.0, z, np.nan)
-            return x / z, y / z
         y = (Y - self.cy) / self.fy
         x = (X - self.cx - self.skew * y) / self.fx
         if self._tilt is not None:
@@ -214,8 +167,7 @@ class Camera:
         Returns
         -------
         a, b : ndarray
-            xc / zc and yc / zc of the points that project to these pixels; NaN for sight lines of a fisheye
-            lens at 90 degrees and more from its axis.
+            xc / zc and yc / zc of the points that project to these pixels.
         """
         return self._to_tangents(*np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float)))
 
@@ -230,27 +182,18 @@ class Camera:
         Returns
         -------
         X, Y : ndarray
-            Pixel coordinates (column, row); NaN for points behind the camera, or beyond what a fisheye lens
-            shows.
+            Pixel coordinates (column, row); NaN for points behind the camera.
         """
-        if self.fisheye:
-            xc, yc, zc = self._in_camera(x, y, z)
-            shown = zc > self._least_cosine * np.sqrt(xc * xc + yc * yc + zc * zc)
-            return self._on_sensor(*fisheye_lens.distort(xc, yc, np.where(shown, zc, np.nan), self._bending))
         a, b, _ = self._tangents_of(x, y, z)
         return self._to_pixels(a, b)
 
-    def _in_camera(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
+    def _tangents_of(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
         x, y, z = np.asarray(x, float), np.asarray(y, float), np.asarray(z, float)
         (r1, r2, r3), (r4, r5, r6), (r7, r8, r9) = self.rotation
         tx, ty, tz = self.translation
         zc = r7 * x + r8 * y + r9 * z + tz
-        return r1 * x + r2 * y + r3 * z + tx, r4 * x + r5 * y + r6 * z + ty, zc
-
-    def _tangents_of(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
-        xc, yc, zc = self._in_camera(x, y, z)
         zc = np.where(zc > 0.0, zc, np.nan)
-        return xc / zc, yc / zc, zc
+        return (r1 * x + r2 * y + r3 * z + tx) / zc, (r4 * x + r5 * y + r6 * z + ty) / zc, zc
 
     def unproject(self, X: ArrayLike, Y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
         """Apparent position of pixels: where their sight line meets the plane of height z.
@@ -267,12 +210,11 @@ class Camera:
         x, y : ndarray
             Apparent coordinates, metres; NaN where the sight line does not meet the plane.
         """
-        X, Y = np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float))
-        a, b, e = self._directions(X, Y)
+        a, b = self.tangents(X, Y)
         R, c = self.R, self.centre
-        dx = R[0, 0] * a + R[1, 0] * b + R[2, 0] * e
-        dy = R[0, 1] * a + R[1, 1] * b + R[2, 1] * e
-        dz = R[0, 2] * a + R[1, 2] * b + R[2, 2] * e
+        dx = R[0, 0] * a + R[1, 0] * b + R[2, 0]
+        dy = R[0, 1] * a + R[1, 1] * b + R[2, 1]
+        dz = R[0, 2] * a + R[1, 2] * b + R[2, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             s = (np.asarray(z, float) - c[2]) / dz
             s = np.where(s > 0.0, s, np.nan)
@@ -313,11 +255,6 @@ class Camera:
             [[dX/dx, dX/dy, dX/dz], [dY/dx, dY/dy, dY/dz]], px per metre.
         """
         x, y, z = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(z, float))
-        if self.fisheye:
-            by_point = fisheye_lens.distort_jacobian(*self._in_camera(x, y, z), self._bending)
-            focal = np.array([[self.fx, self.skew], [0.0, self.fy]])
-            by_world: Array = focal @ by_point @ self.R
-            return by_world
         a, b, zc = self._tangents_of(x, y, z)
         xa, xb, yb = distort_jacobian(a, b, self._radial, self._tangential)
         ya = xb
@@ -417,7 +354,6 @@ class Camera:
         rvec: ArrayLike,
         tvec: ArrayLike,
         size: tuple[int, int],
-        fisheye: bool = False,
     ) -> "Camera":
         """A camera from what OpenCV's calibration functions return.
 
@@ -433,8 +369,6 @@ class Camera:
             World to camera, metres.
         size : (width, height)
             Image, px.
-        fisheye : bool, default False
-            Whether K and D are of ``cv2.fisheye``: D is k1 k2 k3 k4.
 
         Raises
         ------
@@ -454,8 +388,7 @@ class Camera:
         turn = np.asarray(rvec, float)
         R = turn if turn.shape == (3, 3) else rotation_about(turn.reshape(3))
         (fx, skew, cx), (_, fy, cy), _ = (M / M[2, 2]).tolist()
-        terms = _terms_of_fisheye(D) if fisheye else _terms_of_opencv(D)
-        return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, fisheye=fisheye, **terms)
+        return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, **_terms_of_opencv(D))
 
     def scaled(self, factor: float) -> "Camera":
         """The same camera with images resampled by a factor (0.5: half the pixels along each axis).
@@ -477,14 +410,7 @@ class Camera:
         )
 
 
-_OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew", "k4", "fisheye"}
-
-
-def _terms_of_fisheye(D: ArrayLike | None) -> dict[str, float]:
-    given = np.zeros(4) if D is None else np.ravel(np.asarray(D, float))
-    if given.size != 4:
-        raise RigError(f"it has {given.size} distortion coefficients; OpenCV's fisheye model has 4")
-    return dict(zip(("k1", "k2", "k3", "k4"), given.tolist(), strict=True))
+_OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"}
 
 
 def _terms_of_opencv(D: ArrayLike | None) -> dict[str, float]:

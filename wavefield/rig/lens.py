@@ -7,12 +7,10 @@ the sensor, which may be tilted (Scheimpflug). All terms are OpenCV's. Rotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wavefield.rig import fisheye
-
 Array = NDArray[np.float64]
 
-# the order in which a lens is given as an array; the last is 1 for a fisheye lens and else 0
-LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew", "k4", "fisheye")
+# the order in which a lens is given as an array
+LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
 
 
 def distort(a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]) -> tuple[Array, Array]:
@@ -60,11 +58,9 @@ def apply_homography(h: Array, x: Array, y: Array) -> tuple[Array, Array, Array]
 
 def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
     """Pixels (n, 2) of points (n, 3), metres, in a camera's frame, with all derivatives.
-    The derivatives are (n, 2, 3) with respect to the points, px per metre, and (n, 2, 14) to the lens.
+    The derivatives are (n, 2, 3) with respect to the points, px per metre, and (n, 2, 12) to the lens.
     """
-    if lens[-1]:
-        return _project_fisheye(lens, points)
-    fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew = lens[:12].tolist()
+    fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew = lens.tolist()
     k, p = (k1, k2, k3), (p1, p2)
     zc = points[:, 2]
     a, b = points[:, 0] / zc, points[:, 1] / zc
@@ -105,22 +101,6 @@ def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
     by_lens[..., 9] = through_tilt((tilt_matrix(tau_x + 1j * step, tau_y).imag / step) @ uv1)
     by_lens[..., 10] = through_tilt((tilt_matrix(tau_x, tau_y + 1j * step).imag / step) @ uv1)
     return pixel, by_point, by_lens
-
-
-def _project_fisheye(lens: Array, points: Array) -> tuple[Array, Array, Array]:
-    """`project` through a fisheye lens."""
-    named = dict(zip(LENS, lens.tolist(), strict=True))
-    k = (named["k1"], named["k2"], named["k3"], named["k4"])
-    xc, yc, zc = points.T
-    K = np.array([[named["fx"], named["skew"]], [0.0, named["fy"]]])
-    x, y = fisheye.distort(xc, yc, zc, k)
-    pixel = np.stack([x, y], -1) @ K.T + (named["cx"], named["cy"])
-    by_lens = np.zeros((len(points), 2, len(LENS)))
-    by_lens[:, 0, 0], by_lens[:, 1, 1], by_lens[:, 0, LENS.index("skew")] = x, y, y
-    by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
-    columns = [LENS.index(term) for term in ("k1", "k2", "k3", "k4")]
-    by_lens[..., columns] = K @ fisheye.term_derivatives(xc, yc, zc)
-    return pixel, K @ fisheye.distort_jacobian(xc, yc, zc, k), by_lens
 
 
 def rotation_about(vector: ArrayLike) -> Array:

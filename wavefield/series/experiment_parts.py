@@ -87,9 +87,6 @@ class CalibrationSection(ConfigSection):
         description="image of the target on the still water",
     )
     model: str | None = Field(default=None, description="camera model in place of the default")
-    lens: Literal["auto", "perspective", "fisheye"] = Field(
-        default="auto", description="kind of the lenses; auto: found from the images"
-    )
     target_std: float = Field(
         default=0.0,
         ge=0,

@@ -4,7 +4,7 @@ Lengths become metres. Pixel coordinates become (column, row) with pixel centres
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -18,8 +18,6 @@ from wavefield.rig.formats.correlation import (
     load_dice_text,
     load_dice_xml,
     load_vic,
-    save_dice,
-    save_vic,
 )
 from wavefield.rig.formats.davis import load_davis
 from wavefield.rig.formats.matlab import load_matlab, save_matlab
@@ -34,7 +32,6 @@ __all__ = [
     "save_opencv",
     "save_rig",
     "save_uvmat",
-    "save_vic",
 ]
 
 
@@ -130,11 +127,6 @@ def _imported(path: Path, options: ImportOptions) -> Rig | None:
         return _load_xml(path, options)
     if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
         return load_opencv(path, options)
-    if "camera_matrix:" in text and "distortion_model:" in text:
-        raise RigError(
-            "it is ROS' camera_info, the lens of one camera without its place: write its numbers into a "
-            "rig.yaml, as the page on the rig file shows"
-        )
     return load_dice_text(text, path, options) if is_dice_text(text) else None
 
 
@@ -154,16 +146,10 @@ def _load_xml(path: Path, options: ImportOptions) -> Rig:
 
 
 def save_rig(rig: Rig, path: str | Path, program: str) -> None:
-    """Write a rig as another program has it; UVMAT's files, one per camera, into a folder that exists."""
+    """Write a rig for UVMAT (a file per camera, into a folder that exists), OpenCV or MATLAB."""
     path = Path(path)
     if program == "uvmat":
         for name, camera in rig.cameras.items():
             save_uvmat(camera, path / f"{name}.xml")
         return
-    savers: dict[str, Callable[[Rig, Path], None]] = {
-        "vic3d": save_vic,
-        "dice": save_dice,
-        "opencv": save_opencv,
-        "matlab": save_matlab,
-    }
-    savers[program](rig, path)
+    (save_opencv if program == "opencv" else save_matlab)(rig, path)

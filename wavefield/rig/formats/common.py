@@ -93,7 +93,6 @@ class StoredCamera:
     D: Array | Sequence[float] | None  # Distortion coefficients in OpenCV's order
     pose: Pose = FIRST_CAMERA
     size: tuple[float, float] | None = None  # Image (width, height), px, where the file stores it
-    fisheye: bool = False  # Whether D is k1 k2 k3 k4 of OpenCV's fisheye model
 
 
 def rig_of_file(
@@ -113,9 +112,7 @@ def rig_of_file(
     named = dict(zip(options.named(len(cameras), own), cameras, strict=True))
     return Rig(
         {
-            name: Camera.from_opencv(
-                one.K, one.D, *one.pose, options.size(name, origin, one.size), one.fisheye
-            )
+            name: Camera.from_opencv(one.K, one.D, *one.pose, options.size(name, origin, one.size))
             for name, one in named.items()
         },
         {"imported": note},
@@ -150,12 +147,10 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
-    """Refuse a camera with lens terms that another program does not have; "k4" is that of a fisheye."""
-    if camera.fisheye and "k4" not in terms:
-        raise RigError(f"{program} does not have this fisheye lens: write OpenCV's file")
+    """Refuse a camera with lens terms that another program does not have."""
     extra = [
         term
-        for term in ("k1", "k2", "p1", "p2", "k3", "k4", "tau_x", "tau_y", "skew")
+        for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
         if term not in terms and getattr(camera, term) != 0.0
     ]
     if extra:

@@ -19,15 +19,12 @@ from wavefield.rig.formats.common import (
     ImportOptions,
     Size,
     numbers_of,
-    refuse_terms,
     stated_unit,
     turned_about_axes,
 )
 from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 
-MM = 1e-3
-FORMAT = "DICe_xml_camera_system_file"
 RELATIVE = "extrinsics_relative_camera_to_camera"
 _TEXT = ("CX", "CY", "FX", "FY", "FS", "K1", "K2", "K3")
 _POSE = ("ALPHA", "BETA", "GAMMA", "TX", "TY", "TZ")
@@ -80,37 +77,6 @@ def load_dice_text(text: str, path: Path, options: ImportOptions) -> Rig:
     model = "K1R1_K2R2_K3R3"
     cameras = [_camera(lenses[0], None, model), _camera(lenses[1] | second, turn, model)]
     return _rig(cameras, [], True, path, options)
-
-
-def save_dice(rig: Rig, path: str | Path) -> None:
-    """Write a rig as DICe's camera system."""
-    root = ET.Element("ParameterList")
-
-    def add(parent: ET.Element, name: str, kind: str, value: object) -> None:
-        ET.SubElement(parent, "Parameter", name=name, type=kind, value=str(value))
-
-    add(root, "xml_file_format", "string", FORMAT)
-    add(root, "system_type_3D", "string", "OPENCV")
-    add(root, RELATIVE, "bool", "false")
-    for number, (name, camera) in enumerate(rig.cameras.items()):
-        refuse_terms(camera, "DICe", "k1", "k2", "k3", "p1", "p2", "tau_x", "tau_y", "skew")
-        element = ET.SubElement(root, "ParameterList", name=f"CAMERA {number}")
-        add(element, "CAMERA_ID", "string", name)
-        terms = {
-            "CX": camera.cx, "CY": camera.cy, "FX": camera.fx, "FY": camera.fy, "FS": camera.skew,
-            "K1": camera.k1, "K2": camera.k2, "K3": camera.k3, "P1": camera.p1, "P2": camera.p2,
-            "T1": camera.tau_x, "T2": camera.tau_y,
-        }  # fmt: skip
-        terms |= dict(zip(("TX", "TY", "TZ"), (camera.T / MM).tolist(), strict=True))
-        for key, value in terms.items():
-            add(element, key, "double", repr(float(value)))
-        add(element, "LENS_DISTORTION_MODEL", "string", "OPENCV_LENS_DISTORTION")
-        add(element, "IMAGE_HEIGHT_WIDTH", "string", f"{{ {camera.size[1]}, {camera.size[0]} }}")
-        matrix = ET.SubElement(element, "ParameterList", name="rotation_3x3_matrix")
-        for row, numbers in enumerate(camera.R.tolist()):
-            add(matrix, f"ROW {row}", "string", f"{{ {', '.join(map(repr, numbers))} }}")
-    ET.indent(root, " ")
-    ET.ElementTree(root).write(path, encoding="utf-8")
 
 
 def _parameters(element: ET.Element) -> Parameters:
@@ -204,27 +170,3 @@ def load_vic(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
             fx, fy, cx, cy, turned_about_axes(*np.radians(pose[:3])), T, size, k1, k2, k3=k3, skew=skew
         )
     return Rig(cameras, {"imported": {"program": "VIC-3D", "file": path.name, "unit": unit}})
-
-
-def save_vic(rig: Rig, path: str | Path) -> None:
-    """Write a rig as VIC-3D's XML, in millimetres."""
-    root = ET.Element("project", dir=".")
-    calibration = ET.SubElement(root, "calibration", lri="calibration")
-    for n, camera in enumerate(rig.cameras.values()):
-        refuse_terms(camera, "VIC-3D", "k1", "k2", "k3", "skew")
-        R = camera.R
-        beta = -np.arcsin(np.clip(R[2, 0], -1.0, 1.0))
-        if abs(R[2, 0]) < 1.0 - 1e-14:
-            alpha, gamma = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(R[1, 0], R[0, 0])
-        else:  # only the sum or difference of the two is defined
-            alpha, gamma = np.arctan2(-R[1, 2], R[1, 1]), 0.0
-        element = ET.SubElement(calibration, "camera", id=str(n))
-        terms = (camera.cx, camera.cy, camera.fx, camera.fy, camera.skew, camera.k1, camera.k2, camera.k3)
-        element.text = " ".join(repr(float(v)) for v in terms)
-        pose = [*np.degrees([alpha, beta, gamma]), *(1e3 * camera.T)]
-        ET.SubElement(element, "orientation").text = " ".join(repr(float(v)) for v in pose)
-    width, height = next(iter(rig.cameras.values())).size
-    aoi = ET.SubElement(ET.SubElement(root, "projectaois", lri="projectaois"), "aoinode", lri="aoinode")
-    ET.SubElement(aoi, "polygonmask", width=str(width), height=str(height), lri="polygonmask")
-    ET.indent(root, " ")
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

@@ -30,7 +30,7 @@ TRANSLATIONS = ("t", "translation", "translationvector", "tvec")
 MIN_DETERMINANT = 100.0  # of a matrix with focal lengths in px, unlike a rotation's
 
 Nodes = list[tuple[str, Array]]  # names and values of a file
-Parts = dict[str, Array]  # of one camera: K, D, size or width and height, fisheye, worldr and worldt
+Parts = dict[str, Array]  # of one camera: K, D, size or width and height, worldr and worldt
 
 
 def _nodes(path: Path) -> Nodes:
@@ -92,8 +92,6 @@ def _part(stem: str, value: Array) -> str:
         return "width"
     if stem in ("imageheight", "height") and value.size == 1:
         return "height"
-    if stem == "fisheyemodel":
-        return "fisheye"
     if stem in ("imagesize", "size", "resolution") and value.size == 2:
         return "size"
     return stem if stem in ("worldr", "worldt") else ""
@@ -102,6 +100,8 @@ def _part(stem: str, value: Array) -> str:
 def load_opencv(path: Path, options: ImportOptions) -> Rig:
     """Read OpenCV's storage: one camera, or several with the pose of the second from the first."""
     nodes = _nodes(path)
+    if any(name.startswith("fisheyemodel") and value.any() for name, value in nodes):
+        raise RigError("its lens is a fisheye, which has no camera model here: calibrate a perspective lens")
     other = path.with_name(path.name.replace("intrinsics", "extrinsics"))
     if other != path and other.is_file():  # OpenCV's sample of stereo calibration writes these two
         nodes += _nodes(other)
@@ -113,8 +113,7 @@ def load_opencv(path: Path, options: ImportOptions) -> Rig:
         R, T = _pose(n, name, parts, dict(nodes))
         D = parts.get("D", np.zeros(0)).ravel()
         pose = FIRST_CAMERA if R is FIRST_CAMERA[0] else (R, length * T)
-        fisheye = bool(np.any(parts.get("fisheye", 0)))
-        cameras.append(StoredCamera(parts["K"], D, pose, _stored_size(parts), fisheye))
+        cameras.append(StoredCamera(parts["K"], D, pose, _stored_size(parts)))
     if not all("worldt" in parts for parts in all_parts):  # our own files are in metres
         refuse_implausible(cameras, unit)
     return rig_of_file(cameras, options, "this OpenCV file", note)
@@ -174,7 +173,7 @@ def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose
 
 def save_opencv(rig: Rig, path: str | Path) -> None:
     """Write a rig as OpenCV's YAML: M1, D1, M2, D2, ..., and R, T of the second camera from the first.
-    Added: poses in the physical frame ``world_R1``, ``world_T1`` (metres), ``fisheye_model1`` of a fisheye.
+    Added: poses in the physical frame ``world_R1``, ``world_T1`` (metres).
     """
     # in memory: OpenCV does not report a file that it could not write in full
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
@@ -185,8 +184,6 @@ def save_opencv(rig: Rig, path: str | Path) -> None:
             storage.write(f"image_height{n}", camera.size[1])
             storage.write(f"M{n}", camera.K)
             storage.write(f"D{n}", camera.D[None])
-            if camera.fisheye:
-                storage.write(f"fisheye_model{n}", 1)
             storage.write(f"world_R{n}", camera.R)
             storage.write(f"world_T{n}", camera.T[:, None])
         if len(rig) > 1:
