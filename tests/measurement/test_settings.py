@@ -35,7 +35,7 @@ def test_part_of_a_matching_is_enough():
         ({"z_range": [0.1, -0.1]}, "lowest elevation comes first"),
         ({"preset": "slow"}, "choose one of floating, sheet, texture, not 'slow'"),
         ({"pixel": 0.0}, "above 0 m"),
-        ({"smoothing": -1.0}, "smoothing must be 0 or more"),
+        ({"eps_limit": -1.0}, "eps_limit must be 0 or more"),
         ({"piv": {"window": -3.0}}, "window"),
     ],
 )

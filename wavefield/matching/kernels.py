@@ -353,9 +353,8 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
             _fold(work.sums[k], out[k, by])
 
 
-# Rows of the work space in the sums below: 0, 1 splines along y; 2, 3, 4 a and its gradients along x and y;
-# 5 to 8 the slopes of the displacement, spread over the pixels; 9 the constants of the weights; 10, 11, 12
-# residuals, weights and influences.
+# Rows of the work space in the sums below: 0, 1 splines along y; 5 to 8 the slopes of the displacement, one
+# per pixel; from 9 on what is kept of every pixel.
 
 
 @njit
@@ -368,124 +367,7 @@ def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
 
 
 @njit
-def _robust_row(rows: Array, b: Array, y: np.float32, c2b2: np.float32, sums: Array, n: int) -> None:
-    a, gx, gy, ux, uy = rows[2], rows[3], rows[4], rows[5], rows[6]
-    vx, vy, c2 = rows[7], rows[8], rows[9]
-    s0, s1, s2, s3, s4, s5 = sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5]
-    for x in range(len(s0)):
-        r = a[x] - b[x] - gx[x] * (ux[x] + y * uy[x]) - gy[x] * (vx[x] + y * vy[x])
-        m = a[x] + b[x]
-        e = F(1) + m * m * (c2[x] * c2b2)
-        w = e / (e + r * r * c2[x])
-        w *= w
-        wx, wy = w * gx[x], w * gy[x]
-        s0[x] += wx * r
-        s1[x] += wy * r
-        s2[x] += wx * gx[x]
-        s3[x] += wx * gy[x]
-        s4[x] += wy * gy[x]
-        s5[x] += r * r
-
-
-@njit
-def robust_sums(
-    first: Array,
-    second: Array,
-    u: Array,
-    v: Array,
-    slopes: Array,
-    c2: Array,
-    c2b2: np.float32,
-    work: WorkSpace,
-    out: Array,
-) -> None:
-    """Sums per block of w gx r, w gy r, w gx gx, w gx gy, w gy gy, r^2: (6, ny, nx); slopes (4, ny, nx).
-    w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel; c2 (ny, nx) = 1 / (c s)^2, c2b2 = (c beta)^2 / 4.
-    """
-    n = u.shape[1] * BLOCK
-    rows, sums = work.rows, work.sums
-    for by in range(len(u)):
-        _warp_strip(second, by, u[by], v[by], work)
-        _spread_slopes(slopes, by, rows)
-        _spread(c2[by], rows[9])
-        sums[:6] = F(0)
-        for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, rows, n)
-            _robust_row(rows, work.strip[j], F(j) - MID, c2b2, sums, n)
-        for k in range(6):
-            _fold(sums[k], out[k, by])
-
-
-@njit
-def _residual_row(rows: Array, b: Array, y: np.float32, c2b2: np.float32, n: int) -> None:
-    a, gx, gy, ux, uy = rows[2], rows[3], rows[4], rows[5], rows[6]
-    vx, vy, c2, r, w, psi = rows[7], rows[8], rows[9], rows[10][:n], rows[11], rows[12]
-    for x in range(len(r)):
-        r[x] = a[x] - b[x] - gx[x] * (ux[x] + y * uy[x]) - gy[x] * (vx[x] + y * vy[x])
-        m = a[x] + b[x]
-        e = F(1) + m * m * (c2[x] * c2b2)
-        root = e / (e + r[x] * r[x] * c2[x])
-        w[x] = root * root
-        psi[x] = root * root * (F(4) * root - F(3))
-
-
-@njit
-def _final_row(rows: Array, sums: Array, n: int) -> None:
-    a, gx, gy, r, w, psi = rows[2], rows[3], rows[4], rows[10], rows[11], rows[12]
-    s0, s1, s2, s3, s4, s5 = sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5]
-    s6, s7, s8, s9, s10, s11 = sums[6], sums[7], sums[8], sums[9], sums[10], sums[11]
-    for x in range(len(s0)):
-        wx, wy = w[x] * gx[x], w[x] * gy[x]
-        s0[x] += wx * r[x]
-        s1[x] += wy * r[x]
-        s2[x] += wx * gx[x]
-        s3[x] += wx * gy[x]
-        s4[x] += wy * gy[x]
-        s5[x] += r[x] * r[x]
-    for x in range(len(s0)):
-        s6[x] += a[x]
-        s7[x] += a[x] * a[x]
-        s8[x] += r[x]
-        s9[x] += a[x] * r[x]
-    for x in range(1, len(s0) - 1):
-        da, dr = a[x + 1] - a[x - 1], r[x + 1] - r[x - 1]
-        mean = da - F(0.5) * dr
-        s10[x] += psi[x] * da * (da - dr)
-        s11[x] += w[x] * mean * mean
-
-
-@njit
-def final_sums(
-    first: Array,
-    second: Array,
-    u: Array,
-    v: Array,
-    slopes: Array,
-    c2: Array,
-    c2b2: np.float32,
-    work: WorkSpace,
-    out: Array,
-) -> None:
-    """The sums of `robust_sums` and those of a, a^2, r, a r, psi ga gb, w ((ga + gb) / 2)^2: (12, ny, nx).
-    ga, gb are the gradients along x of the two images, psi the derivative of w r.
-    """
-    n = u.shape[1] * BLOCK
-    rows, sums = work.rows, work.sums
-    for by in range(len(u)):
-        _warp_strip(second, by, u[by], v[by], work)
-        _spread_slopes(slopes, by, rows)
-        _spread(c2[by], rows[9])
-        sums[:] = F(0)
-        for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, rows, n)
-            _residual_row(rows, work.strip[j], F(j) - MID, c2b2, n)
-            _final_row(rows, sums, n)
-        for k in range(12):
-            _fold(sums[k], out[k, by])
-
-
-@njit
-def _unweighted_row(
+def _residual_row(
     splines: tuple[Array, ...],
     slopes: tuple[Array, ...],
     b: Array,
@@ -535,10 +417,13 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 
 
 @njit
-def unweighted_sums(
+def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """The sums of `final_sums` with all weights 1, without those of a's gradients: 9 of the 12 planes."""
+    """Sums per block of gx r, gy r (0, 1); r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 (5 to 11).
+    r = a - b(x + d), with d linear in the block: its slopes (4, ny, nx); ga, gb are the gradients along x of
+    the two images. Planes 2 to 4 of out (12, ny, nx), for sums of a's gradients, are left alone.
+    """
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -551,7 +436,7 @@ def unweighted_sums(
         sums[:2] = F(0)
         for j in range(BLOCK):
             _spline_columns(first, by * BLOCK + j, splines[0], splines[1])
-            _unweighted_row(splines, spread, work.strip[j], F(j) - MID, a[j, 1:], r[j, 1:], scores)
+            _residual_row(splines, spread, work.strip[j], F(j) - MID, a[j, 1:], r[j, 1:], scores)
             for row in (a[j], r[j]):
                 row[0], row[n + 1] = row[2], row[n - 1]  # no slope at the edge
         _strip_sums(a, r, totals)
@@ -649,7 +534,7 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Sums of gx r and gy r over the pixels assigned to each block, (ny nx, 2); r as in `unweighted_sums`."""
+    """Sums of gx r and gy r over the pixels assigned to each block, (ny nx, 2); r as in `final_sums`."""
     n = u.shape[1] * BLOCK
     rows = work.rows
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])

@@ -29,9 +29,7 @@ from wavefield.matching.kernels import (
     bead_scores,
     final_sums,
     plain_sums,
-    robust_sums,
     shift_sums,
-    unweighted_sums,
     work_space,
 )
 from wavefield.matching.prepared import NO_MASK, Level, PreparedImage, level_count, prepare
@@ -208,15 +206,15 @@ def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 def _last_sums(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
 ) -> np.ndarray:
-    """The sums of `final_sums` with all weights 1, (12, ny, nx)."""
+    """The sums of `final_sums` with those of gx gx, gx gy, gy gy of a between them, (12, ny, nx)."""
     sums = np.empty((12, *u.shape), np.float32)
-    unweighted_sums(a.padded, b.padded, u, v, slope, work, sums)
+    final_sums(a.padded, b.padded, u, v, slope, work, sums)
     sums[2:5] = a.moments[:3]
     return sums
 
 
 def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Steps without weights per pixel, using the Hessian of image a."""
+    """Steps by the residuals alone, using the Hessian of image a."""
     for number in range(count):
         pair.update_weights(u, v)
         score = pair.windows(_plain_scores(pair, u, v, _slopes(u, v)))
@@ -235,41 +233,18 @@ def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndar
 
 def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
     """Steps on the finest level; the last one also measures correlation and noise."""
-    a, b, settings = pair.a, pair.b, pair.settings
-    unweighted = 0 if settings.robust else count - 1
-    u, v = _plain_steps(pair, u, v, unweighted)
-    c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
-    c2 = np.zeros(u.shape, np.float32)
-    for number in range(unweighted, count):
-        pair.update_weights(u, v)
-        if settings.robust:
-            kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
-            sums = np.empty((fields, *u.shape), np.float32)
-            kernel(a.padded, b.padded, u, v, _slopes(u, v), c2, c2b2, pair.work, sums)
-        else:
-            sums = _last_sums(a, b, u, v, _slopes(u, v), pair.work)
-        sums *= pair.count
-        windowed = np.empty_like(sums)
-        if settings.robust:
-            pair.windows(sums, windowed)
-        else:
-            pair.windows(sums[:2], windowed[:2])
-            windowed[2:5] = pair.hessian
-            pair.windows(sums[5:], windowed[5:])
-        before = u, v
-        u, v, outlier = pair.advance(u, v, windowed[2:5], windowed[:2], number)
-        if settings.robust:
-            c2 = _robust_scale(windowed[5], pair.coverage, settings)
+    a, b = pair.a, pair.b
+    u, v = _plain_steps(pair, u, v, count - 1)
+    pair.update_weights(u, v)
+    sums = _last_sums(a, b, u, v, _slopes(u, v), pair.work)
+    sums *= pair.count
+    windowed = np.empty_like(sums)
+    pair.windows(sums[:2], windowed[:2])
+    pair.windows(sums[5:], windowed[5:])
+    before = u, v
+    u, v, outlier = pair.advance(u, v, pair.hessian, windowed[:2], count - 1)
     last = _LastStep(sums, windowed, pair.coverage, u - before[0], v - before[1], outlier)
-    return _assess(a, b, u, v, last, settings)
-
-
-def _robust_scale(rr: np.ndarray, coverage: np.ndarray, settings: MatchSettings) -> np.ndarray:
-    """1 / (c s)^2 of the robust weights from the windowed sums of squared residuals."""
-    variance = rr / (F(BLOCK * BLOCK) * np.maximum(coverage, F(1e-3)))
-    least = F(1e-6) * F(variance.mean()) + F(1e-12)
-    out: np.ndarray = 1 / (F(settings.robust**2) * np.maximum(variance, least))
-    return out
+    return _assess(a, b, u, v, last, pair.settings)
 
 
 def reevaluate(
@@ -389,7 +364,7 @@ class _LastStep:
     """Result of the last step of a match, with the sums it came from."""
 
     sums: np.ndarray  # (12, ny, nx): those of `final_sums`, per block
-    windowed: np.ndarray  # (12, ny, nx): over windows; read from the sixth on
+    windowed: np.ndarray  # (12, ny, nx): over windows, from the sixth on
     coverage: np.ndarray  # (ny, nx): usable fraction of each window
     du: np.ndarray  # (ny, nx): the step, px
     dv: np.ndarray

@@ -30,11 +30,6 @@ class MatchSettings:
         The same on the coarser levels.
     smoother_order : int
         Higher: a flatter passband of the smoother.
-    robust : float
-        c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 of a pixel with residual r, for particles
-        that appear and vanish; 0: none.
-    robust_beta : float
-        beta of that weight: allows larger residuals on bright pixels.
     relaxation : float
         Factor on every step; noise makes steps too short.
     normalization : float
@@ -59,8 +54,6 @@ class MatchSettings:
     smoother_sigma: float = 2.5
     coarse_smoother_sigma: float = 2.0
     smoother_order: int = 4
-    robust: float = 1.5
-    robust_beta: float = 0.3
     relaxation: float = 1.15
     normalization: float = 16.0
     search_x: Range | None = (-16.0, 16.0)
@@ -80,8 +73,6 @@ class MatchSettings:
         not_negative = (
             "smoother_sigma",
             "coarse_smoother_sigma",
-            "robust",
-            "robust_beta",
             "min_gradient_energy",
         )
         for name in not_negative:
@@ -106,7 +97,7 @@ class MatchSettings:
 
     @classmethod
     def piv(cls, **changes: Any) -> MatchSettings:
-        """One camera, one frame to the next: robust weights against particles that appear and vanish."""
+        """One camera, from one frame to the next: the defaults."""
         return replace(cls(), **changes)
 
     @classmethod
@@ -118,7 +109,6 @@ class MatchSettings:
                 window=26.0,
                 smoother_sigma=2.4,
                 coarse_smoother_sigma=2.4,
-                robust=0.0,
                 normalization=13.0,
                 search_x=(-48.0, 48.0),
                 search_y=(-8.0, 8.0),

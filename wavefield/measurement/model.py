@@ -16,7 +16,7 @@ from wavefield.matching import Prior
 from wavefield.matching.map_field import Modes
 from wavefield.matching.map_variance import PosteriorVariance
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.regrid import local_coefficients, thin_plate
+from wavefield.measurement.regrid import local_coefficients, spline_prefilter
 from wavefield.one_thread import one_thread
 from wavefield.variables import EXACT_SIX
 
@@ -112,10 +112,9 @@ class FieldModel:
         self,
         prior: Prior,
         shape: tuple[int, int],
-        smoothing: float = 0.0,
         inner: NDArray[np.bool_] | None = None,
     ) -> None:
-        self.prior, self._shape, self._smoothing, self._inner = prior, shape, smoothing, inner
+        self.prior, self._shape, self._inner = prior, shape, inner
 
     @cached_property
     def modes(self) -> Modes:
@@ -133,7 +132,7 @@ class FieldModel:
     def _spline(self) -> Float:
         """Gain from the field's cosines to those of its spline, (my, mx)."""
         my, mx = self.modes.shape
-        return thin_plate(self._shape, self._smoothing)[:my, :mx]
+        return spline_prefilter(self._shape)[:my, :mx]
 
     def splined(self, waves: Float, rest: Float) -> Float:
         """Spline coefficients (ny, nx, c) of a field: cosines (c, my, mx) and a rest (c, ny, nx)."""
@@ -143,7 +142,7 @@ class FieldModel:
 
 def elevation_model(geometry: GridGeometry, prior: Prior) -> FieldModel:
     """The elevation on the rectified lattice, metres."""
-    return FieldModel(prior, geometry.lattice.shape, geometry.settings.smoothing, _inner_blocks(geometry))
+    return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry))
 
 
 def displacement_model(geometry: GridGeometry, camera: str, prior: Prior) -> FieldModel:

@@ -84,13 +84,11 @@ def push_pull(fields: Float, valid: Mask) -> Float:
     return out
 
 
-def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
-    """Gain of the smoothing thin plate and of the spline prefilter for each cosine, (ny, nx).
-    1 / ((1 + smoothing k^4) b_x b_y), with b the sampled cubic B-spline.
-    """
+def spline_prefilter(shape: tuple[int, int]) -> Float:
+    """Gain from a field's cosines to those of its cubic spline, (ny, nx): 1 / (b_x b_y), b the B-spline."""
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     spline = ((2.0 + np.cos(ky)) / 3.0)[:, None] * ((2.0 + np.cos(kx)) / 3.0)
-    return (1.0 / ((1.0 + smoothing * (ky[:, None] ** 2 + kx**2) ** 2) * spline)).astype(np.float32)
+    return (1.0 / spline).astype(np.float32)
 
 
 def interpolation_gain(q: Float) -> Float:
@@ -103,7 +101,7 @@ def coefficients(fields: Float) -> Float:
     """Cubic-spline coefficients of fields (ny, nx, F)."""
     stack = np.ascontiguousarray(np.moveaxis(fields, -1, 0))
     waves = scipy.fft.dctn(stack, axes=(1, 2), norm="ortho", workers=1)
-    waves *= thin_plate(stack.shape[1:], 0.0)
+    waves *= spline_prefilter(stack.shape[1:])
     smooth = scipy.fft.idctn(waves, axes=(1, 2), norm="ortho", workers=1, overwrite_x=True)
     return np.ascontiguousarray(np.moveaxis(smooth, 0, -1), dtype=np.float32)
 

@@ -106,9 +106,7 @@ def _information_weight(prior: Prior, factor: float) -> Prior:
 def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
     """Gain of z at wavenumbers kx, ky, rad/m."""
     step = BLOCK * geometry.pixel
-    gain: Float = _gain_between_blocks(record.elevation, kx * step, ky * step)[0]
-    gain /= 1.0 + geometry.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
-    return gain
+    return np.asarray(_gain_between_blocks(record.elevation, kx * step, ky * step)[0])
 
 
 def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:

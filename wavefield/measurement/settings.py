@@ -16,7 +16,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
     "floating": {"stereo": {}, "piv": {}},
     "sheet": {
         "stereo": {"window": 32.0, "min_correlation": 0.2},
-        "piv": {"window": 24.0, "min_correlation": 0.2, "robust": 1.5},
+        "piv": {"window": 24.0, "min_correlation": 0.2},
     },
     "texture": {
         "stereo": {"window": 36.0, "min_correlation": 0.3, "max_deviation": 5.0},
@@ -29,7 +29,6 @@ _STEREO = matching.MatchSettings(
     window=21.0,
     smoother_sigma=1.8,
     coarse_smoother_sigma=1.5,
-    robust=0.0,
     relaxation=1.25,
     normalization=10.0,
     search_x=(-48.0, 48.0),
@@ -43,7 +42,6 @@ _PIV = matching.MatchSettings(
     window=12.0,
     smoother_sigma=1.3,
     coarse_smoother_sigma=1.0,
-    robust=0.0,
     relaxation=1.25,
     normalization=10.0,
     min_correlation=0.5,
@@ -70,9 +68,6 @@ class Settings:
     pixel : float or None
         Pixel of the rectified images, m. Default: that of the camera that resolves least, or down to half
         of it where blocks of five would be wider than 0.8 grid steps.
-    smoothing : float
-        Thin-plate smoothing of z, block lengths to the fourth power; halves waves of 2 pi smoothing^(1/4)
-        blocks.
     eps_limit : float
         Matches beyond this many times the rms of the epipolar error are rejected.
     eps_floor : float
@@ -84,7 +79,7 @@ class Settings:
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings
-        Matching between frames. Where particles come and go set its ``robust`` to 1.5: a third more time.
+        Matching between frames.
 
     Examples
     --------
@@ -100,7 +95,6 @@ class Settings:
     sheet_thickness: float | None = None
     bead_height: float = 0.0
     pixel: float | None = None
-    smoothing: float = 0.0
     eps_limit: float = 3.0
     eps_floor: float = 0.3
     min_valid: float = 0.2
@@ -130,7 +124,7 @@ class Settings:
         if self.pixel is not None and not self.pixel > 0:
             raise ExperimentError(f"pixel: give a length above 0 m, not {self.pixel}")
         self._check_sheet()
-        for name in ("smoothing", "eps_limit", "eps_floor", "min_valid", "bead_height"):
+        for name in ("eps_limit", "eps_floor", "min_valid", "bead_height"):
             if not getattr(self, name) >= 0:
                 raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
 
