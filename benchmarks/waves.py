@@ -45,41 +45,34 @@ Count = tuple[str, str, float]  # kind, product, fraction
 SeaCounts = tuple[int, list[str], list[Count]]  # seed, families
 
 
-def _interval_names(name: str) -> tuple[str, str] | None:
-    """Spectrum whose interval begins at a variable ``low_...``, and how it is counted."""
-    stem = name.removeprefix("low_")
-    if stem.startswith("nonlinear_ratio"):
-        return stem, stem
-    if stem.startswith("komega_"):
-        return f"E_{stem}", "E(k, omega) of " + stem.removeprefix("komega_")
-    if stem.startswith("E_k_"):
-        return stem, "E(k) of " + stem.removeprefix("E_k_")
-    if stem.startswith("E_"):
-        return stem, "E(omega) of " + stem.removeprefix("E_")
-    return ("D", "D(theta)") if stem == "D" else (f"Ez_{stem}", f"Ez_{stem}")
-
-
 def _factors(tree: xr.DataTree, group: str) -> Iterator[tuple[str, Array, Array, Array, Array]]:
     """Estimates of a group with intervals: product, values, ends as factors, and where they count."""
     data = tree[group].to_dataset()
-    for name in data:
-        names = _interval_names(str(name)) if str(name).startswith("low_") else None
-        if names is None or names[0] not in data:
-            continue
-        value, low, high = (data[n].values for n in (names[0], name, str(name).replace("low_", "high_", 1)))
-        there = np.isfinite(value) & np.isfinite(low) & np.isfinite(high) & (value > 0)
-        if names[0].startswith("nonlinear_ratio"):
-            axis = "k" if names[0].endswith("_k") else "omega"
-            energy = tree["spectra"]["E_k_w" if axis == "k" else "E_w"].values
-            there &= energy > STRONG * np.nanmax(energy)
-        else:
-            there &= value > STRONG * np.nanmax(np.where(there, value, 0))
-        if names[0].startswith("E_komega"):
-            there &= data["valid_komega"].values
-        valid = "valid_" + names[0].removeprefix("Ez_")
-        if names[0].startswith("Ez_") and valid in data:
-            there &= data[valid].values
-        yield names[1], value, low, high, there
+    if group == "spectra":
+        for name in data["quantity"].values:
+            one = data.sel(quantity=name)
+            for end, text in (("", "E(k, omega)"), ("_k", "E(k)"), ("_omega", "E(omega)")):
+                energy, low, high = (one[f"{part}{end}"].values for part in ("E", "low", "high"))
+                yield f"{text} of {name}", energy, low, high, _counted(energy, True if end else one["valid"])
+        for source in data["source"].values:
+            one = data.sel(source=source)
+            energy, low, high = (one[part].values for part in ("Ez", "low_Ez", "high_Ez"))
+            yield f"Ez_{source}", energy, low, high, _counted(energy, one["valid_Ez"])
+    elif group == "direction" and "D" in data:
+        density, low, high = (data[name].values for name in ("D", "low_D", "high_D"))
+        yield "D(theta)", density, low, high, _counted(density, np.isfinite(low) & np.isfinite(high))
+    elif group == "kinematics":
+        for axis in ("k", "omega"):
+            name = f"nonlinear_ratio_{axis}"
+            ratio, low, high = (data[end + name].values for end in ("", "low_", "high_"))
+            energy = tree["spectra"][f"E_{axis}"].sel(quantity="w").values
+            yield name, ratio, low, high, _counted(energy, np.isfinite(ratio + low + high) & (ratio > 0))
+
+
+def _counted(energy: Array, valid: Any) -> Array:
+    """Where an estimate is strong enough to count."""
+    there = np.isfinite(energy) & (energy > 0) & np.asarray(valid)
+    return np.asarray(there & (energy > STRONG * np.nanmax(np.where(there, energy, 0))))
 
 
 def _intervals(one: xr.DataTree, other: xr.DataTree) -> Iterator[Count]:
@@ -128,21 +121,15 @@ def _against_truth(tree: xr.DataTree, current: tuple[float, float]) -> Iterator[
 def _nulls(tree: xr.DataTree, mixed: xr.Dataset) -> Iterator[Count]:
     """Fraction of coherences without relation that exceed their level."""
     spectra, group = tree["spectra"], tree["coherence"]
-    for ending, names in (
-        ("", ("E_k_rise", "E_k_nl", "E_k_w")),
-        ("_komega", ("E_komega_rise", "E_komega_nl", "")),
-    ):
-        there = [spectra[n].values > STRONG * spectra[n].values.max() for n in names if n]
-        strong = there[0] & there[1]
-        waves = there[0] if ending else there[0] & there[2]
-        if ending:
-            strong, waves = (part & spectra["valid_komega"].values for part in (strong, waves))
-        for product, data, part in (
-            (f"z_t with u . grad z{ending}", group, strong),
-            (f"z_t with w of another sea{ending}", mixed, waves),
+    for ending, energy in (("", spectra["E_k"]), ("_komega", spectra["E"])):
+        strong = energy > STRONG * energy.max([dim for dim in energy.dims if dim != "quantity"])
+        rise, w, nl = (strong.sel(quantity=name).values for name in ("rise", "w", "nl"))
+        waves = rise & spectra["valid"].values if ending else rise & w
+        for product, data, term, part in (
+            (f"z_t with u . grad z{ending}", group, "nl", waves & nl if ending else rise & nl),
+            (f"z_t with w of another sea{ending}", mixed, "w", waves),
         ):
-            name = "nl" if "grad" in product else "w"
-            over = (data[f"gamma2_{name}{ending}"] > data[f"level_{name}{ending}"]).values
+            over = (data[f"gamma2{ending}"] > data[f"level{ending}"]).sel(term=term).values
             if part.any() and over.shape == part.shape:
                 yield "null", f"coherence: {product}", float(over[part].mean())
     for name in ("bicoherence", "tricoherence"):

@@ -26,7 +26,7 @@ PAGES = (
     ),
 )
 
-INTERVAL = re.compile("^(low|high|dof)_")  # names of variables that the page explains once
+INTERVAL = re.compile("^(low|high|dof)(_|$)")  # names of variables that the page explains once
 
 QUALITY = {
     Quality.MEASURED: "found by matching on its own",

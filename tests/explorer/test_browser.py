@@ -196,7 +196,7 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
     page.page.keyboard.press("3")
     page.wait(f"{model('wave_image')}.data.image.length == 1 && {model('wave_ruler')}.data.k.length > 0")
     name = page.get("wave_variable", "value")
-    energy = waves["spectra"][f"E_komega_{name}"].transpose("omega", "k").values
+    energy = waves["spectra"].E.sel(quantity=name).transpose("omega", "k").values
     np.testing.assert_allclose(page.image("wave_image"), log_density(energy), atol=1e-5)
     page.set("wave_current", "value", "0.3")
     page.set("wave_depth", "value", "0.1")
@@ -216,7 +216,7 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
         float(stored[2]),
     )
     page.wait(f"{model('wave_map')}.title.text.includes('at {stored[2]:.3g} Hz')")
-    plane = waves["spectra"][f"E_kxky_{name}"].isel(omega_map=2).transpose("ky", "kx").values
+    plane = waves["spectra"].E_kxky.sel(quantity_map=name).isel(omega_map=2).transpose("ky", "kx").values
     np.testing.assert_allclose(page.image("wave_plane"), log_density(plane), atol=1e-5)
 
 

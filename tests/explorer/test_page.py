@@ -124,7 +124,7 @@ def test_the_waves_of_the_analysis_are_shown_and_those_of_another_cube_refused(t
         make_cube(tmp_path / name / "cube.zarr", steps=steps)
     waves = analyze(tmp_path / "cube" / "cube.zarr", tmp_path / "cube" / "waves.zarr")
     page, _ = build(tmp_path / "cube" / "cube.zarr", Place(tab="waves"))
-    energy = waves["spectra"]["E_komega_w"].transpose("omega", "k").values
+    energy = waves["spectra"]["E"].sel(quantity="w").transpose("omega", "k").values
     drawn = page.waves().sources["image"].data["image"][0]
     np.testing.assert_allclose(drawn, log_density(energy), atol=1e-5)
     shutil.copytree(tmp_path / "cube" / "waves.zarr", tmp_path / "other" / "waves.zarr")

@@ -21,9 +21,14 @@ def white_cube(seed, steps=512, ny=24, nx=30):
     return cube(fields, t, y, x)
 
 
+def u_as_nonlinear_term(ring):
+    names = {axis: [name.replace("u", "nl") for name in ring[axis].values] for axis in ("quantity", "pair")}
+    return ring.assign_coords(names)
+
+
 @pytest.mark.slow
 def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predicted():
-    names = ("rise", "u", "v", "w")
+    names = ("rise", "w", "u", "v")
     pairs = tuple(combinations(names, 2))
     means, hits, hits_k, over_k = [], [], [], []
     for seed in range(12):
@@ -31,21 +36,18 @@ def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predic
         inside = (ring.k > 10) & (ring.k < np.pi / 0.04)
         use = inside & (ring.omega > 5) & (ring.omega < 58)
         for a, b in pairs:
-            samples = (ring[f"dof_{a}"] * ring[f"dof_{b}"]) ** 0.5 / 2
+            one, other = (ring.sel(quantity=name, drop=True) for name in (a, b))
+            samples = (one.dof * other.dof) ** 0.5 / 2
             level = coherence_module.significance_level(samples)
-            gamma2 = np.abs(ring[f"S_{a}_{b}"]) ** 2 / (ring[f"E_{a}"] * ring[f"E_{b}"])
+            gamma2 = np.abs(ring.S.sel(pair=f"{a}*{b}")) ** 2 / (one.E * other.E)
             means.append((gamma2 * samples).where(use).mean().item())
             hits.append((gamma2 > level).where(use).mean().item())
         # u in the place of the nonlinear term: any two unrelated signals
-        names_of_nl = {
-            name: name.removesuffix("_u") + "_nl" for name in ("samples_rise_u", "samples_k_rise_u")
-        }
-        made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_rise_u="S_rise_nl", **names_of_nl)
-        made = made.assign(S_w_nl=ring.S_u_w.conj())
-        C = coherence_module.coherence_group(made)
-        for name in ("w", "nl"):
-            over_k.append((C[f"gamma2_{name}"] * C[f"samples_{name}"]).where(inside).mean().item())
-            hits_k.append((C[f"gamma2_{name}"] > C[f"level_{name}"]).where(inside).mean().item())
+        C = coherence_module.coherence_group(u_as_nonlinear_term(ring))
+        for term in ("w", "nl"):
+            of_term = C.sel(term=term)
+            over_k.append((of_term.gamma2 * of_term.samples).where(inside).mean().item())
+            hits_k.append((of_term.gamma2 > of_term.level).where(inside).mean().item())
     assert np.mean(means) == pytest.approx(1, abs=0.03)  # the limit by the whole record takes 2.5 %
     assert np.mean(hits) == pytest.approx(0.05, abs=0.004)
     # one number for all frequencies: 600 values where there are 50 000 above
@@ -61,18 +63,17 @@ def sea():
 def test_the_parts_add_up_to_the_whole(sea):
     C = wv.coherence(sea, segment=128)
     for ending in ("", "_komega"):
-        total = C[f"C_tot{ending}"]
-        use = np.isfinite(total)
-        difference = np.abs(C[f"C_w{ending}"] + C[f"C_nl{ending}"] - total).where(use)
+        w, nl, total = (C[f"C{ending}"].sel(term=term, drop=True) for term in ("w", "nl", "tot"))
+        difference = np.abs(w + nl - total).where(np.isfinite(total))
         assert float(difference.max()) < 1e-12
-    assert np.iscomplexobj(C.C_w)
+    assert np.iscomplexobj(C.C)
 
 
 def test_a_linear_sea_is_coherent_where_its_waves_are(sea):
     C = wv.coherence(sea, segment=128)
-    band = C.sel(k=slice(8, 30))
-    assert float(band.gamma2_w.min()) > 0.97
-    assert float(np.abs(np.angle(band.C_w)).max()) < 0.05
+    band = C.sel(k=slice(8, 30), term="w")
+    assert float(band.gamma2.min()) > 0.97
+    assert float(np.abs(np.angle(band.C)).max()) < 0.05
 
 
 def test_a_cancelling_nonlinear_term_lifts_the_paper_curve_above_one_and_not_the_standard_one():
@@ -85,28 +86,30 @@ def test_a_cancelling_nonlinear_term_lifts_the_paper_curve_above_one_and_not_the
     made = cube(fields, t, y, x, "f8")
     C = wv.coherence(made, segment=64)
     inner = C.sel(k=slice(15, 40))
-    np.testing.assert_allclose(np.abs(inner.C_w), 1.3, rtol=1e-4)
-    np.testing.assert_allclose(inner.C_nl.real, -0.3, rtol=1e-4)
-    np.testing.assert_allclose(inner.gamma2_w, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(np.abs(inner.C.sel(term="w")), 1.3, rtol=1e-4)
+    np.testing.assert_allclose(inner.C.sel(term="nl").real, -0.3, rtol=1e-4)
+    np.testing.assert_allclose(inner.gamma2.sel(term="w"), 1.0, rtol=1e-6)
 
 
 def test_chunks_do_not_matter_and_lazy_stays_lazy(sea):
     lazy = wv.coherence(sea.chunk({"time": 33, "x": 21}), segment=128)
-    assert dask.is_dask_collection(lazy.C_w)
+    assert dask.is_dask_collection(lazy.C)
     xr.testing.assert_equal(lazy.compute(), wv.coherence(sea, segment=128))
 
 
 def test_cross_spectra_are_the_power_for_a_field_with_itself(sea):
     ring = wv.cross_spectra(sea, NAMES, (("w", "w"), *PAIRS), segment=128)
-    np.testing.assert_allclose(ring.S_w_w.real, ring.E_w, rtol=1e-6)
-    assert float(np.abs(ring.S_w_w.imag).max()) < 1e-9 * float(ring.E_w.max())
+    S, E = ring.S.sel(pair="w*w"), ring.E.sel(quantity="w")
+    np.testing.assert_allclose(S.real, E, rtol=1e-6)
+    assert float(np.abs(S.imag).max()) < 1e-9 * float(E.max())
 
 
 def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
     sea = linear_cube(random_waves(n=150), 400, 40, 50, dx=0.02)
     ring = wv.cross_spectra(sea, ("z", "z_t"), (("z", "z_t"),), segment=128)
     line = ring.sel(omega=2 * np.pi * 1.5, method="nearest")
-    S = complex(line.S_z_z_t.where(line.E_z == line.E_z.max(), 0).sum())
+    E_z = line.E.sel(quantity="z")
+    S = complex(line.S.where(E_z == E_z.max(), 0).sum())
     # z at frame times is half a step early
     half_step = float(line.omega) * 0.05 / 2
     assert np.angle(S) == pytest.approx(-np.pi / 2 - half_step, abs=0.05)
@@ -115,18 +118,15 @@ def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
 def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
     names = ("rise", "w", "u")
     ring = wv.cross_spectra(white_cube(0, steps=128), names, tuple(combinations(names, 2)), segment=32)
-    nil = {
-        "E_nl": 0 * ring.E_u,
-        "S_rise_nl": 0 * ring.S_rise_u,
-        "S_w_nl": 0 * ring.S_w_u,
-        "samples_rise_nl": ring.samples_rise_u,
-        "samples_k_rise_nl": ring.samples_k_rise_u,
-    }
+    made = u_as_nonlinear_term(ring)
+    flat = made.assign(
+        E=made.E.where(made["quantity"] != "nl", 0.0), S=made.S.where(made["pair"] == "rise*w", 0.0)
+    )
     # in pieces, since xarray keeps silent about what it divides at once; any warning is an error here
-    C = coherence_module.coherence_group(ring.assign(nil).chunk()).compute()
-    assert np.isnan(C["gamma2_nl"]).all()
-    assert np.isnan(C["gamma2_nl_komega"]).all()
-    assert np.isfinite(C["gamma2_w"]).sum() == np.isfinite(C["gamma2_tot"]).sum() > 0
+    C = coherence_module.coherence_group(flat.chunk()).compute()
+    assert np.isnan(C.gamma2.sel(term="nl")).all()
+    assert np.isnan(C.gamma2_komega.sel(term="nl")).all()
+    assert np.isfinite(C.gamma2.sel(term="w")).sum() == np.isfinite(C.gamma2.sel(term="tot")).sum() > 0
 
 
 @pytest.mark.slow
@@ -137,14 +137,13 @@ def test_of_linear_seas_the_nonlinear_term_exceeds_its_level_in_about_five_perce
         sea, _ = random_lattice_sea(seed)
         cube = sea.cube(seed)
         spectra = wv.cross_spectra(cube, ("rise", "nl"))
-        there = spectra.valid
-        for name in ("E_rise", "E_nl"):
-            there &= spectra[name] > 1e-3 * spectra[name].max()
-        found = wv.coherence(cube)
-        exceeded = found.gamma2_nl_komega > found.level_nl_komega
+        there = spectra.valid & (spectra.E > 1e-3 * spectra.E.max(["omega", "k"])).all("quantity")
+        found = wv.coherence(cube).sel(term="nl")
+        exceeded = found.gamma2_komega > found.level_komega
         over["_komega"].append(float(exceeded.where(there).mean()))
-        strong = spectra.E_rise.sum("omega") > 1e-3 * spectra.E_rise.sum("omega").max()
-        over[""].append(float((found.gamma2_nl > found.level_nl).where(strong)[2:].mean()))
+        over_k = spectra.E.sel(quantity="rise").sum("omega")
+        strong = over_k > 1e-3 * over_k.max()
+        over[""].append(float((found.gamma2 > found.level).where(strong)[2:].mean()))
     assert 0.01 < np.mean(over["_komega"]) < 0.1, over
     assert np.mean(over[""]) < 0.15, over
 
@@ -152,7 +151,8 @@ def test_of_linear_seas_the_nonlinear_term_exceeds_its_level_in_about_five_perce
 def test_spectra_of_a_cube_have_fewer_degrees_of_freedom_where_its_current_keeps_waves_in_the_window():
     cube = LatticeSea(side=180, shape=(240, 24, 30), current=(0.2, 0.15)).cube(0, ("u", "v", "w"))
     still = cube.assign(u=cube.u - cube.u.mean(), v=cube.v - cube.v.mean())
-    on, off = (wv.cross_spectra(one, ("u", "v", "w"), segment=64) for one in (cube, still))
-    waves = on.valid & (on.E_w > 1e-3 * on.E_w.max())
-    relative_variance = [float((1 / found.dof_w).where(waves).mean()) for found in (on, off)]
+    both = (wv.cross_spectra(one, ("u", "v", "w"), segment=64) for one in (cube, still))
+    on, off = (found.sel(quantity="w") for found in both)
+    waves = on.valid & (on.E > 1e-3 * on.E.max())
+    relative_variance = [float((1 / found.dof).where(waves).mean()) for found in (on, off)]
     assert relative_variance[0] > 1.1 * relative_variance[1]

@@ -42,7 +42,7 @@ def test_products_record_the_current_that_they_used():
         assert attrs["current_source"] == "fit"
         assert attrs["current"] == [float(fit["current_x"]), float(fit["current_y"])]
         assert attrs["current_std"] == [float(fit["current_x_std"]), float(fit["current_y_std"])]
-    assert waves["spectra"]["Ez_w"].attrs["current_source"] == "fit"
+    assert waves["spectra"]["Ez"].attrs["current_source"] == "fit"
 
 
 def test_without_a_fit_products_use_the_given_current_or_none_and_record_why():

@@ -53,7 +53,9 @@ def test_the_noise_is_found_without_a_rest_record(fused):
 
 
 def test_each_road_reaches_as_far_as_its_noise_lets_it(fused, truth):
-    reached = {method: reach(fused[f"Ez_{method}"], truth) for method in ("stereo", "w", "cross", "fusion")}
+    reached = {
+        method: reach(fused.Ez.sel(source=method), truth) for method in ("stereo", "w", "cross", "fusion")
+    }
     decades = {method: value[1] for method, value in reached.items()}
     assert decades["stereo"] > 3.6
     assert decades["w"] > decades["stereo"] + 0.8  # the paper's "one decade"
@@ -66,7 +68,7 @@ def test_each_road_reaches_as_far_as_its_noise_lets_it(fused, truth):
 def test_the_range_that_is_stated_is_the_range_that_is_reached(fused, truth):
     for method in ("stereo", "w", "cross", "fusion"):
         stated = float(fused.range_frequency.sel(source=method))
-        reached = reach(fused[f"Ez_{method}"], truth)[0]
+        reached = reach(fused.Ez.sel(source=method), truth)[0]
         assert stated == pytest.approx(reached, rel=0.25), method
 
 
@@ -101,10 +103,11 @@ def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
     plain = wv.fused_spectra(cube, segment=256, record=record)
     undone = wv.fused_spectra(cube, segment=256, record=record, gain=box_gain())
     for method in ("stereo", "w", "fusion"):
-        before, after = (reach(out[f"Ez_{method}"], truth) for out in (plain, undone))
+        before, after = (reach(out.Ez.sel(source=method), truth) for out in (plain, undone))
         assert after[0] > before[0] + 0.4, method
-        valid = undone[f"valid_{method}"] & (undone.frequency > 1.2)
-        ratio = (smooth(undone[f"Ez_{method}"]) / smooth(truth))[valid.values]
+        found = undone.sel(source=method)
+        valid = found.valid_Ez & (found.frequency > 1.2)
+        ratio = (smooth(found.Ez) / smooth(truth))[valid.values]
         np.testing.assert_allclose(ratio, 1, atol=0.25, err_msg=method)
         assert abs(ratio.mean() - 1) < 0.05, method
     for name in ("sigma_z", "sigma_dz"):  # noise is told from what windows take
@@ -138,9 +141,10 @@ def test_intervals_hold_the_error_of_a_predicted_gain():
             gain = xr.Dataset(stated, {"k": k}, {"origin": origin})
             out = wv.fused_spectra(cube, segment=128, record=wv.whole_record(cube), gain=gain)
             for method in ("stereo", "w", "fusion"):
-                short = out[f"valid_{method}"].values & (out.frequency.values > 3.3)
-                ratio = (truth / out[f"Ez_{method}"].where(short)).values
-                inside = (out[f"low_{method}"] < ratio) & (ratio < out[f"high_{method}"])
+                one = out.sel(source=method)
+                short = one.valid_Ez.values & (one.frequency.values > 3.3)
+                ratio = (truth / one.Ez.where(short)).values
+                inside = (one.low_Ez < ratio) & (ratio < one.high_Ez)
                 found.append(inside.values[short])
     share = {origin: np.concatenate(found).mean() for origin, found in holds.items()}
     assert share["linear theory"] > 0.9, share
@@ -156,12 +160,17 @@ def test_w_is_not_valid_where_z_contradicts_it():
     gain = xr.Dataset(even, {"k": np.linspace(0, 9, 181)})
     right = wv.fused_spectra(cube, gain=gain)
     found = wv.fused_spectra(cube.assign(w=wrong * cube.w), gain=gain)
-    waves = (right.frequency.values > 0.27) & (right.frequency.values < 0.6) & right.valid_w.values
+    waves = (
+        (right.frequency.values > 0.27)
+        & (right.frequency.values < 0.6)
+        & right.valid_Ez.sel(source="w").values
+    )
     assert waves.sum() > 3
-    assert not (found.valid_w | found.valid_cross).values[waves].any()
-    assert found.valid_stereo.values[waves].all()
-    fused = waves & found.valid_fusion.values
-    np.testing.assert_allclose((found.Ez_fusion / right.Ez_fusion).values[fused], 1, atol=0.15)
+    assert not found.valid_Ez.sel(source=["w", "cross"]).values[:, waves].any()
+    assert found.valid_Ez.sel(source="stereo").values[waves].all()
+    found, right = (one.sel(source="fusion") for one in (found, right))
+    fused = waves & found.valid_Ez.values
+    np.testing.assert_allclose((found.Ez / right.Ez).values[fused], 1, atol=0.15)
 
 
 def test_what_is_taken_from_the_directions_of_a_sea_comes_back():
@@ -182,8 +191,8 @@ def test_what_is_taken_from_the_directions_of_a_sea_comes_back():
     undone = wv.fused_spectra(lost, gain=gain, current=(0.0, 0.0))
     hertz = undone.frequency.values
     for method in ("stereo", "fusion"):
-        ratio = (undone[f"Ez_{method}"] / true[f"Ez_{method}"]).values
-        valid = undone[f"valid_{method}"].values & (hertz > 0.22) & (hertz < 0.6)
+        ratio = (undone.Ez / true.Ez).sel(source=method).values
+        valid = undone.valid_Ez.sel(source=method).values & (hertz > 0.22) & (hertz < 0.6)
         assert hertz[valid].max() > 0.42
         np.testing.assert_allclose(ratio[valid], 1, atol=0.08)
 
@@ -205,7 +214,7 @@ def test_an_analysis_undoes_the_windows(tmp_path):
     gain.to_zarr(tmp_path / "gain.zarr", consolidated=False)
     tree = wv.analyze(cube, gain=tmp_path / "gain.zarr", segment=64)
     alone = wv.fused_spectra(cube, gain=gain, segment=64)
-    np.testing.assert_allclose(tree["spectra"].Ez_fusion, alone.Ez_fusion, rtol=1e-6)
+    np.testing.assert_allclose(tree["spectra"].Ez, alone.Ez, rtol=1e-6)
     xr.testing.assert_allclose(tree["fusion"].Ez_komega, alone.Ez_komega)
     assert tree.attrs["windows_undone"] != "no"
     with pytest.raises(StoreError, match="cannot be read as a gain"):
@@ -225,17 +234,15 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
     xr.testing.assert_equal(one, left["spectra"].to_dataset())
     k = one.k.values
     for name in ("z", "z_t", "w"):
-        valid = other[f"valid_k_{name}"].values
+        valid = other.valid_k.sel(quantity=name).values
         assert k[valid].max() < half < k[~valid].min()
-        for spectrum in (f"E_komega_{name}", f"E_k_{name}"):
-            ratio = (other[spectrum] / one[spectrum]).transpose("k", ...).values
+        for spectrum in ("E", "E_k"):
+            ratio = (other[spectrum] / one[spectrum]).sel(quantity=name).transpose("k", ...).values
             expected = np.where(valid, (1 + (k / half) ** 5) ** 2, 1).reshape(-1, *[1] * (ratio.ndim - 1))
             np.testing.assert_allclose(ratio, np.broadcast_to(expected, ratio.shape), rtol=0.02)
-    xr.testing.assert_equal(one.E_k_u, other.E_k_u)
+    xr.testing.assert_equal(one.E_k.sel(quantity="u"), other.E_k.sel(quantity="u"))
     predicted = stored.assign_attrs(origin="linear theory")  # less certain than one that is given
-    np.testing.assert_allclose(
-        other["Ez_fusion"], wv.fused_spectra(cube, gain=predicted, segment=64).Ez_fusion
-    )
+    np.testing.assert_allclose(other.Ez, wv.fused_spectra(cube, gain=predicted, segment=64).Ez)
     # water at rest: nothing that could be undone
     still = stored.assign(gain_w=0.1 * stored.gain_w)
     assert wv.analyze(cube.merge(still), segment=64).attrs["windows_undone"] == "no"
@@ -245,10 +252,11 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
     current = (0.1, 0.0)
     quiet = PeriodicSea(n=128, current=current).cube(700, 40, 50)
     out = wv.fused_spectra(quiet, segment=64, current=current)
-    strong = (out.Ez_stereo > 0.05 * out.Ez_stereo.max()) & (out.frequency < 2)
+    stereo = out.Ez.sel(source="stereo", drop=True)
+    strong = (stereo > 0.05 * stereo.max()) & (out.frequency < 2)
     assert int(strong.sum()) >= 4
     for method, asked in (("w", 0.1), ("cross", 0.06), ("fusion", 0.1)):
-        ratio = out[f"Ez_{method}"] / out.Ez_stereo
+        ratio = out.Ez.sel(source=method) / stereo
         np.testing.assert_allclose(ratio.where(strong, drop=True), 1, atol=asked)  # 1.3 and .85 before
 
 
@@ -264,9 +272,9 @@ def test_elevation_from_w_is_right_on_a_current():
     for lowest in (1, 2, 3, 4):
         band = (out.frequency >= lowest) & (out.frequency < lowest + 1)
         for method in ("cross", "fusion"):
-            ratio = float((out[f"Ez_{method}"] / true)[band].mean())
+            ratio = float((out.Ez.sel(source=method) / true)[band].mean())
             assert ratio == pytest.approx(1, abs=0.02), (method, lowest)
-    assert float((still.Ez_fusion / true)[band].mean()) < 0.85  # of still water: what it was
-    ratio = float((out.Ez_w / true)[(out.frequency > 2) & (out.frequency < 4)].mean())
+    assert float((still.Ez.sel(source="fusion") / true)[band].mean()) < 0.85  # of still water: what it was
+    ratio = float((out.Ez.sel(source="w") / true)[(out.frequency > 2) & (out.frequency < 4)].mean())
     assert ratio == pytest.approx(1, abs=0.03)
     assert float(out.sigma_dz) == pytest.approx(SIGMA_DZ, rel=0.03)

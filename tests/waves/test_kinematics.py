@@ -77,7 +77,8 @@ def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
     z_t = sea.z_t
     mean = (sea.z + (0.05 / 16) * (z_t.shift(time=-1) - z_t.shift(time=1))).isel(time=slice(1, -1))
     averaged = wv.komega(mean.assign_attrs(units="m"), segment=256)
-    E_z, E_w, E_mean = (e.sum("k") for e in (ring.E_z, ring.E_w, averaged.E))
+    E_z, E_w = (ring.E.sel(quantity=name, drop=True).sum("k") for name in ("z", "w"))
+    E_mean = averaged.E.sum("k")
     band = (E_z.frequency > 1.3) & (E_z.frequency < 4.7)
     E_mean = E_mean.assign_coords(omega=E_z.omega)
     gain = (E_mean / E_z / wv.gain_frame_mean(E_z.omega, 0.05, 2))[band]
@@ -116,7 +117,7 @@ def test_elevation_beside_the_mean_flow_goes_to_frame_time_on_a_current():
     made = made.assign_coords(path_frames=np.uint8(4))
     made.z.attrs |= {"frames": 6, "moving": 1}
     exact = wv.komega(cube({"z": height(t - dt / 2, 0.0)}, t, y, x, "f8").z, segment=64).E
-    found = wv.cross_spectra(made, ("z",), segment=64).E_z
+    found = wv.cross_spectra(made, ("z",), segment=64).E.sel(quantity="z")
     assert float(found.sum() / exact.sum()) == pytest.approx(1.0, abs=0.01)
     # left as it is, it lacks the short waves
     raw = wv.komega(made.z, segment=64).E

@@ -35,7 +35,7 @@ def test_coherent_noise_beyond_the_waves_is_marked():
     cube["z_t"], cube["w"] = cube.z_t + noise, cube.w + noise
     found = wf.coherence(cube)
     beyond = found.k > 80
-    assert float(found.gamma2_w.where(beyond).mean()) > 0.9
+    assert float(found.gamma2.sel(term="w").where(beyond).mean()) > 0.9
     assert not bool(found.valid.where(beyond, False).any())
     assert bool(found.valid.sel(k=slice(14, 25)).all())
 

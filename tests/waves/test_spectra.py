@@ -95,7 +95,7 @@ def held(energies, dof, there):
 
 def test_the_interval_holds_the_truth_for_seas_with_and_without_direction_and_current(free_sea):
     _, found = free_sea
-    energies, dof = (np.array([E[name].values for E in found]) for name in ("E_w", "dof_w"))
+    energies, dof = (np.array([E[name].sel(quantity="w").values for E in found]) for name in ("E", "dof"))
     mean = energies.mean(axis=0)
     assert 0.9 < held(energies, dof, found[0].valid.values & (mean > 1e-3 * mean.max())) < 0.97
 
@@ -103,9 +103,9 @@ def test_the_interval_holds_the_truth_for_seas_with_and_without_direction_and_cu
 def test_the_intervals_of_sums_over_k_and_over_omega_hold_their_truth(free_sea):
     _, found = free_sea
     for axis, over in (("omega", "k"), ("k", "omega")):
-        energies = np.array([E.E_w.sum(over).values for E in found])
+        energies = np.array([E.E.sel(quantity="w").sum(over).values for E in found])
         mean = energies.mean(axis=0)
-        dof = np.array([E[f"dof_{axis}_w"].values for E in found])
+        dof = np.array([E[f"dof_{axis}"].sel(quantity="w").values for E in found])
         assert 0.88 < held(energies, dof, mean > 1e-2 * mean.max()) < 0.99
 
 
@@ -115,13 +115,11 @@ def test_coherence_without_relation_is_as_small_as_its_samples_let_expect(free_s
     for one, other, own in zip(draws[::2], draws[1::2], found):
         pair = xr.Dataset({"z_t": one["w"], "w": other["w"]}, attrs=one.attrs)
         unrelated = wv.cross_spectra(pair, ("z_t", "w"), (("z_t", "w"),))
-        for name, ring, (a, b) in (("other", unrelated, ("z_t", "w")), ("nl", own, ("w", "nl"))):
-            there = ring.valid & (ring[f"E_{a}"] > 1e-3 * ring[f"E_{a}"].max())
-            there &= ring[f"E_{b}"] > 1e-3 * ring[f"E_{b}"].max()
-            gamma2 = np.abs(ring[f"S_{a}_{b}"]) ** 2 / (ring[f"E_{a}"] * ring[f"E_{b}"])
-            level = significance_level(ring[f"samples_{a}_{b}"])
-            hits[name].append(float((gamma2 > level).where(there).mean()))
-            sizes[name].append(float((gamma2 * ring[f"samples_{a}_{b}"]).where(there).mean()))
+        for name, ring in (("other", unrelated), ("nl", own)):
+            there = ring.valid & (ring.E > 1e-3 * ring.E.max(["omega", "k"])).all("quantity")
+            gamma2 = np.abs(ring.S) ** 2 / ring.E.prod("quantity")
+            hits[name].append(float((gamma2 > significance_level(ring.samples)).where(there).mean()))
+            sizes[name].append(float((gamma2 * ring.samples).where(there).mean()))
     for name in hits:
         assert np.mean(hits[name]) < 0.1
         assert 0.5 < np.mean(sizes[name]) < 1.4

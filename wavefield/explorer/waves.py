@@ -17,7 +17,6 @@ from wavefield.figures.display import POSITIVE
 DECADES = 6.0  # decades of the colour scale below the largest density
 _PLANE_PX = 340  # height of the map of (kx, ky)
 DEEP_WATER_M = 5.0  # in place of an unknown depth
-_SPECTRUM, _MAP = "E_komega_", "E_kxky_"  # prefixes of variables in the wave store
 _WRAP = {"flex-wrap": "wrap"}
 
 
@@ -122,8 +121,7 @@ class WavePanel:
         if self._spectra is None:
             self.words.text = f"{session.run.reason('waves')}; they appear here by themselves"
             return
-        names = [str(name) for name in self._spectra.data_vars]
-        options = [name.removeprefix(_SPECTRUM) for name in names if name.startswith(_SPECTRUM)]
+        options = [str(name) for name in self._spectra["quantity"].values]
         self.words.text = "Click E(k, ω) to choose the frequency of the map."
         self.variable.update(options=options, value="w" if "w" in options else options[0])
         self._show_spectrum()
@@ -131,7 +129,7 @@ class WavePanel:
     def _show_spectrum(self) -> None:
         if self._spectra is None or not parts.chosen(self.variable):
             return
-        energy = self._spectra[_SPECTRUM + parts.chosen(self.variable)].transpose("omega", "k")
+        energy = self._spectra["E"].sel(quantity=parts.chosen(self.variable)).transpose("omega", "k")
         hertz, cycles = energy.omega.values / (2 * np.pi), energy.k.values / (2 * np.pi)
         self.sources["image"].data = parts.image_data(log_density(energy.values), cycles, hertz)
         shortest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
@@ -159,11 +157,11 @@ class WavePanel:
         self._show_map()
 
     def _show_map(self) -> None:
-        spectra, names = self._spectra, (parts.chosen(self.variable), "w")
-        name = next((name for name in names if spectra is not None and _MAP + name in spectra), None)
-        if spectra is None or name is None:
+        spectra, name = self._spectra, parts.chosen(self.variable)
+        if spectra is None or "E_kxky" not in spectra:
             return
-        energy = spectra[_MAP + name].isel(omega_map=self._chosen).transpose("ky", "kx")
+        name = name if name in spectra["quantity_map"].values else "w"
+        energy = spectra["E_kxky"].isel(omega_map=self._chosen).sel(quantity_map=name).transpose("ky", "kx")
         kx, ky = energy.kx.values / (2 * np.pi), energy.ky.values / (2 * np.pi)
         self.sources["plane"].data = parts.image_data(log_density(energy.values), kx, ky)
         hertz = float(energy.omega_map) / (2 * np.pi)

@@ -78,10 +78,10 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     """
     figure, [[left, right]] = panels(2)
     k, valid = cycles(coherence), coherence["valid"].values if "valid" in coherence else None
-    for ax, stem in ((left, "C_"), (right, "gamma2_")):
-        curves = {label: np.abs(coherence[stem + n].values) for n, label in _COHERENCES.items()}
+    for ax, name in ((left, "C"), (right, "gamma2")):
+        curves = {label: np.abs(coherence[name].sel(term=term).values) for term, label in _COHERENCES.items()}
         draw_curves(ax, k, curves, valid=valid)
-    right.plot(k, coherence.level_w.values, color="0.5", linestyle=":", label="chance (5 %)")
+    right.plot(k, coherence.level.sel(term="w").values, color="0.5", linestyle=":", label="chance (5 %)")
     finish(left, CYCLES, "|C(k)|, common normalisation (1)", ylim=(0, 1.1))
     finish(right, CYCLES, "γ²(k) (1)", ylim=(0, 1.05))
     return figure
@@ -103,9 +103,10 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
     kx, ky = (plane[name].values / (2 * np.pi) for name in ("kx", "ky"))
     label = "|C(k)| of z_t with w − u·∇z"
     norm = Normalize(0, 1)
-    draw_cells(left, kx, ky, plane.plane_C_tot.values, label, norm=norm, cmap=POSITIVE, extend="neither")
+    values = plane.plane_C.sel(term="tot").values
+    draw_cells(left, kx, ky, values, label, norm=norm, cmap=POSITIVE, extend="neither")
     left.set(xlabel="kx / 2π (m⁻¹)", ylabel="ky / 2π (m⁻¹)", aspect="equal")
-    curves = {label: plane[f"mean_C_{name}"].values for name, label in _COHERENCES.items()}
+    curves = {label: plane.mean_C.sel(term=term).values for term, label in _COHERENCES.items()}
     draw_curves(right, cycles(plane), curves)
     finish(right, CYCLES, "|C|, averaged after the ratio", ylim=(0, 1.1))
     return figure

@@ -25,11 +25,11 @@ from wavefield.figures.style import (
 from wavefield.water import GRAVITY
 
 _METHODS = {
-    "Ez_probes": "wave probes",
-    "Ez_stereo": "stereo z",
-    "Ez_w": "integrated w",
-    "Ez_cross": "cross-spectrum of z and w",
-    "Ez_fusion": "fusion of z and w",
+    "probes": "wave probes",
+    "stereo": "stereo z",
+    "w": "integrated w",
+    "cross": "cross-spectrum of z and w",
+    "fusion": "fusion of z and w",
 }
 _STEPS_DRAWN = 300  # steps drawn of probes; in longer records waves are too narrow to compare
 _LOWEST_COLOUR = "#440154"  # lowest colour of viridis: values below the scale are not missing
@@ -60,7 +60,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     -----
     Counterpart of the paper's space-time spectrum of w.
     """
-    energy = spectra[f"E_komega_{name}"].transpose("omega", "k")
+    energy = spectra["E"].sel(quantity=name).transpose("omega", "k")
     frequency, k = hertz(energy), cycles(energy)
     values = positive(energy.values)
     top = float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
@@ -103,7 +103,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
     -----
     Counterpart of the paper's map at 2.8 Hz. A wave is drawn where it goes.
     """
-    energy = spectra[f"E_kxky_{name}"].transpose("omega_map", "ky", "kx")
+    energy = spectra["E_kxky"].sel(quantity_map=name).transpose("omega_map", "ky", "kx")
     omegas = energy.omega_map.values
     kx, ky = energy.kx.values / (2 * np.pi), energy.ky.values / (2 * np.pi)
     chosen = np.unique(np.linspace(0, len(omegas) - 1, min(3, len(omegas))).round().astype(int))
@@ -155,17 +155,17 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     figure, [[ax]] = panels(1, width=7.6, height=4.8)
     frequency = hertz(spectra)
     peak = 0.0
-    for style, (name, label) in zip(LINES, _METHODS.items(), strict=False):
-        if name not in spectra:
-            continue
-        method = name.removeprefix("Ez_")
-        low, high, valid = (f"{part}_{method}" for part in ("low", "high", "valid"))
-        values = spectra[name].values
-        good = spectra[valid].values if valid in spectra else np.ones(values.size, bool)
+    for style, (source, label) in zip(LINES, _METHODS.items(), strict=False):
+        if source == "probes":
+            if "Ez_probes" not in spectra:
+                continue
+            values, good = spectra.Ez_probes.values, spectra.valid_probes.values
+        else:
+            values, good = (spectra[name].sel(source=source).values for name in ("Ez", "valid_Ez"))
         draw_curves(ax, frequency, {label: values}, (style,), log="xy", valid=good)
         peak = max(peak, float(np.nan_to_num(values[good]).max(initial=0.0)))
-        if method == "stereo" and low in spectra and high in spectra:
-            interval = [spectra[name].values * values for name in (low, high)]
+        if source == "stereo":
+            interval = [spectra[end].sel(source=source).values * values for end in ("low_Ez", "high_Ez")]
             ax.fill_between(frequency, *interval, color=style["color"], alpha=0.15, linewidth=0)
             finite = interval[1][(frequency > 0) & np.isfinite(interval[1])]
             peak = max(peak, float(finite.max(initial=0.0)) / 3)
@@ -192,13 +192,13 @@ def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
     """
     figure, axes = panels(2)
     labels = {"z_t": "z_t", "u": "u", "v": "v", "w": "w", "nl": "u·∇z"}
-    for ax, x, prefix, xlabel, ylabel in (
-        (axes[0, 0], cycles(spectra), "E_k_", CYCLES, "E(k) (m³ s⁻² rad⁻¹)"),
-        (axes[0, 1], hertz(spectra), "E_", HERTZ, "E(ω) (m² s⁻¹ rad⁻¹)"),
+    for ax, x, name, xlabel, ylabel in (
+        (axes[0, 0], cycles(spectra), "E_k", CYCLES, "E(k) (m³ s⁻² rad⁻¹)"),
+        (axes[0, 1], hertz(spectra), "E_omega", HERTZ, "E(ω) (m² s⁻¹ rad⁻¹)"),
     ):
-        names = [name for name in labels if prefix + name in spectra]
-        draw_curves(ax, x, {labels[name]: spectra[prefix + name].values for name in names}, log="xy")
-        top = max((float(spectra[prefix + name].max()) for name in names), default=0.0)
+        energy = spectra[name].sel(quantity=list(labels))
+        draw_curves(ax, x, dict(zip(labels.values(), energy.values, strict=True)), log="xy")
+        top = float(energy.max())
         if top > 0:
             ax.set_ylim(top * 1e-11, top * 5)
         finish(ax, xlabel, ylabel)

@@ -123,7 +123,7 @@ def analyze(
     >>> waves = analyze(xr.Dataset(fields, axes), segment=16)
     >>> sorted({"coherence", "spectra", "statistics"} & set(waves))
     ['coherence', 'spectra', 'statistics']
-    >>> waves["spectra"].E_komega_w.dims
+    >>> waves["spectra"].E.sel(quantity="w").dims
     ('omega', 'k')
     """
     from wavefield.atomic_write import Product, check_writable
@@ -182,8 +182,8 @@ def analyze_on_workers(
     >>> import wavefield as wf
     >>> workflow = wf.Workflow(cluster="local", workers=4)
     >>> waves = wf.analyze_on_workers("cube.zarr", "cube_waves.zarr", workflow, depth=0.7)  # doctest: +SKIP
-    >>> waves["coherence"].C_tot.dims  # doctest: +SKIP
-    ('k',)
+    >>> waves["coherence"].C.dims  # doctest: +SKIP
+    ('term', 'k')
     """
     if not isinstance(workflow, Workflow):
         workflow = Workflow.load(workflow)

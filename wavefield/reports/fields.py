@@ -170,7 +170,7 @@ def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
 def elevation_pictures(run: Run) -> list[Item]:
     """The spectrum of the elevation by each method."""
     group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
-    if group is None or "Ez_stereo" not in group:
+    if group is None or "Ez" not in group:
         return []
     reach = ""
     if fusion is not None and "range_frequency" in fusion:

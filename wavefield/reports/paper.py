@@ -135,7 +135,7 @@ def _spectrum(run: Run) -> ReportSection:
 def _nonlinear(run: Run) -> ReportSection:
     snap, cube = snapshot(run.cube), run.cube
     plane = plane_coherence(cube)
-    low_k = float(plane.mean_C_tot[: plane.sizes["k"] // 4].mean())
+    low_k = float(plane.mean_C.sel(term="tot")[: plane.sizes["k"] // 4].mean())
     return ReportSection(
         "Nonlinear term",
         [

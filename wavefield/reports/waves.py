@@ -12,7 +12,8 @@ from wavefield.waves.motion import kinematics_at
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:
     """E(k, omega) of w and its maps over the direction of travel."""
-    positive = group.E_komega_w.values[group.E_komega_w.values > 0]
+    energy = group.E.sel(quantity="w").values
+    positive = energy[energy > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
     share = f" {_on_relation(dispersion)}." if _on_relation(dispersion) else ""
     return [
@@ -105,7 +106,7 @@ def kinematics_picture(snap: xr.Dataset, cube: xr.Dataset) -> Picture:
 def coherence_picture(coherence: xr.Dataset) -> Picture:
     """Coherence of the rate of rise with the terms of the kinematic condition."""
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
-    total, nonlinear = (median_of(np.abs(valid[name].values)) for name in ("C_tot", "C_nl"))
+    total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(
         figures.coherence_curves(coherence),
         "Coherence of the rate of rise with w, with the nonlinear term, and with their sum: with the common "

@@ -62,11 +62,11 @@ def open_waves(path: str | Path) -> xr.DataTree:
     --------
     >>> import tempfile
     >>> import wavefield as wf
-    >>> group = xr.Dataset({"E_w": ("omega", [0.1, 0.2])}, {"omega": [6.0, 12.0]})
+    >>> group = xr.Dataset({"E_omega": ("omega", [0.1, 0.2])}, {"omega": [6.0, 12.0]})
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_waves(xr.DataTree.from_dict({"spectra": group}), Path(folder) / "waves.zarr")
     ...     waves = wf.open_waves(Path(folder) / "waves.zarr").load()
-    >>> float(waves["spectra/E_w"].sel(omega=12.0))
+    >>> float(waves["spectra/E_omega"].sel(omega=12.0))
     0.2
     """
     path = Path(str(path).removeprefix("file://"))

@@ -28,7 +28,6 @@ from wavefield.variables.waves_table import (
     FIELD_UNITS,
     GROUPS,
     K_UNITS,
-    METHODS,
     OMEGA_UNITS,
     density_units,
 )
@@ -43,7 +42,6 @@ __all__ = [
     "GROUPS",
     "INSTANTANEOUS",
     "K_UNITS",
-    "METHODS",
     "OMEGA_UNITS",
     "PATH_WEIGHTS",
     "TABLE",

@@ -19,13 +19,6 @@ FIELD_TEXTS = {
     "w": "vertical velocity",
     "nl": "nonlinear term (u - U) . grad z, U the mean current",
 }
-METHODS = {
-    "stereo": "elevation spectrum from stereo",
-    "w": "elevation spectrum from integrated w",
-    "cross": "elevation spectrum from the cross spectrum of stereo and integrated w",
-    "fusion": "elevation spectrum from the best combination, noise taken off",
-    "probes": "elevation spectrum from probes",
-}
 ELEVATION_UNITS = "m2 s rad-1"
 
 
@@ -63,15 +56,26 @@ rows("", ("theta",), ("theta", "rad", "direction of propagation, from x towards 
 rows("", ("step",), ("step", "1", "step of the cube"), dtype="int64")
 rows("", ("band",), ("band_frequency", "Hz", "middle of the band"))
 rows("", ("bin",), ("bin", "1", "(value - mean) / standard deviation"))
-rows("", ("quantity",), ("quantity", "", "elevation, and displacement over one time step"), dtype="str")
-rows("", ("source",), ("source", "", "method that gives the elevation"), dtype="str")
+_quantities = "; ".join(f"{name}: {text}" for name, text in FIELD_TEXTS.items())
+rows("", ("quantity",), ("quantity", "", "quantity of the spectrum", _quantities), dtype="str")
+rows("", ("quantity_map",), ("quantity_map", "", "quantity of the map"), dtype="str")
+_moments = "elevation, and displacement over one time step"
+rows("statistics", ("quantity",), ("quantity", "", _moments), dtype="str")
+rows("", ("pair",), ("pair", "", "quantities of the cross spectrum, a*b"), dtype="str")
+_terms = "w; nl: -u . grad z; tot: their sum"
+rows("", ("term",), ("term", "", "term of the kinematic condition", _terms), dtype="str")
+_sources = (
+    "stereo; w: integrated w; cross: cross spectrum of stereo and integrated w; fusion: the best combination,"
+    " noise taken off"
+)
+rows("", ("source",), ("source", "", "method that gives the elevation", _sources), dtype="str")
 
 # ---- a spectrum of any field ----
 for _shape, _dims, _text in (
     ("plane", ("omega", "ky", "kx"), "power spectrum"),
     ("komega", ("omega", "k"), "E(k, omega)"),
     ("k", ("k",), "E(k)"),
-    ("frequency", ("omega",), "E(omega)"),
+    ("omega", ("omega",), "E(omega)"),
 ):
     rows(_shape, _dims, ("E", "", _text))
 rows("maps", ("omega_map", "ky", "kx"), ("E", "", "E(ky, kx)"))
@@ -86,107 +90,82 @@ rows(
     ("cells", "1", "independent cells of the ring", "for energy spread evenly over it"),
 )
 
-# ---- /spectra ----
-for _f, _unit in FIELD_UNITS.items():
-    for _name, _dims, _over, _text in (
-        ("komega", ("omega", "k"), ("k", "omega"), "E(k, omega)"),
-        ("E_k", ("k",), ("k",), "E(k)"),
-        ("E", ("omega",), ("omega",), "E(omega)"),
-    ):
-        _head = "E_komega" if _name == "komega" else _name
-        rows(
-            "spectra",
-            _dims,
-            (f"{_head}_{_f}", density_units(_unit, *_over), f"{_text} of {FIELD_TEXTS[_f]}"),
-            family=f"{_head}_*",
-        )
-        for _q, _qt in (("dof", "degrees of freedom"), ("low", LOW), ("high", HIGH)):
-            rows("spectra", _dims, (f"{_q}_{_name}_{_f}", "1", _qt), family=f"{_q}_{_name}_*")
-    if _f not in ("rise", "nl"):
-        _half = "where the measurement keeps half of a wave or more"
-        _more = "the spectra are corrected there; only with a gain"
-        rows("spectra", ("k",), (f"valid_k_{_f}", "1", _half, _more), dtype="bool", family="valid_k_*")
-rows("spectra", ("omega", "k"), ("valid_komega", "1", _TRUST), dtype="bool")
-for _m, _text in METHODS.items():
-    rows("spectra", ("omega",), (f"Ez_{_m}", ELEVATION_UNITS, _text), family="Ez_*")
-    for _q, _qt in (("dof", "degrees of freedom"), ("low", LOW), ("high", HIGH)):
-        rows("spectra", ("omega",), (f"{_q}_{_m}", "1", _qt), family=f"{_q}_*")
-    _flag = _TRUST if _m == "probes" else "right within a factor 2"
-    rows("spectra", ("omega",), (f"valid_{_m}", "1", _flag), dtype="bool", family="valid_*")
-rows("spectra", ("probe", "omega"), ("Ez_probe", ELEVATION_UNITS, "elevation spectrum of each probe"))
-for _f in ("z", "w"):
-    rows(
-        "spectra",
-        ("omega_map", "ky", "kx"),
-        (
-            f"E_kxky_{_f}",
-            density_units(FIELD_UNITS[_f], "k", "k", "omega"),
-            f"E(ky, kx) of {FIELD_TEXTS[_f]}",
-            "at chosen frequencies, the paper's 2.8 Hz among them",
-        ),
-        family="E_kxky_*",
-    )
 
-# ---- cross spectra in a notebook ----
-for _a in FIELD_UNITS:
-    rows(
-        "cross",
-        ("omega", "k"),
-        (f"E_{_a}", density_units(FIELD_UNITS[_a], "k", "omega"), f"E(k, omega) of {FIELD_TEXTS[_a]}"),
-        (f"dof_{_a}", "1", "degrees of freedom"),
-    )
-    for _axis in ("omega", "k"):
-        rows("cross", (_axis,), (f"dof_{_axis}_{_a}", "1", f"degrees of freedom of E({_axis})"))
-    for _b in FIELD_UNITS:
-        rows(
-            "cross",
-            ("omega", "k"),
-            (
-                f"S_{_a}_{_b}",
-                product((FIELD_UNITS[_a], 1), (FIELD_UNITS[_b], 1), (K_UNITS, -1), (OMEGA_UNITS, -1)),
-                f"cross spectrum of {FIELD_TEXTS[_a]} with {FIELD_TEXTS[_b]}",
-                "conj of the first times the second, for waves exp(i (k . x - omega t))",
-            ),
-            dtype="complex128",
-        )
-        _count = "independent samples of the cross spectrum"
-        rows("cross", ("omega", "k"), (f"samples_{_a}_{_b}", "1", _count))
-        rows("cross", ("k",), (f"samples_k_{_a}_{_b}", "1", f"{_count}, summed over omega"))
-rows("cross", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
+# ---- cross spectra, and /spectra ----
+def _density_units(*over: str) -> str:
+    return f"{density_units('m s-1', *over)}; z: {density_units('m', *over)}"
+
+
+for _end, _text in (("", "E(k, omega)"), ("_k", "E(k)"), ("_omega", "E(omega)")):
+    _dims = (_end[1:],) if _end else ("omega", "k")
+    _of_quantity, _units = ("quantity", *_dims), _density_units(*reversed(_dims))
+    rows("spectra", _of_quantity, (f"E{_end}", _units, f"{_text} of each quantity"))
+    _dof = f"degrees of freedom of {_text}"
+    _interval = ((f"dof{_end}", "1", _dof), (f"low{_end}", "1", LOW), (f"high{_end}", "1", HIGH))
+    rows("spectra", _of_quantity, *_interval)
+_valid_k = (
+    "where the measurement keeps half of a wave or more",
+    "the spectra are corrected there; only with a gain; false for rise and nl, which are never corrected",
+)
+rows("spectra", ("quantity", "k"), ("valid_k", "1", *_valid_k), dtype="bool")
+rows(
+    "cross",
+    ("pair", "omega", "k"),
+    (
+        "S",
+        "",
+        "cross spectrum over k and omega",
+        "conj of the first times the second, for waves exp(i (k . x - omega t)); the units of both, times"
+        " m s rad-2",
+    ),
+    dtype="complex128",
+)
+rows("cross", ("pair", "omega", "k"), ("samples", "1", "independent samples of the cross spectrum"))
+_samples = "independent samples of the cross spectrum, summed over omega"
+rows("cross", ("pair", "k"), ("samples_k", "1", _samples))
+rows("spectra", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
+for _name, _dims, _valid in (
+    ("Ez", ("source", "omega"), "right within a factor 2"),
+    ("Ez_probes", ("omega",), _TRUST),
+):
+    _end = _name.removeprefix("Ez_")
+    _text = "elevation spectrum" if _name == "Ez" else "elevation spectrum, mean of the probes"
+    rows("spectra", _dims, (_name, ELEVATION_UNITS, _text))
+    rows("spectra", _dims, (f"dof_{_end}", "1", "degrees of freedom"))
+    rows("spectra", _dims, (f"low_{_end}", "1", LOW), (f"high_{_end}", "1", HIGH))
+    rows("spectra", _dims, (f"valid_{_end}", "1", _valid), dtype="bool")
+rows("spectra", ("probe", "omega"), ("Ez_probe", ELEVATION_UNITS, "elevation spectrum of each probe"))
+rows(
+    "spectra",
+    ("quantity_map", "omega_map", "ky", "kx"),
+    (
+        "E_kxky",
+        _density_units("k", "k", "omega"),
+        "E(ky, kx) of z and w",
+        "at chosen frequencies, the paper's 2.8 Hz among them",
+    ),
+)
 
 # ---- /coherence ----
 rows("coherence", ("k",), ("valid", "1", "where the waves exceed the noise"), dtype="bool")
 for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
-    for _t, _text in (("w", "w"), ("nl", "-u . grad z"), ("tot", "w - u . grad z")):
-        rows(
-            "coherence",
-            _dims,
-            (
-                f"C_{_t}{_ending}",
-                "1",
-                f"coherence of z_t with {_text}, common normalisation",
-                "complex; real part: mean over both signs of omega; C_w + C_nl = C_tot, so that the modulus"
-                " of C_w may exceed 1",
-            ),
-            dtype="complex128",
-            family="C_*",
-        )
-        rows(
-            "coherence",
-            _dims,
-            (f"gamma2_{_t}{_ending}", "1", f"coherence of z_t with {_text}, magnitude squared"),
-            family="gamma2_*",
-        )
-        for _q, _qt, _note in (
-            (
-                "samples",
-                "effective independent samples",
-                "fewer where both have their energy in the same cells",
-            ),
-            ("bias", "mean gamma2 of unrelated signals", ""),
-            ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
-        ):
-            rows("coherence", _dims, (f"{_q}_{_t}{_ending}", "1", _qt, _note), family=f"{_q}_*")
+    _common = (
+        "complex; real part: mean over both signs of omega; w and nl add up to tot, so that the modulus of w"
+        " may exceed 1"
+    )
+    rows(
+        "coherence",
+        ("term", *_dims),
+        (f"C{_ending}", "1", "coherence of z_t with the term, common normalisation", _common),
+        dtype="complex128",
+        family="C",
+    )
+    for _name, _text, _note in (
+        ("gamma2", "coherence of z_t with the term, magnitude squared", ""),
+        ("samples", "effective independent samples", "fewer where both have their energy in the same cells"),
+        ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
+    ):
+        rows("coherence", ("term", *_dims), (f"{_name}{_ending}", "1", _text, _note), family=_name)
 
 
 _SECTION = re.compile(r"/(\w*) \(([\w, ]*)\) ?(\w*)")
@@ -211,11 +190,11 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "z is at frame times; nl is u . grad z. `E_komega_*` is integrated over the angle of k; the"
-    " azimuthal mean is E / (2 pi k coverage). `Ez_*` is the elevation spectrum by each method, corrected for"
-    " the response in time (with a gain also for the matching windows).",
-    "coherence": "Of z_t with w, with -u . grad z and with their sum. `gamma2_*` is the squared coherence;"
-    " `bias_*` and `level_*` are its mean and its 5 % level for unrelated signals.",
+    "spectra": "z is at frame times; nl is u . grad z. `E` is integrated over the angle of k; the azimuthal"
+    " mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by each method, corrected for the"
+    " response in time (with a gain also for the matching windows).",
+    "coherence": "Of z_t with w, with -u . grad z and with their sum. `gamma2` is the squared coherence; of"
+    " unrelated signals its mean is 1 / `samples`, and it exceeds `level` in 5 % of cases.",
     "kinematics": "The balance z_t = w - u . grad z at sampled steps.",
     "statistics": "Distributions and moments of z and of the displacements over one step.",
     "dispersion": "Only the theory where the dispersion relation could not be fitted.",

@@ -224,36 +224,53 @@ def _at_frame_times(
 _MEASURED = {"z_t": "z"}  # the response to differences of elevations is that to elevations
 
 
+# dimensions of the results; those of pairs only where pairs were asked for
+_DIMS = {
+    "E": ("quantity", "omega", "k"),
+    "dof": ("quantity", "omega", "k"),
+    "dof_omega": ("quantity", "omega"),
+    "dof_k": ("quantity", "k"),
+    "S": ("pair", "omega", "k"),
+    "samples": ("pair", "omega", "k"),
+    "samples_k": ("pair", "k"),
+}
+
+
+def _estimates(
+    sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
+) -> dict[str, Array]:
+    """Spectra, degrees of freedom, cross spectra and samples with the dimensions of `_DIMS`."""
+    freedom = {name: ring_freedom(sums, name, welch, name != "nl") for name in names}
+    out = {"E": [sums[name][0] * welch.ring_density for name in names]}
+    for name, axes in (("dof", "both"), ("dof_omega", "omega"), ("dof_k", "k")):
+        out[name] = [freedom[of][axes] for of in names]
+    if pairs:
+        products = [sums[f"{a}*{b}"] for a, b in pairs]
+        out["S"] = [(real + 1j * imaginary) * welch.ring_density for real, imaginary in products]
+        number = [
+            independent_samples(sums, a, b, (freedom[a]["k"], freedom[b]["k"]), welch) for a, b in pairs
+        ]
+        out["samples"], out["samples_k"] = ([of_pair[axes] for of_pair in number] for axes in ("both", "k"))
+    # sums are over (k, omega)
+    return {name: np.swapaxes(stack, 1, -1) for name, stack in zip(out, map(np.stack, out.values()))}
+
+
+def _labelled(
+    found: Mapping[str, Any], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
+) -> xr.Dataset:
+    coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
+    if pairs:
+        coords["pair"] = ["*".join(pair) for pair in pairs]
+    out: dict[str, Any] = {name: (_DIMS[name], values) for name, values in found.items()}
+    out = out | {"valid": (("omega", "k"), welch.valid)} | dict(welch.ring_variables)
+    return annotate(annotate(xr.Dataset(out, coords, welch.attrs), "spectra"), "cross")
+
+
 def label(
-    sums: Mapping[str, Array],
-    names: Sequence[str],
-    pairs: Sequence[tuple[str, str]],
-    welch: Welch,
-    freedom: Mapping[str, Mapping[str, Array]] | None = None,
-    samples: Mapping[tuple[str, str], Mapping[str, Array]] | None = None,
+    sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
     """Labelled spectra from the sums of `add_segment` over all segments."""
-    factor = welch.ring_density
-    dims = ("omega", "k")
-    out: dict[str, Any] = {}
-    dof_k = {}
-    for name in names:
-        out[f"E_{name}"] = (dims, sums[name][0].T * factor)
-        dof = ring_freedom(sums, name, welch, name != "nl") if freedom is None else freedom[name]
-        out[f"dof_{name}"] = (dims, dof["both"].T)
-        for axis in ("omega", "k"):
-            out[f"dof_{axis}_{name}"] = (axis, dof[axis])
-        dof_k[name] = dof["k"]
-    for a, b in pairs:
-        real, imaginary = sums[f"{a}*{b}"]
-        out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
-        of_pair = {} if samples is None else samples[a, b]
-        number = of_pair or independent_samples(sums, a, b, (dof_k[a], dof_k[b]), welch)
-        out[f"samples_{a}_{b}"] = (dims, number["both"].T)
-        out[f"samples_k_{a}_{b}"] = ("k", number["k"])
-    out["valid"] = (dims, welch.valid)
-    coords = omega_coords(welch.omega) | k_coords(welch.table.k)
-    return annotate(xr.Dataset(out | dict(welch.ring_variables), coords=coords, attrs=welch.attrs), "cross")
+    return _labelled(_estimates(sums, names, pairs, welch), names, pairs, welch)
 
 
 def door(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
@@ -293,8 +310,9 @@ def cross_spectra(
     Returns
     -------
     Dataset
-        ``E_<name>``, ``dof_<name>`` (degrees of freedom) and ``S_<a>_<b>`` = <conj(a) b> over (omega, k),
-        ``coverage``, ``cells`` (k), ``valid`` (omega, k).
+        ``E`` and ``dof``, degrees of freedom, (quantity, omega, k), with ``dof_omega`` and ``dof_k`` of the
+        sums; ``S`` = <conj(a) b> and its independent ``samples`` (pair, omega, k), ``samples_k`` (pair, k),
+        the pair named "a*b"; ``coverage``, ``cells`` (k), ``valid`` (omega, k).
 
     Raises
     ------
@@ -352,44 +370,25 @@ def lazy_cross_spectra(
     sums = lazy_sums(cube, Requested(names, pairs), welch)
     # how long waves stay in the window depends on the current, where the cube has one
     moving = moving_welch(cube, welch) if {"u", "v"} <= {*cube} else welch
-    shape = (welch.table.k.size, welch.omega.size)
-    fields = (*names, *(f"{a}*{b}" for a, b in pairs))
-    arrays = {name: da.from_delayed(sums[name], (2, *shape), float) for name in fields}
-    shapes = {"both": shape, "omega": shape[1:], "k": shape[:1]}
-    freedom, dof_k = {}, {}
-    for name in names:
-        dof = dask.delayed(ring_freedom, pure=False)(sums, name, moving, name != "nl")
-        freedom[name] = {axes: da.from_delayed(dof[axes], size, float) for axes, size in shapes.items()}
-        dof_k[name] = dof["k"]
-    samples = {}
-    for a, b in pairs:
-        number = dask.delayed(independent_samples, pure=False)(sums, a, b, (dof_k[a], dof_k[b]), moving)
-        samples[a, b] = {axes: da.from_delayed(number[axes], shapes[axes], float) for axes in ("both", "k")}
-    return label(arrays, names, pairs, welch, freedom, samples)
+    found = dask.delayed(_estimates, pure=False)(sums, names, pairs, moving)
+    sizes = {"quantity": len(names), "pair": len(pairs), "omega": welch.omega.size, "k": welch.table.k.size}
+    arrays = {
+        name: da.from_delayed(found[name], [sizes[dim] for dim in dims], complex if name == "S" else float)
+        for name, dims in _DIMS.items()
+        if pairs or "pair" not in dims
+    }
+    return _labelled(arrays, names, pairs, welch)
 
 
-def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None, names: Sequence[str] = NAMES) -> xr.Dataset:
-    """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them."""
-    out = xr.Dataset(attrs=ring.attrs)
-    for name in names:
-        energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
-        if gain is not None and name not in ("rise", "nl"):
-            factor, valid = correction(gain, _MEASURED.get(name, name), ring["k"].values)
-            energy = energy * xr.DataArray(factor, dims="k")
-            out[f"valid_k_{name}"] = ("k", valid)
-        sums = {f"dof_{axis}": ring[f"dof_{axis}_{name}"] for axis in ("omega", "k")}
-        komega = xr.Dataset({"E": energy, "dof": dof, **sums}, attrs=ring.attrs)
-        spectra = {
-            f"komega_{name}": with_interval(energy, dof),
-            f"k_{name}": E_k(komega),
-            name: E_omega(komega),
-        }
-        for suffix, spectrum in spectra.items():
-            stem = suffix if suffix.startswith("komega") else f"E_{suffix}"
-            renamed = {"E": f"E_{suffix}"} | {part: f"{part}_{stem}" for part in ("dof", "low", "high")}
-            out = out.assign(spectrum.drop_vars("valid", errors="ignore").rename(renamed).data_vars)
-    out = out.assign(coverage=ring["coverage"], cells=ring["cells"], valid_komega=ring["valid"])
-    return annotate(out, "spectra")
+def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
+    """Spectra without the response of the measurement; nonlinear terms are left as they are."""
+    names = ring["quantity"].values
+    factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
+    for i, name in enumerate(names):
+        if name not in ("rise", "nl"):
+            factor[i], valid[i] = correction(gain, _MEASURED.get(name, name), ring["k"].values)
+    by_k = ("quantity", "k")
+    return ring.assign(E=ring["E"] * xr.DataArray(factor, dims=by_k), valid_k=(by_k, valid))
 
 
 def _spectra(
@@ -399,10 +398,16 @@ def _spectra(
     welch: Welch,
     filled: Mapping[str, float],
 ) -> xr.Dataset:
-    out = by_field(ring, None if gain is None else with_directions(gain, plane_w))
+    """E(k, omega), E(k) and E(omega) of each quantity with their intervals."""
+    valid = ring["valid"]
     for name, added in filled.items():
         if added:
-            out["valid_komega"] = out["valid_komega"] & welch.over_filled(ring[f"E_{name}"], added)
+            valid = valid & welch.over_filled(ring["E"].sel(quantity=name, drop=True), added)
+    if gain is not None:
+        ring = _corrected(ring, with_directions(gain, plane_w))
+    out = ring.drop_dims("pair").assign(valid=valid).assign(with_interval(ring["E"], ring["dof"]))
+    for axis, spectrum in (("k", E_k(ring)), ("omega", E_omega(ring))):
+        out = out.assign({f"{name}_{axis}": spectrum[name] for name in ("E", "dof", "low", "high")})
     return annotate(out, "spectra")
 
 
@@ -419,6 +424,8 @@ register(
 COHERENCE_NAMES = ("rise", "w", "nl")
 MIN_SIGNAL_TO_NOISE = 2.0  # of the energy of a ring over that of its noise
 COHERENCE_PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
+# pair whose samples count for each term: the sum w - u . grad z has those of w, its largest part
+TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
 def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any:
@@ -435,33 +442,28 @@ def _above_noise(energy: xr.DataArray) -> xr.DataArray:
 
 def coherence_group(ring: xr.Dataset) -> xr.Dataset:
     """Coherences over k and over (k, omega) from the cross spectra of z_t, w and u . grad z."""
-    total = ring["E_w"] + ring["E_nl"] - 2 * ring["S_w_nl"].real
+    rise, w, nl = (ring["E"].sel(quantity=name, drop=True) for name in COHERENCE_NAMES)
+    rise_w, rise_nl, w_nl = (ring["S"].sel(pair="*".join(pair), drop=True) for pair in COHERENCE_PAIRS)
+    terms = xr.Variable("term", list(TERMS))
     # cross spectrum with z_t and power of each term; the nonlinear term is -u . grad z
-    terms = {
-        "w": (ring["S_rise_w"], ring["E_w"]),
-        "nl": (-ring["S_rise_nl"], ring["E_nl"]),
-        "tot": (ring["S_rise_w"] - ring["S_rise_nl"], total),
-    }
-    rise = ring["E_rise"]
-    over_k = {name: (cross.sum("omega"), power.sum("omega")) for name, (cross, power) in terms.items()}
+    cross = xr.concat([rise_w, -rise_nl, rise_w - rise_nl], terms)
+    power = xr.concat([w, nl, w + nl - 2 * w_nl.real], terms)
+    pairs = xr.DataArray([TERMS[term] for term in TERMS], dims="term")
     out: dict[str, Any] = {}
-    for ending, sums, rise_power in (("", over_k, rise.sum("omega")), ("_komega", terms, rise)):
-        norm = np.sqrt(rise_power * sums["tot"][1])
-        for name, (cross, power) in sums.items():
-            out[f"C_{name}{ending}"] = cross / norm
-            both = rise_power * power
-            out[f"gamma2_{name}{ending}"] = np.abs(cross) ** 2 / both.where(both > 0)
-            # the sum w - u . grad z has those of w, its largest part
-            pair = "rise_nl" if name == "nl" else "rise_w"
-            samples = ring[f"samples_{pair}" if ending else f"samples_k_{pair}"]
-            samples = samples.clip(min=1)
-            out[f"samples_{name}{ending}"] = samples
-            out[f"bias_{name}{ending}"] = 1 / samples
-            out[f"level_{name}{ending}"] = xr.apply_ufunc(
-                significance_level, samples, dask="parallelized", output_dtypes=[float]
-            )
+    for ending, x, y, xy, samples in (
+        ("", rise.sum("omega"), power.sum("omega"), cross.sum("omega"), ring["samples_k"]),
+        ("_komega", rise, power, cross, ring["samples"]),
+    ):
+        out[f"C{ending}"] = xy / np.sqrt(x * y.sel(term="tot", drop=True))
+        both = x * y
+        out[f"gamma2{ending}"] = np.abs(xy) ** 2 / both.where(both > 0)
+        number = samples.sel(pair=pairs).drop_vars("pair").clip(min=1)
+        out[f"samples{ending}"] = number
+        out[f"level{ending}"] = xr.apply_ufunc(
+            significance_level, number, dask="parallelized", output_dtypes=[float]
+        )
     # noise of z_t and w comes from the same images, and is coherent
-    out["valid"] = _above_noise(rise) & _above_noise(ring["E_w"]) & ring["valid"].any("omega")
+    out["valid"] = _above_noise(rise) & _above_noise(w) & ring["valid"].any("omega")
     return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
 
 
@@ -481,8 +483,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     Returns
     -------
     Dataset
-        ``C_w``, ``C_nl``, ``C_tot`` (k), complex; ``gamma2_w``, ``samples_w``, ``bias_w``, ``level_w`` and
-        likewise ``nl``, ``tot`` (k); the same with ``_komega`` over (omega, k). ``valid`` (k): where the
+        ``C``, complex, ``gamma2``, ``samples`` and ``level``, exceeded by 5 % of unrelated signals, (term, k)
+        for the terms w, nl and tot; the same with ``_komega`` over (term, omega, k). ``valid`` (k): where the
         waves exceed the noise, which is coherent too.
 
     Raises
@@ -495,9 +497,9 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     All are in the frame that moves with the mean current U, the mean of u, v over the record: z_t is
     z_t + U . grad z, and u is u - U, since U . grad z is linear.
     The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged
-    over angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega >= 0, where k
-    points where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard
-    coherence; for unrelated signals its mean is 1 / samples.
+    over angle first, so C of w and nl add up to that of tot exactly and |C| of w may exceed 1. Sums run
+    over omega >= 0, where k points where the wave goes; the mean over both signs of omega is the real part.
+    gamma2 is the standard coherence; for unrelated signals its mean is 1 / samples.
 
     Examples
     --------
@@ -510,8 +512,9 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     >>> units = {"z": {"units": "m"}} | {name: {"units": "m s-1"} for name in ("z_t", "u", "v", "w")}
     >>> at = ("time", "y", "x")
     >>> cube = xr.Dataset({name: (at, field, units[name]) for name, field in fields.items()}, axes)
-    >>> C = coherence(cube, segment=32)
-    >>> print(f"{float(C.gamma2_w.min()):.2f}, {float(abs(C.C_w).max()):.2f}, {float(abs(C.C_nl).max()):.2f}")
+    >>> found = coherence(cube, segment=32)
+    >>> w, nl = found.sel(term="w"), found.sel(term="nl")
+    >>> print(f"{float(w.gamma2.min()):.2f}, {float(abs(w.C).max()):.2f}, {float(abs(nl.C).max()):.2f}")
     1.00, 1.01, 0.01
     """
     cube = door(cube, COHERENCE_NAMES)
@@ -539,8 +542,8 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     Returns
     -------
     Dataset
-        ``plane_C_w``, ``plane_C_nl``, ``plane_C_tot`` (ky, kx), moduli, for kx >= 0 (a real field has the
-        same at -k), and their means over rings ``mean_C_w`` ... (k). Attribute ``steps``.
+        ``plane_C`` (term, ky, kx), moduli of the terms w, nl and tot, for kx >= 0 (a real field has the same
+        at -k), and their means over rings ``mean_C`` (term, k). Attribute ``steps``.
 
     Raises
     ------
@@ -574,14 +577,12 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     ring = np.rint(np.hypot(ky[:, None], kx) / table.dk - table.k[0] / table.dk).astype(int)
     inside = (ring >= 0) & (ring < table.k.size)
     count = np.bincount(ring[inside], minlength=table.k.size)
-    out: dict[str, Any] = {}
-    for name, values in _plane_coherences({n: part / steps for n, part in sums.items()}).items():
-        plane = np.fft.fftshift(values.reshape(ny, nx // 2 + 1), axes=0)
-        out[f"plane_C_{name}"] = (("ky", "kx"), plane)
-        total = np.bincount(ring[inside], plane[inside], table.k.size)
-        mean = np.divide(total, count, out=np.full(count.size, np.nan), where=count > 0)
-        out[f"mean_C_{name}"] = ("k", mean)
-    coords = {"ky": ky, "kx": kx} | k_coords(table.k)
+    values = _plane_coherences({n: part / steps for n, part in sums.items()})
+    plane = np.fft.fftshift(values.reshape(len(TERMS), ny, nx // 2 + 1), axes=1)
+    total = np.array([np.bincount(ring[inside], part[inside], table.k.size) for part in plane])
+    mean = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    out = {"plane_C": (("term", "ky", "kx"), plane), "mean_C": (("term", "k"), mean)}
+    coords = {"term": list(TERMS), "ky": ky, "kx": kx} | k_coords(table.k)
     return annotate(xr.Dataset(out, coords, {"steps": steps}), "wave_vectors")
 
 
@@ -599,11 +600,10 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
     }
 
 
-def _plane_coherences(mean: dict[str, Array]) -> dict[str, Array]:
-    """Moduli of the coherence of each term and of their sum, (cells,)."""
+def _plane_coherences(mean: dict[str, Array]) -> Array:
+    """Moduli of the coherence of each term and of their sum, (3, cells)."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))
-    cross = {n: mean[f"z_t*{n}"] - mean["z_t"].conj() * mean[n] for n in ("w", "nl")}
-    cross["tot"] = cross["w"] + cross["nl"]
-    return {name: np.abs(values) / norm for name, values in cross.items()}
+    w, nl = (mean[f"z_t*{n}"] - mean["z_t"].conj() * mean[n] for n in ("w", "nl"))
+    return np.asarray(np.abs(np.stack([w, nl, w + nl])) / norm)

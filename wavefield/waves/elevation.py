@@ -36,7 +36,7 @@ from wavefield.waves.gains import (
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
-from wavefield.waves.spectra import E_omega, density, plane_density
+from wavefield.waves.spectra import density, plane_density
 from wavefield.waves.welch import (
     LOWEST,
     MIN_OVER_FILLED,
@@ -218,6 +218,7 @@ NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
 PLANES = ("z*w",)
 METHODS = ("stereo", "w", "cross", "fusion")
+BY_SOURCE = ["Ez", "dof_Ez", "low_Ez", "high_Ez", "valid_Ez"]
 MIN_FREE_K = 0.5  # of the k of free waves: longer waves of that frequency are not free
 MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: further off there are none
 MIN_TRUSTED_FRACTION = 0.7  # of the cells of free waves
@@ -328,8 +329,9 @@ class _Elevations:
 def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None) -> _Elevations:
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
-    given = omega, ring["k"].values, dt, ring["E_z"].values
-    leaked = leakage(ring["E_w"].values.sum(axis=1), dt, frames)
+    of_z, measured_w = (ring["E"].sel(quantity=name).values for name in NAMES)
+    given = omega, ring["k"].values, dt, of_z
+    leaked = leakage(measured_w.sum(axis=1), dt, frames)
     if moving is not None:
         of_w, cross, shape = moving.elevations(water, dt, frames)
         speed = float(np.hypot(*moving.current))
@@ -341,8 +343,8 @@ def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None)
             to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b) * path)
             factor_w = elevation_from_w(omega, dt, frames)
         to_elevation[0], factor_w[0] = 0, 0
-        of_w = ring["E_w"].values * factor_w[:, None]
-        cross = (ring["S_z_w"].values * to_elevation[:, None]).real
+        of_w = measured_w * factor_w[:, None]
+        cross = (ring["S"].sel(pair="z*w").values * to_elevation[:, None]).real
         shape = np.broadcast_to(noise_of_displacement(omega, dt, frames)[:, None], cross.shape)
     of_w, cross = of_w * leaked.w[:, None], cross * leaked.cross[:, None]
     return _Elevations(*given, of_w, cross, shape, leaked.own, speed)
@@ -509,14 +511,11 @@ def from_spectra(
         square = (spectra.over_k(energy_k * std) / np.maximum(np.abs(energies[method]), tiny)) ** 2
         kept[method] = 1 / (1 / kept[method] + 0.5 * square * dof[method])
 
-    out = xr.Dataset(coords=omega_coords(omega) | {"source": list(METHODS)})
-    for method in METHODS:
-        energy = xr.DataArray(energies[method], {"omega": omega}, ("omega",))
-        parts = with_interval(energy, xr.DataArray(dof[method] * kept[method], dims="omega"))
-        parts["valid"] = ("omega", valid[method])
-        names = {n: f"{n}_{method}" for n in ("dof", "low", "high", "valid")}
-        parts = annotate(parts.drop_vars("omega").rename({"E": f"Ez_{method}"} | names), "spectra")
-        out = out.assign(parts.data_vars)
+    dims, coords = ("source", "omega"), omega_coords(omega) | {"source": list(METHODS)}
+    dofs = xr.DataArray([dof[method] * kept[method] for method in METHODS], dims=dims)
+    parts = with_interval(xr.DataArray([energies[method] for method in METHODS], coords, dims), dofs)
+    parts["valid"] = (dims, [valid[method] for method in METHODS])
+    out = annotate(parts.rename(dict(zip(("E", "dof", "low", "high", "valid"), BY_SOURCE))), "spectra")
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
     out["weight_z"], out["wiener"] = ("omega", weight), ("omega", positive / (positive + remaining))
     if trusted_k is not None:
@@ -538,12 +537,9 @@ def from_spectra(
 
 def _freedom(ring: xr.Dataset) -> dict[str, Array]:
     """Degrees of freedom of E(omega) by each method, from the variance between segments, without noise."""
-    dof = {}
-    for name in NAMES:
-        single = ring.rename({f"E_{name}": "E", f"dof_{name}": "dof", f"dof_omega_{name}": "dof_omega"})
-        dof[name] = E_omega(single[["E", "dof", "dof_omega"]])["dof"].values
-    both = np.sqrt(dof["z"] * dof["w"])
-    return {"stereo": dof["z"], "w": dof["w"], "cross": both, "fusion": both}
+    z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
+    both = np.sqrt(z * w)
+    return {"stereo": z, "w": w, "cross": both, "fusion": both}
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
@@ -631,8 +627,8 @@ def fused_spectra(
     Returns
     -------
     Dataset
-        ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``,
-        ``high_``, ``valid_``; ``noise_z``, ``noise_w``; ``weight_z``, ``wiener`` (omega);
+        ``Ez`` (source, omega; m2 s rad-1) from stereo, w, cross and fusion, with ``dof_Ez``, ``low_Ez``,
+        ``high_Ez``, ``valid_Ez``; ``noise_z``, ``noise_w``; ``weight_z``, ``wiener`` (omega);
         ``sigma_z``, ``sigma_dz`` (m), NaN where segments are too short to tell noise from waves;
         ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
         (source); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.
@@ -683,27 +679,23 @@ def _fused(
     if gain is not None:
         gain = with_directions(gain, density_w.sum("omega"))
     out = from_spectra(ring, (depth, gamma), gain, moving).assign_attrs(used.attrs)
-    for method in METHODS:
-        out[f"Ez_{method}"].attrs |= used.attrs
+    out["Ez"].attrs |= used.attrs
     return out
-
-
-_BY_METHOD = [f"{name}_{method}" for method in METHODS for name in ("Ez", "dof", "low", "high", "valid")]
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
     """The spectra by method; lines in which filled nodes may show are not valid."""
-    out = fused[_BY_METHOD].copy()
+    out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
-    z, w = (ring[f"E_{n}"].sum("k").values * step > MIN_OVER_FILLED * filled[n] for n in ("z", "w"))
-    for method, clear in (("stereo", z), ("w", w), ("cross", z & w), ("fusion", z | w)):
-        if any(filled.values()):
-            out[f"valid_{method}"] = out[f"valid_{method}"] & clear
+    over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}
+    z, w = (over_k[name] > MIN_OVER_FILLED * filled[name] for name in NAMES)
+    if any(filled.values()):
+        out["valid_Ez"] = out["valid_Ez"] & np.stack([z, w, z & w, z | w])
     return annotate(out, "spectra")
 
 
 def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
-    return fused.drop_vars(_BY_METHOD)
+    return fused.drop_vars(BY_SOURCE)
 
 
 register(

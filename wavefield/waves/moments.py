@@ -390,11 +390,11 @@ def statistics(
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
     """Add the spectral peak, between the lines, and the steepness."""
-    method, valid = "cross", fused["valid_cross"].values
-    if not float(fused["Ez_cross"].where(fused["valid_cross"], 0.0).max()) > 0:
-        method, valid = "stereo", np.arange(fused.sizes["omega"]) > 0
-    energy, dof = (fused[f"{name}_{method}"].values for name in ("Ez", "dof"))
-    peak, std = peak_and_std(energy, valid, dof, fused["omega"].values)
+    best = fused.sel(source="cross")
+    valid = best["valid_Ez"].values
+    if not float(best["Ez"].where(valid, 0.0).max()) > 0:
+        best, valid = fused.sel(source="stereo"), np.arange(fused.sizes["omega"]) > 0
+    peak, std = peak_and_std(best["Ez"].values, valid, best["dof_Ez"].values, fused["omega"].values)
     k_peak = float(wavenumber(peak, depth, gamma))
     steepness = k_peak * float(statistics["std"].sel(quantity="z"))
     peaks = {"peak_frequency": peak / (2 * np.pi), "peak_k": k_peak, "steepness": steepness}
@@ -431,7 +431,8 @@ def _statistics_group(
             f"Values beyond six standard deviations: {counts}. A single wild value lifts the floor of its"
             " spectra: check them before you use spectra decades below the peak."
         )
-    stds = moment_stds(spectra["E_komega_z"], dof_of_all_nodes(spectra["dof_E_z"].values, welch), welch)
+    z = spectra.sel(quantity="z", drop=True)
+    stds = moment_stds(z["E"], dof_of_all_nodes(z["dof_omega"].values, welch), welch)
     out = spectral_peak(with_stds(moments, stds), fused, depth, gamma)
     limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)
     return Noted(limited.value, [*notes, *limited.notes])

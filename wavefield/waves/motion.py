@@ -252,10 +252,11 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
     """Ratio of the nonlinear to the linear term, sqrt(E_nl / E_w), over k and omega, with 95 % intervals."""
     out: dict[str, Any] = {}
-    for axis, stem in (("k", "E_k"), ("omega", "E")):
-        w, nl = spectra[f"{stem}_w"], spectra[f"{stem}_nl"]
-        power = nl / w.where(w > 0)
-        dof_w, dof_nl = spectra[f"dof_{stem}_w"].values, spectra[f"dof_{stem}_nl"].values
+    w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
+    for axis in ("k", "omega"):
+        energy, dof = f"E_{axis}", f"dof_{axis}"
+        power = nl[energy] / w[energy].where(w[energy] > 0)
+        dof_w, dof_nl = w[dof].values, nl[dof].values
         upper = stats.f.ppf(1 - CHANCE / 2, dof_nl, dof_w), stats.f.ppf(1 - CHANCE / 2, dof_w, dof_nl)
         name = f"nonlinear_ratio_{axis}"
         out[name] = power**0.5

@@ -64,7 +64,7 @@ def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     """E(k, omega): as given, or computed from a field."""
     if is_field(given):
         return komega(given), {}
-    if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == {"omega", "k"}:
+    if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
         return given, {}
     raise CubeError(
         f"{name} needs one variable over time, y and x (for example cube.w) or the result of"
@@ -333,7 +333,7 @@ def komega(
     out = annotate(out.assign_attrs(welch.attrs), "komega")
     field_units = field.attrs.get("units", "1")
     if "E_nodes" in out:
-        out["E_nodes"].attrs = TABLE["frequency/E"].of(_name(field), density_units(field_units, "omega"))
+        out["E_nodes"].attrs = TABLE["omega/E"].of(_name(field), density_units(field_units, "omega"))
     out["E"].attrs = TABLE["komega/E"].of(
         _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
     )
@@ -342,6 +342,14 @@ def komega(
 
 def _of_what(komega: xr.DataArray | xr.Dataset) -> str:
     return str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
+
+
+def _attrs_of_sum(field: xr.DataArray | xr.Dataset, axis: str, units: str) -> dict[str, Any]:
+    """Attributes of E(omega) or E(k) from those of E(k, omega); ``units`` are those of the other axis."""
+    of_both = str(field["E"].attrs.get("units", "1"))
+    if ";" in of_both:  # of several quantities
+        return TABLE[f"spectra/E_{axis}"].attrs
+    return TABLE[f"{axis}/E"].of(_of_what(field), product((of_both, 1), (units, 1)))
 
 
 @takes(a_komega)
@@ -357,7 +365,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     -------
     Dataset
         ``E`` (omega), the mean spectrum over all nodes (where some are missing, weighted by the squared
-        window); ``dof``, ``low``, ``high`` and ``valid`` (omega).
+        window); ``dof``, ``low``, ``high`` and ``valid`` (omega). A dimension ``quantity`` is kept.
 
     Raises
     ------
@@ -386,10 +394,8 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     out["valid"] = xr.DataArray(inner(out.sizes["omega"]), dims="omega")
     if added:
         out["valid"] = out["valid"] & (energy > MIN_OVER_FILLED * added)
-    out = annotate(out, "frequency")
-    out["E"].attrs = TABLE["frequency/E"].of(
-        _of_what(field), product((field["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
-    )
+    out = annotate(out)
+    out["E"].attrs = _attrs_of_sum(field, "omega", K_UNITS)
     return out
 
 
@@ -405,7 +411,8 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``E`` (k), its sum times the step of k is the variance; ``dof``, ``low`` and ``high`` (k).
+        ``E`` (k), its sum times the step of k is the variance; ``dof``, ``low`` and ``high`` (k). A dimension
+        ``quantity`` is kept.
 
     Raises
     ------
@@ -423,8 +430,7 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     step = float(field["omega"][1] - field["omega"][0])
     out = with_interval(field["E"].sum("omega") * step, field["dof_k"])
     out = annotate(out)
-    units = product((field["E"].attrs.get("units", "1"), 1), (OMEGA_UNITS, 1))
-    out["E"].attrs = TABLE["frequency/E"].of(_of_what(field), units)
+    out["E"].attrs = _attrs_of_sum(field, "k", OMEGA_UNITS)
     return out
 
 
@@ -479,13 +485,8 @@ def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
 
 def maps(z: xr.DataArray, w: xr.DataArray, lines: list[int]) -> xr.Dataset:
     """Densities (omega, ky, kx) at some lines, (omega_map, ky, kx)."""
-    chosen = {f"E_kxky_{name}": density.isel(omega=lines) for name, density in (("z", z), ("w", w))}
-    return xr.Dataset(
-        {
-            name: values.drop_vars("frequency").rename(omega="omega_map").drop_attrs()
-            for name, values in chosen.items()
-        }
-    )
+    both = xr.concat([z.isel(omega=lines), w.isel(omega=lines)], xr.Variable("quantity_map", ["z", "w"]))
+    return both.drop_vars("frequency").rename(omega="omega_map").drop_attrs().to_dataset(name="E_kxky")
 
 
 register(
