@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching.map_field import Modes
 from wavefield.matching.noise import noise_factor_near_holes, noise_of_scores
-from wavefield.matching.pyramid import scores_at
+from wavefield.matching.pyramid import reevaluate, scores_at
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel
 from wavefield.measurement.outliers import inconsistent_pairs, inconsistent_scores
@@ -73,6 +73,7 @@ class ElevationEstimate:
     waves: Float  # (1, my, mx): cosine coefficients of the elevation less its smooth part, metres
     edges: Float = field(repr=False)  # (1, ny, nx): that smooth part (`Modes.split`), metres
     information: Float = field(repr=False)  # (ny, nx): A of every block, per square metre
+    noise: float  # mean variance of the scores per unit of their Hessian
     # Rms of the smooth epipolar error as metres of elevation: an error of the calibration, assumed to be as
     # large along the sight lines
     epipolar: float
@@ -85,10 +86,12 @@ def map_elevation(
     prepared: PreparedImages,
     modes: Modes,
     pixel: float,
+    whole_beads: bool,
     noise_across: bool = True,
 ) -> ElevationEstimate:
     """MAP elevation from the blocks of all pairs; pixel in metres.
     A rise of z moves the patches of a pair by -dD z, so its score is -dD . s and its information dD H dD.
+    With whole beads they are those of `scores_at`.
     """
     z = blocks.filled
     edges, waves = modes.split(z)
@@ -101,7 +104,7 @@ def map_elevation(
         if number:
             z = seen + edges
             for one in pairs:
-                one.reevaluate(z[0], prepared)
+                one.reevaluate(z[0], prepared, whole_beads)
         scores = [one.score(z[0]) for one in pairs]
         score = np.sum(scores, axis=0)
         hessian = np.sum([one.hessian for one in pairs], axis=0)
@@ -123,7 +126,7 @@ def map_elevation(
             break
     lengths = [np.hypot(*one.D) for one in pairs]
     inconsistent = inconsistent_scores(scores, [one.hessian for one in pairs], lengths)
-    return ElevationEstimate(waves, edges, information[0], epipolar, inconsistent)
+    return ElevationEstimate(waves, edges, information[0], float(nu.mean()), epipolar, inconsistent)
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
@@ -179,12 +182,13 @@ class _PairScores:
         self._hessian = self.found.hessian * self.match.valid
         self.hessian = _through(self.D, self._hessian)
 
-    def reevaluate(self, z: Float, prepared: PreparedImages) -> None:
+    def reevaluate(self, z: Float, prepared: PreparedImages, whole_beads: bool) -> None:
         """Evaluate both images at an elevation (ny, nx)."""
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
-        self.here, self.found = z, scores_at(self.match.found, a, b, u, v)
+        found, self.here = self.match.found, z
+        self.found = scores_at(found, a, b, u, v) if whole_beads else reevaluate(a, b, u, v, found.settings)
         self._weigh()
 
     def score(self, z: Float) -> Float:
@@ -244,7 +248,7 @@ def surface_of(
     model: FieldModel,
 ) -> Surface:
     """Elevation at the nodes from matched pairs."""
-    estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel)
+    estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel, model.whole_beads)
     spline = model.splined(estimate.waves, estimate.edges)
     (noise,), (missing,) = model.spread(estimate.information)
     noise *= np.float32(_NOISE_ALONG / NOISE_MARGIN)

@@ -106,6 +106,7 @@ class LearnedRecord:
 class FieldModel:
     """Estimator of a field with a prior spectrum; modes, variance and spline are computed on first use.
     shape is that of the lattice of blocks; inner (ny, nx) are the blocks whose fit counts, by default all.
+    With whole beads the blocks' scores are those of `scores_at`.
     """
 
     def __init__(
@@ -113,8 +114,9 @@ class FieldModel:
         prior: Prior,
         shape: tuple[int, int],
         inner: NDArray[np.bool_] | None = None,
+        whole_beads: bool = False,
     ) -> None:
-        self.prior, self._shape, self._inner = prior, shape, inner
+        self.prior, self._shape, self._inner, self.whole_beads = prior, shape, inner, whole_beads
 
     @cached_property
     def modes(self) -> Modes:
@@ -140,9 +142,9 @@ class FieldModel:
         return np.ascontiguousarray(out, np.float32)
 
 
-def elevation_model(geometry: GridGeometry, prior: Prior) -> FieldModel:
-    """The elevation on the rectified lattice, metres."""
-    return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry))
+def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
+    """The elevation on the rectified lattice, metres, given the widths of the beads' images."""
+    return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
 def displacement_model(geometry: GridGeometry, camera: str, prior: Prior) -> FieldModel:
@@ -176,7 +178,7 @@ class Model:
 
     def __init__(self, geometry: GridGeometry, record: LearnedRecord) -> None:
         self._geometry, self.record = geometry, record
-        self.elevation = elevation_model(geometry, record.elevation)
+        self.elevation = elevation_model(geometry, record.elevation, dict(record.beads))
         self.displacement = {
             name: displacement_model(geometry, name, prior) for name, prior in record.displacement
         }
