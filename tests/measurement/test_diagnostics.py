@@ -18,14 +18,12 @@ def test_every_pair_gives_the_same_surface(series, diagnosis):
         assert np.sqrt(np.nanmean(miss**2)) < 0.2 * PIXEL
 
 
-def test_it_reports_how_noisy_the_images_are_and_what_would_help(diagnosis):
+def test_it_reports_how_noisy_the_images_are_and_which_waves_they_keep(diagnosis):
     assert set(diagnosis.noise) == {"z", "dx", "dy", "dz"}
     for name, value in diagnosis.noise.items():
         assert 0.002 < value / PIXEL < 0.2, name
     assert set(diagnosis.widths) == {"cam1", "cam2", "cam3"}
-    for lengths in diagnosis.carried.values():
-        assert lengths["half the noise"] < lengths["twice the beads"] < lengths["now"]
-        assert lengths["in focus"] == lengths["now"]  # as they are
+    assert all(0.01 < length < 0.1 for length in diagnosis.carried.values())
     again = pooled([diagnosis, diagnosis])
     assert again.noise == diagnosis.noise
     assert again.widths == diagnosis.widths

@@ -35,9 +35,9 @@ def test_what_a_lying_camera_spoils_is_not_called_measured(series, geometry, mod
         assert measured[series.inside].mean() > 0.8
 
 
-def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model):
+def test_a_camera_that_lies_in_a_part_of_its_image_costs_the_nodes_there(series, geometry, model):
     frames = {name: list(images) for name, images in series.frames.items()}
-    width = frames["cam1"][0].shape[1] // 2
+    width = frames["cam1"][0].shape[1] // 3
     for k, image in enumerate(frames["cam1"][1:], 1):
         frames["cam1"][k] = np.hstack([frames["cam1"][0][:, :width], image[:, width:]])
     out = measure(around(frames, 1), geometry, RATE, model)
@@ -47,20 +47,11 @@ def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model)
     )
     spoiled = series.inside & (place[0] < width - 25)
     sound = series.inside & (place[0] > width + 60)
-    alone = (quality & Quality.WITHOUT_1) > 0
-    assert alone[spoiled].mean() > 0.9
-    assert not alone[sound].any()
-    assert not (quality & (Quality.WITHOUT_2 | Quality.WITHOUT_3)).any()
-    np.testing.assert_array_equal((quality & Quality.FEWER_CAMERAS) > 0, alone)
     measured = (quality & Quality.MEASURED) > 0
-    assert measured[spoiled].mean() > 0.8
+    assert measured[spoiled].mean() < 0.3 < 0.95 < measured[sound].mean()
     for name in ("z", "u", "v", "w"):
         error = np.abs(out[name][0] - truth[name])
         assert (error > 5 * out[f"{name}_std"][0])[series.inside & measured].mean() < 0.01
-    # where it is right the result is that of all cameras
-    same = measure(series.block(1), geometry, RATE, model)
-    for name, close in (("z", 1e-4), ("u", 1e-3), ("w", 1e-3)):
-        np.testing.assert_allclose(out[name][0][sound], same[name][0][sound], atol=close)
 
 
 @pytest.mark.parametrize("axis", [1, 0])

@@ -21,12 +21,6 @@ if TYPE_CHECKING:
     from wavefield.pipeline.prepare import PreparedRun
     from wavefield.series import Experiment
 
-_HOW = {
-    "now": "",
-    "half the noise": "light, exposure, gain of the sensor",
-    "twice the beads": "seeding",
-    "in focus": "focus, aperture",
-}
 TRIAL_SECONDS = 600.0  # a run that takes longer is better tried on some frames first
 
 
@@ -159,21 +153,14 @@ def _pairs_table(prepared: PreparedRun) -> str:
 
 
 def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
-    """Which waves these images carry, with how much noise, and what would help."""
+    """Which waves these images carry, with how much noise, and how wide beads are."""
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
     lines = [f"  standard uncertainty, two frames, px: {noise}"]
-    ways = list(next(iter(found.carried.values())))
-    lines.append("  waves of which half is kept, cm: " + "; ".join(ways))
-    for name, lengths in found.carried.items():
-        lines.append(f"    {name} " + "; ".join(f"{100 * lengths[way]:.1f}" for way in ways))
+    carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())
+    lines.append(f"  waves of which half is kept, cm: {carried}")
     widths = ", ".join(f"{name} {width:.1f}" for name, width in found.widths.items() if width)
     if widths:
         lines.append(f"  width of the beads' images, px (2 in focus): {widths}")
-    helps = {way: sum(one[way] / one["now"] for one in found.carried.values()) for way in ways}
-    best = min(helps, key=lambda way: helps[way])
-    gain = 1 - helps[best] / len(found.carried)
-    if gain > 0.02:
-        lines.append(f"  most would help: {best} ({_HOW[best]}): waves {100 * gain:.0f} % shorter")
     return lines
 
 

@@ -17,7 +17,7 @@ from wavefield.measurement.images import Images, images_of
 from wavefield.measurement.model import Model
 from wavefield.measurement.pair import PairMatch, match_pair
 from wavefield.measurement.record import learn
-from wavefield.measurement.resolution import in_focus, shortest_carried
+from wavefield.measurement.resolution import shortest_carried
 from wavefield.measurement.velocity import velocity
 from wavefield.one_thread import one_thread
 from wavefield.variables import Quality
@@ -51,9 +51,8 @@ class Diagnosis:
     eps_piv : dict of tuple of str to ndarray, (..., ny, nx)
         Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
         cameras that the geometry takes for the velocity.
-    carried : dict of str to dict of str to float
-        Wavelength at which the gain is one half in z, u, v, w, metres (`shortest_carried`): ``now``, with
-        ``half the noise``, with ``twice the beads``, with beads ``in focus`` (`in_focus`).
+    carried : dict of str to float
+        Wavelength at which the gain is one half in z, u, v, w, metres (`shortest_carried`).
     noise : dict of str to float
         Median standard uncertainty of z and of the displacements dx, dy, dz per step, metres.
     widths : dict of str to float
@@ -67,7 +66,7 @@ class Diagnosis:
     recombined: dict[Pair, NDArray[Any]]
     moved: dict[Pair, NDArray[Any]]
     eps_piv: dict[tuple[str, ...], NDArray[Any]]
-    carried: dict[str, dict[str, float]] = field(default_factory=dict)
+    carried: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
     widths: dict[str, float] = field(default_factory=dict)
 
@@ -217,15 +216,6 @@ def diagnose(
     moved, eps_piv, d_std = _moved(
         (first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, geometry, model
     )
-    better: dict[str, float | dict[str, float]]
-    better = {
-        "now": 1.0,
-        "half the noise": 4.0,
-        "twice the beads": 2.0,
-        "in focus": in_focus(record),
-    }
-    lengths_by = {what: shortest_carried(geometry, record, factor) for what, factor in better.items()}
-    carried = {name: {what: by[name] for what, by in lengths_by.items()} for name in "zuvw"}
     z_variance = surfaces[0].noise + surfaces[0].missing + surfaces[0].epipolar ** 2
     noise = {"z": float(np.sqrt(np.median(z_variance)))} | dict(zip(("dx", "dy", "dz"), d_std))
     return Diagnosis(
@@ -236,7 +226,7 @@ def diagnose(
         recombined,
         moved,
         eps_piv,
-        carried,
+        shortest_carried(geometry, record),
         noise,
         dict(record.beads),
     )

@@ -23,7 +23,6 @@ _MAX_SCORE_DIFFERENCE_PX = 0.75  # between the corrections of parallax by two pa
 _MIN_RELATIVE_HESSIAN = 0.3  # of the mean: blocks with less determine no height
 _WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks affected by one
 _MIN_NODES = 50  # for a median misfit
-_MIN_MISFIT_FRACTION = 0.5  # of the nodes around that must contradict
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
@@ -50,33 +49,6 @@ def median_misfit(misfit: Float, measured: Mask) -> float:
     """Median misfit (ny, nx) over the nodes measured by all cameras; 0 if there are few."""
     good = measured & np.isfinite(misfit)
     return float(np.median(misfit[good])) if good.sum() >= _MIN_NODES else 0.0
-
-
-def outlier_regions(
-    misfit: Float, measured: Mask, n_cameras: int, misfit_without: Callable[[int], Float], reach: int
-) -> dict[int, Mask]:
-    """Regions (ny, nx), by camera number, where one camera contradicts the others and these agree.
-    The misfits (ny, nx) are those of all cameras, and without each; reach is in nodes.
-    """
-    side = (2 * reach + 1, 2 * reach + 1)
-    bad = (measured & (misfit > MAX_MISFIT)).astype(np.float32)
-    if n_cameras < 3 or bad.sum() < _MIN_NODES:
-        return {}
-    limit = np.float32(_MIN_MISFIT_FRACTION) * cv2.blur(measured.astype(np.float32), side)
-    number, labels = cv2.connectedComponents(((cv2.blur(bad, side) > limit) & measured).view(np.uint8))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, side)
-    out: dict[int, Mask] = {}
-    for label in range(1, number):
-        here = labels == label
-
-        def median_without(n: int, here: Mask = here) -> float:
-            return median_misfit(misfit_without(n), here)
-
-        outlier = outlier_camera(n_cameras, median_misfit(misfit, here), median_without)
-        if outlier is not None:
-            wide = cv2.dilate(here.view(np.uint8), disc) > 0
-            out[outlier] = out.get(outlier, np.zeros_like(measured)) | wide
-    return out
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:

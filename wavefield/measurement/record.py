@@ -427,8 +427,6 @@ def _differences(
     names = [name for name in flows if name != motion.left_out]
     displacements = displacements_at_nodes(names, path, z, geometry, EXACT_SIX)
     good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
-    for where in motion.regions.values():
-        good &= ~where
     good &= np.isfinite(displacements.moved).all(axis=0)
     if not good.any():
         return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -18,7 +16,6 @@ from wavefield.measurement.regrid import interpolation_gain
 
 Float = NDArray[np.floating[Any]]
 
-FOCUSED_WIDTH_PX = 2.0  # of a bead's image
 PLACES = 3  # along x and along y, at which the gain of velocities is taken
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 WAVENUMBERS = 200  # up to the corner of those that the grid resolves
@@ -66,41 +63,16 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     return {"z": gain_of_elevation(geometry, record, kx, ky)} | out
 
 
-def shortest_carried(
-    geometry: GridGeometry, record: LearnedRecord, better: float | Mapping[str, float] = 1.0
-) -> dict[str, float]:
-    """Wavelength, metres, with a gain of one half, for blocks with the information multiplied by factors."""
-    each = better if isinstance(better, Mapping) else dict.fromkeys(geometry.cameras, better)
-    both = 1.0 / float(np.mean([1.0 / each[name] for name in geometry.surface_cameras]))  # noises add
-    record = replace(
-        record,
-        elevation=_information_weight(record.elevation, both),
-        displacement=tuple(
-            (name, _information_weight(prior, each[name])) for name, prior in record.displacement
-        ),
-    )
+def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
+    """Wavelength at which the gain of z, u, v, w is one half, mean over directions, metres."""
     k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
     kx, ky = k * np.cos(angle), k * np.sin(angle)
-    velocity = gain_of_velocity(geometry, record, kx, ky)
-    fields = {"z": gain_of_elevation(geometry, record, kx, ky)}
-    fields |= {name: velocity[..., i, i] for i, name in enumerate("uvw")}
     out = {}
-    for name, gain in fields.items():
+    for name, gain in gains(geometry, record, kx, ky).items():
         below = np.flatnonzero(gain.mean(axis=0) < 0.5)
         out[name] = float(2 * np.pi / k[max(below[0], 1)]) if below.size else 2.0 * geometry.grid.step
     return out
-
-
-def in_focus(record: LearnedRecord) -> dict[str, float]:
-    """Factor on each camera's information if the images of its beads were two pixels wide.
-    The squared gradients of a spot of width s with the same light scale as s^-4.
-    """
-    return {name: max(width / FOCUSED_WIDTH_PX, 1.0) ** 4 for name, width in record.beads}
-
-
-def _information_weight(prior: Prior, factor: float) -> Prior:
-    return replace(prior, information=prior.information * factor)
 
 
 def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:

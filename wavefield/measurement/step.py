@@ -46,7 +46,7 @@ from wavefield.measurement.model import Model
 from wavefield.measurement.paths import EVEN_TIMES, common_lateness, elevation_errors
 from wavefield.measurement.record import learn, sample_steps
 from wavefield.measurement.search_range import search_widened
-from wavefield.measurement.velocity import Motion, Regions, mean_flow, velocity
+from wavefield.measurement.velocity import Motion, mean_flow, velocity
 from wavefield.one_thread import one_thread
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality, frames_of_path
 
@@ -191,8 +191,6 @@ def _fill_step(
         return
     missing |= estimate.left_out
     out["quality"] |= _left_out_bits(estimate.left_out, geometry)
-    for name, where in estimate.motion.regions.items():
-        out["quality"][where] |= _left_out_bits({name}, geometry)
     inside = np.ones(geometry.grid.shape, bool)
     for name in geometry.cameras:
         if name not in missing:
@@ -329,18 +327,14 @@ def estimate_step(
     # a knock between two frames spoils every path that contains it: those of four frames are used instead
     if motion.inconsistent and len(moves) > 3:
         return estimate_step(window, moves[1:-1], geometry, model, times)
-    if not (motion.left_out or motion.regions):
+    if motion.left_out is None:
         return estimate
-    left_out: frozenset[str] = frozenset()
-    if motion.left_out:
-        left_out = frozenset({motion.left_out})
-        surfaces = [instant.without(motion.left_out, geometry, model) for instant in window]
-        if surfaces[AROUND] is None or surfaces[AROUND + 1] is None:
-            return None
-        moves = [{name: flow for name, flow in one.items() if name not in left_out} for one in moves]
-    else:
-        surfaces = [_repaired(instant, motion.regions, geometry, model) for instant in window]
-    estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times, motion.regions)
+    left_out = frozenset({motion.left_out})
+    surfaces = [instant.without(motion.left_out, geometry, model) for instant in window]
+    if surfaces[AROUND] is None or surfaces[AROUND + 1] is None:
+        return None
+    moves = [{name: flow for name, flow in one.items() if name not in left_out} for one in moves]
+    estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times, False)
     return None if estimate is None else replace(estimate, left_out=left_out)
 
 
@@ -350,7 +344,7 @@ def _estimate(
     geometry: GridGeometry,
     path_frames: int,
     times: Float,
-    regions: Regions | None = None,
+    may_leave_out: bool = True,
 ) -> StepEstimate | None:
     """Motion and surface at mid-time, iterated: each depends on the other."""
     first, second = surfaces[AROUND : AROUND + 2]
@@ -362,10 +356,10 @@ def _estimate(
         return None
     orders, frames, measured = z_at_mid_time(surfaces, flow, geometry.x, geometry.y, times, late)
     z = shown = orders[0]
-    motion = velocity(moves, z, geometry, path_frames, regions, times)
+    motion = velocity(moves, z, geometry, path_frames, may_leave_out, times)
     if late is not None and motion is not None:
         z = _without_shutters(shown, motion, geometry)
-        motion = velocity(moves, z, geometry, path_frames, regions, times)
+        motion = velocity(moves, z, geometry, path_frames, may_leave_out, times)
     if motion is None:
         return None
     if late is not None:
@@ -390,33 +384,3 @@ def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float
     error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
     return np.asarray((z + x * z_x + y * z_y - error).astype(np.float32))
-
-
-def _repaired(
-    instant: Instant, regions: Mapping[str, NDArray[np.bool_]], geometry: GridGeometry, model: Model
-) -> Surface | None:
-    """An instant's surface, taken from the other cameras where one contradicts them."""
-    surface = instant.surface
-    if geometry.settings.sheet_thickness is not None:
-        return surface
-    for name, where in regions.items():
-        if surface is None or name in instant.images.missing or name not in geometry.surface_cameras:
-            continue
-        other = instant.without(name, geometry, model)
-        if other is None:  # no other pair of cameras: the surface is not trusted
-            surface = replace(surface, inconsistent=surface.inconsistent | where)
-        else:
-            surface = _joined(surface, other, where)
-    return surface
-
-
-def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surface:
-    """One surface, replaced by another in a part of the field."""
-    names = ("z", "eps_y", "noise", "missing", "quality", "inconsistent")
-    parts = {n: np.where(where, getattr(other, n), getattr(surface, n)) for n in names}
-    return Surface(
-        **parts,
-        epipolar=max(surface.epipolar, other.epipolar),
-        read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)),
-        is_measured=lambda *at: np.where(where, other.is_measured(*at), surface.is_measured(*at)),
-    )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -18,7 +18,6 @@ from wavefield.measurement.outliers import (
     MAX_NODE_MISFIT,
     median_misfit,
     outlier_camera,
-    outlier_regions,
 )
 from wavefield.measurement.paths import EVEN_TIMES, CameraDisplacements, displacements_at_nodes
 from wavefield.measurement.settings import Settings
@@ -135,14 +134,10 @@ def solve_nodes(
         out[15, k] = max((1.0 + chi2) / (1.0 + freedom), 1.0) if ok else np.nan
 
 
-Regions = Mapping[str, NDArray[np.bool_]]
-
-_OUTLIER_FRACTION = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
 # Of u, v, w by deep-water waves in all directions: they move the water along as much as up and down.
 WAVE_VARIANCES = np.array([0.5, 0.5, 1.0])
 _MAX_INCONSISTENT_FRACTION = 0.01  # of the nodes, by chance
 _NODES_FOR_MEAN_FLOW = 3000
-_WINDOW_REACH_PX = 20  # half a window of the coarse levels
 
 
 @dataclass(frozen=True)
@@ -167,15 +162,12 @@ class Motion:
     chord: Float
     bend: Float
     left_out: str | None = None  # the camera that contradicted the others, which agree without it
-    regions: Regions = field(default_factory=dict)  # (ny, nx): the same in parts of the field
 
     @property
     def inconsistent(self) -> bool:
         """Whether cameras contradict each other over more than single nodes."""
         against = self.misfit[np.isfinite(self.misfit)] > MAX_MISFIT
-        return bool(
-            self.left_out or self.regions or against.sum() > _MAX_INCONSISTENT_FRACTION * against.size
-        )
+        return bool(self.left_out or against.sum() > _MAX_INCONSISTENT_FRACTION * against.size)
 
 
 def velocity(
@@ -183,7 +175,7 @@ def velocity(
     z: Float,
     geometry: GridGeometry,
     path_frames: int,
-    regions: Regions | None = None,
+    may_leave_out: bool = True,
     times: Float = EVEN_TIMES,
 ) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
@@ -193,9 +185,8 @@ def velocity(
     while displacements would also need the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
 
     The noise of the cameras is independent. What the prior removes is the same in all cameras, so averaging
-    does not reduce it; it is divided among the components (`component_variances`). Cameras are left out in
-    given regions, or where they contradict the others. Times of the six frames are in intervals from mid-
-    time.
+    does not reduce it; it is divided among the components (`component_variances`). A camera may be left out
+    that contradicts the others. Times of the six frames are in intervals from mid-time.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -209,23 +200,12 @@ def velocity(
     def by_others(n: int) -> Motion:
         return solve_motion(displacements.without(n), parts)
 
-    def misfit_without(n: int) -> Float:
-        return by_others(n).misfit
-
     outlier = None
-    if regions is None:
-        reach = max(1, round(_WINDOW_REACH_PX * geometry.pixel / geometry.grid.step))
-        found = outlier_regions(motion.misfit, measured, len(names), misfit_without, reach)
+    if may_leave_out:
         typical = median_misfit(motion.misfit, measured)
-        outlier = outlier_camera(len(names), typical, lambda n: median_misfit(misfit_without(n), measured))
-        if outlier in found and (found[outlier] & measured).sum() < _OUTLIER_FRACTION * measured.sum():
-            outlier = None  # not everywhere
-        regions = {names[n]: where for n, where in found.items()} if outlier is None else {}
+        outlier = outlier_camera(len(names), typical, lambda n: median_misfit(by_others(n).misfit, measured))
     if outlier is not None:
         motion = replace(by_others(outlier), left_out=names[outlier])
-    for name, where in regions.items():
-        motion = _patched(motion, by_others(names.index(name)), where)
-    motion = replace(motion, regions=regions)
     # where most contradict each other and no one camera explains it, some nodes agree by chance
     explained = outlier is not None or median_misfit(motion.misfit, measured) <= MAX_MISFIT
     against = motion.misfit > (MAX_NODE_MISFIT if explained else 0.0)
@@ -257,23 +237,6 @@ def mean_flow(
 
 def _cameras(steps: Sequence[Flows | None]) -> list[str]:
     return list(steps[len(steps) // 2] or {})
-
-
-def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
-    """One motion, replaced by another in a part of the field."""
-    names = (
-        "d",
-        "noise",
-        "missing",
-        "eps_piv",
-        "misfit",
-        "noise_factor",
-        "quality",
-        "frames",
-        "chord",
-        "bend",
-    )
-    return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
