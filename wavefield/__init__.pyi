@@ -1,7 +1,6 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.calibration.level_on_water import level_experiment as level
 from wavefield.calibration.light_sheet import find_sheet
-from wavefield.calibration.platform import level_frames
 from wavefield.calibration.target_images import calibrate_experiment as calibrate
 from wavefield.execution.workflow import Workflow
 from wavefield.explorer.server import look
@@ -65,7 +64,6 @@ __all__ = [
     "kinematics",
     "komega",
     "level",
-    "level_frames",
     "load_rig",
     "look",
     "open_cube",

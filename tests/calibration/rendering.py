@@ -262,32 +262,6 @@ def charuco(shape, mesh, marker, dictionary=cv2.aruco.DICT_4X4_50):
     return inside
 
 
-def aprilgrid(shape, mesh, gap, border=2):
-    """Reflectance of Kalibr's grid of tags, squares at their corners; the middle of tag 0 is (0, 0)."""
-    nx, ny = shape
-    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    cells = 6 + 2 * border
-    scale = 20
-    drawn = [
-        cv2.aruco.generateImageMarker(family, k, cells * scale, borderBits=border) for k in range(nx * ny)
-    ]
-    side = mesh - gap
-
-    def inside(x, y):
-        i, j = np.rint(x / mesh).astype(int), np.rint(y / mesh).astype(int)
-        u, v = (x - i * mesh) / side + 0.5, 0.5 - (y - j * mesh) / side
-        on = (i >= 0) & (i < nx) & (j >= 0) & (j < ny) & (abs(u - 0.5) < 0.5) & (abs(v - 0.5) < 0.5)
-        row, column = (np.clip((w * cells * scale).astype(int), 0, cells * scale - 1) for w in (v, u))
-        number = np.clip(i, 0, nx - 1) + nx * np.clip(j, 0, ny - 1)
-        value = np.stack(drawn)[number, row, column] / 255
-        ca, cb = np.rint(x / mesh - 0.5), np.rint(y / mesh - 0.5)
-        at = (abs(x / mesh - 0.5 - ca) < gap / mesh / 2) & (abs(y / mesh - 0.5 - cb) < gap / mesh / 2)
-        at &= (ca >= -1) & (ca < nx) & (cb >= -1) & (cb < ny)
-        return np.where(on, value, np.where(at, 0.0, 1.0))
-
-    return inside
-
-
 def centred(camera, shape, mesh):
     """The camera moved so that it sees the middle of a grid of nodes where it saw the origin."""
     middle = np.array([(shape[0] - 1) / 2 * mesh, (shape[1] - 1) / 2 * mesh, 0.0])

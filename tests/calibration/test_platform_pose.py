@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wavefield.calibration.horizon import find_horizon
 from wavefield.calibration.level_on_water import level_on_water
+from wavefield.calibration.platform import find_horizon, sway
 from wavefield.calibration.relative_pose import match_features, place_second
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
@@ -88,3 +88,12 @@ def test_instants_that_show_the_same_waves_give_no_uncertainty_of_the_height(pla
     seen = level_on_water(rig, same, horizons, 2.5)
     assert max(tilt_error(seen.rig[name], true[name]) for name in true) < 2 * seen.tilt_std
     assert "no uncertainty of the height" in seen.sentence
+
+
+@pytest.mark.parametrize(("degrees", "least", "most"), [(0.0, 0.0, 0.02), (2.0, 0.5, 4.0)])
+def test_cameras_that_sway_are_told_from_cameras_at_rest(degrees, least, most):
+    rig = {"height": 12.0, "pitch": 15.0, "focal": 280.0, "size": (320, 240), "sway": degrees}
+    sea = {"rms": 0.02, "shortest": 4.0, "period": 50.0}
+    tank = Tank(Scene.load("sea").with_(frames=4, frame_rate=1.0, seed=4, rig=rig, sea=sea))
+    images = [tank.draw("left", frame, None) for frame in range(4)]
+    assert least <= sway(images, tank.rig["left"]) < most

@@ -240,7 +240,7 @@ def test_report_holds_pictures_and_numbers(good, tmp_path):
     found = calibrate(good, MESH, model=FAST)
     page = write_calibration(found, tmp_path / "report", lambda: panels(1)[0])
     text = page.read_text()
-    assert text.index("as it was found in an image") < text.index("The rig and the target")
+    assert text.index("as it was found in an image") < text.index("The rig, and the water")
     assert "Verdict: the rig can be used" in text
     for name in ("cam1", "cam2", "cam3"):
         assert f"Residuals of {name}" in text

@@ -29,8 +29,7 @@ def rig_page(tmp_path_factory):
         "cameras": {n: pixels | {"position_m": [x, 0.0, 3.2], "views": {"flat": {"points": 90}}}
                     for n, x in (("cam1", -3.0), ("cam2", 3.1))},
         "predicted": {"reprojection_px": dict.fromkeys(("cam1", "cam2"), 3e-4), "z_mm": 6e-4,
-                      "z_of_which_tilt_mm": 5e-4, "image_covered": dict.fromkeys(("cam1", "cam2"), 0.98),
-                      "strongest_correlations": []},
+                      "image_covered": dict.fromkeys(("cam1", "cam2"), 0.98)},
         "epipolar": {"cam1 - cam2": {"points": 90, "rms_px": 0.006, "median_px": 0.004, "max_px": 0.02}},
         "parameters": {n: {"fx_px": [2917.0, 0.06]} for n in ("cam1", "cam2")},
     }  # fmt: skip

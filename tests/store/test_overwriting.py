@@ -42,7 +42,6 @@ COMMANDS = {
     "export uvmat": (["export", "cube.zarr", "OUT"], "new.uvmat"),
     "init": (["init", ".", "-o", "OUT"], "proposed.yaml"),
     "level": (["rig", "level", *STEREO], "new.yaml"),
-    "level, each frame": (["rig", "level", *STEREO[:-1], "rolling.yaml", "--each-frame", "OUT"], "frames"),
     "paper": (["paper", "cube.zarr", "-o", "OUT"], "page.html"),
     "refine": (["refine", *STEREO], "new.yaml"),
     "report": (["report", "cube.zarr"], "report.html"),

@@ -1,10 +1,9 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.result import Calibration
-from wavefield.calibration.solve import calibrate
-from wavefield.calibration.still_water import check_rig, refine, refine_and_level
+from wavefield.calibration.solve import Calibration, calibrate
+from wavefield.calibration.still_water import check_rig, refine_and_level
 from wavefield.calibration.target import Target
-from wavefield.calibration.target_finder import find_target
+from wavefield.calibration.target_images import find_target
 
 __all__ = [
     "Calibration",
@@ -13,6 +12,5 @@ __all__ = [
     "calibrate",
     "check_rig",
     "find_target",
-    "refine",
     "refine_and_level",
 ]

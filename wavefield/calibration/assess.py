@@ -2,19 +2,22 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from wavefield.calibration.bundle import Fit, covariance_to_dict
-from wavefield.calibration.camera_start import SingleCamera, calibrate_single
+from wavefield.calibration.bundle import Fit
+from wavefield.calibration.camera_start import (
+    PoseConsistency,
+    SingleCamera,
+    calibrate_single,
+    compare_poses,
+    mirrored,
+)
 from wavefield.calibration.model_choice import PredictedErrors
 from wavefield.calibration.observations import LIMITS, Findings, Observations, collect
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.pose_consistency import PoseConsistency, compare_poses, mirrored
-from wavefield.calibration.result import Calibration
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
 from wavefield.rig.lens import Array
@@ -322,40 +325,3 @@ def assess_rig(
                 f"the target's views cover {100 * coverage:.0f} % of {name}'s image: its edges are "
                 "extrapolated"
             )
-
-
-def provenance(calibration: Calibration) -> dict[str, Any]:
-    """The numbers and texts stored with the rig."""
-    o, result, errors = calibration.observations, calibration.fit, calibration.predicted
-    assert o is not None
-    assert result is not None
-    assert errors is not None
-    std = np.sqrt(np.diag(result.covariance))
-    cameras = {}
-    for c, name in enumerate(o.cameras):
-        rows = o.camera == c
-        first = result.layout.camera[c]
-        columns = [*(k for k, _ in result.layout.lens[c]), *range(first, first + 6)]
-        cameras[name] = {
-            "views": [o.poses[p] for p in np.unique(o.pose[rows])],
-            "points": int(rows.sum()),
-            "rms_px": float(np.sqrt(np.mean(result.residual[rows] ** 2))),
-            "max_px": float(np.abs(result.residual[rows]).max()),
-            "reprojection_std_px": errors.reprojection[name],
-            "parameter_std": {result.layout.names[k].split()[-1]: float(std[k]) for k in columns},
-        }
-    return {
-        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "usable": calibration.usable,
-        "problems": list(calibration.problems),
-        "notes": list(calibration.notes),
-        "model": calibration.model,
-        "mesh_m": float(o.mesh),
-        "target_std_m": float(calibration.target_std),
-        "reference_view": calibration.reference,
-        "z_std_m": errors.z_std,
-        "left_out_points": dict(calibration.left_out),
-        "cameras": cameras,
-        "parameter_units": "f, aspect: log of the focal lengths; c: px; R: rad; T: m; k, p: 1; tau: rad",
-        "covariance": covariance_to_dict(result.layout.names, result.covariance, o.cameras),
-    }

@@ -1,13 +1,13 @@
-"""Find a grid of dots, with or without marks of the origin."""
+"""Find a grid of dots, with or without three rings that mark its origin; blobs and their centres."""
 
 import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from wavefield.calibration.blobs import dot_centres, find_blobs, make_points, right_handed, shape_of
 from wavefield.calibration.lattice import (
     Candidates,
+    SmoothMap,
     TargetLattice,
     cross,
     independent_pair,
@@ -18,6 +18,182 @@ from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
+from wavefield.robust import robust_std
+
+MIN_AREA = 12  # px^2
+MAX_AREA = 0.02  # of the image
+MIN_CORE = 0.25  # of a dot's contrast: brighter pixels belong to it
+EVEN = 0.8  # of a dot's own brightness: brighter parts of it count alike
+DEFAULT_NOISE = 0.02  # of a dot's contrast, where too little background is in view to estimate it
+
+
+def find_blobs(image: Image, min_fullness: float = 0.9) -> tuple[Array, Array]:
+    """Centres (n, 2), px, and areas (n,), px^2, of bright blobs that are closed and nearly elliptic."""
+    ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
+    binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
+    count, label, box, centre = cv2.connectedComponentsWithStats(binary)
+    height, width = image.shape
+    dots = []
+    for k in range(1, count):
+        x, y, w, h, area = box[k]
+        at_edge = x == 0 or y == 0 or x + w == width or y + h == height
+        if area < MIN_AREA or at_edge or area > MAX_AREA * image.size:
+            continue
+        rows, columns = np.nonzero(label[y : y + h, x : x + w] == k)
+        covariance = np.cov(np.stack([columns, rows])) + np.eye(2) / 12
+        fullness = area / (4 * np.pi * np.sqrt(max(np.linalg.det(covariance), 1e-9)))  # 1 for an ellipse
+        if min_fullness < fullness < 1.1:
+            dots.append(k)
+    return centre[dots].astype(float), box[dots, 4].astype(float)
+
+
+def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
+    """Centroids (n, 2) of bright dots in evened light, and their uncertainty from noise (n,), px."""
+    windows = _windows(image, node, pixel)
+    level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
+    middle, extent = pixel.mean(0), np.ptp(pixel)
+
+    def quadratic(points: Array) -> Array:
+        u, v = ((points - middle) / extent).T
+        return np.stack([np.ones_like(u), u, v, u * u, v * v, u * v], -1)
+
+    light = np.linalg.lstsq(quadratic(pixel), level, rcond=None)[0]
+    centre, noise = np.empty_like(pixel), np.empty(len(pixel))
+    for k, (gx, gy, value) in enumerate(windows):
+        ground, bright = (quadratic(np.stack([gx, gy], -1).astype(float)) @ light).T
+        share = (value - ground) / np.maximum(bright - ground, 1.0)
+        background = share < MIN_CORE
+        if background.sum() > 20:  # the remaining unevenness around this dot
+            plane = np.stack([np.ones(len(gx)), gx - pixel[k, 0], gy - pixel[k, 1]], -1)
+            share = share - plane @ np.linalg.lstsq(plane[background], share[background], rcond=None)[0]
+        own = float(np.median(share[share > 0.5 * np.percentile(share, 98)]))
+        dot = _dilated(gx, gy, share > MIN_CORE * own, pixel[k])
+        share = np.minimum(share / own, EVEN)  # paint and light on a dot are seldom even
+        grain = robust_std(share[~dot]) if (~dot).sum() > 20 else DEFAULT_NOISE
+        x, y, share = gx[dot].astype(float), gy[dot].astype(float), share[dot]
+        centre[k] = np.array([x @ share, y @ share]) / share.sum()
+        lever = np.sqrt((((x - centre[k, 0]) ** 2 + (y - centre[k, 1]) ** 2).sum()) / 2)
+        noise[k] = grain * lever / share.sum()
+    return centre, noise
+
+
+def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
+    """Columns, rows and greys of the pixels of each dot's cell: within half a mesh of it."""
+    half_mesh = 0.5 * SmoothMap(node, pixel, np.inf).slopes(node)
+    inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
+    reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
+    height, width = image.shape
+    out = []
+    for k, ((x, y), (rx, ry)) in enumerate(zip(np.rint(pixel).astype(int), reach)):
+        columns = np.arange(max(x - rx, 0), min(x + rx + 1, width))
+        rows = np.arange(max(y - ry, 0), min(y + ry + 1, height))
+        gx, gy = (v.ravel() for v in np.meshgrid(columns, rows))
+        inside = (np.abs(inverse[k] @ (np.stack([gx, gy]) - pixel[k][:, None])) < 0.98).all(0)
+        gx, gy = gx[inside], gy[inside]
+        out.append((gx, gy, image[gy, gx].astype(float)))
+    return out
+
+
+def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
+    """The part of a mask over listed pixels that contains a place, widened by three pixels."""
+    row, column = y - y.min() + 4, x - x.min() + 4
+    raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
+    raster[row, column] = mask
+    label = cv2.connectedComponents(raster)[1]
+    nearest = np.argmin(np.where(mask, np.hypot(x - at[0], y - at[1]), np.inf))
+    raster = (label == label[row[nearest], column[nearest]]).astype(np.uint8)
+    wide: Mask = cv2.dilate(raster, np.ones((7, 7), np.uint8))[row, column] > 0
+    return wide
+
+
+def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
+    """Centroid of the image of a disc (radius in meshes) minus the image of its centre, (n, 2), px."""
+    smooth = map_of_nodes(node, pixel)
+    rings, spokes = 4, 12
+    r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
+    a = 2 * np.pi * np.arange(spokes) / spokes
+    offset = (r[:, None, None] * np.stack([np.cos(a), np.sin(a)], -1)).reshape(-1, 2)
+    samples = (node[:, None] + offset).reshape(-1, 2)
+    place = smooth(samples).reshape(len(node), -1, 2)
+    area = np.abs(np.linalg.det(smooth.slopes(samples))).reshape(len(node), -1, 1)
+    out: Array = (place * area).sum(1) / area.sum(1) - smooth(node.astype(float))
+    return out
+
+
+def shape_of(target: Target) -> tuple[int, int]:
+    """Nodes along x and y of a target that has a shape."""
+    assert target.shape is not None  # Target refuses these kinds without a shape
+    return target.shape
+
+
+def right_handed(
+    image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
+) -> tuple[Nodes, tuple[str, ...]]:
+    """Number a full grid so that it is right-handed seen from above, and as unambiguously as possible.
+    With an image, squares of a chessboard decide: the one between nodes (0, 0) and (1, 1) is dark.
+    """
+    last = np.array(shape) - 1
+    if cross(*SmoothMap(node, pixel, np.inf).slopes(last[None] / 2)[0]) > 0:
+        node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
+    turns = [node, last - node]
+    if shape[0] == shape[1]:
+        quarter = np.stack([node[:, 1], last[0] - node[:, 0]], -1)
+        turns += [quarter, last - quarter]
+    if image is not None:
+        turns = [turn for turn in turns if _first_square_dark(image, turn, pixel, shape)] or turns
+
+    def to_the_right(turn: Nodes) -> float:
+        slope = np.linalg.lstsq(np.c_[turn, np.ones(len(turn))], pixel[:, 0], rcond=None)[0]
+        return float(slope[0])
+
+    notes: tuple[str, ...] = ()
+    if len(turns) > 1:
+        notes = (
+            f"the target has the same image in {len(turns)} positions: x is taken to the right in the image",
+        )
+    return max(turns, key=to_the_right), notes
+
+
+def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int, int]) -> bool:
+    a, b = (v.ravel() for v in np.meshgrid(np.arange(shape[0] - 1), np.arange(shape[1] - 1)))
+    x, y = np.rint(SmoothMap(node, pixel, np.inf)(np.stack([a, b], -1) + 0.5)).astype(int).T
+    height, width = image.shape
+    grey = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+    even = (a + b) % 2 == 0
+    return bool(np.median(grey[even]) < np.median(grey[~even]))
+
+
+def dot_centres(
+    image: Image, node: Nodes, pixel: Array, target: Target, meshes: int = 1
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Centres of dots (n, 2), px, their uncertainty from noise (n,), and notes; nodes are `meshes` apart.
+    In perspective a disc's centroid is not its centre's image: the difference is integrated and subtracted.
+    """
+    centre, noise = centroids(image, meshes * node, pixel)  # in cells of one mesh
+    if target.diameter is None:
+        return centre, noise, ("centroids not corrected for perspective: state the target's diameter",)
+    radius = 0.5 * target.diameter / target.mesh / meshes
+    return centre - centroid_bias(node, centre, radius), noise, ()
+
+
+def make_points(
+    image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
+) -> TargetPoints:
+    """Points with their uncertainty: from noise, or the misfit of a smooth map where that is larger."""
+    try:
+        smooth = map_of_nodes(node, pixel)
+    except ValueError:
+        raise CalibrationError("the points found are not on a plane target; photograph it again") from None
+    free = max(len(node) - 4 - len(smooth.powers), 1)
+    limited = np.minimum(smooth.misfit, 6 * smooth.spread)
+    map_std = float(np.sqrt(limited**2 @ np.ones(len(node)) / (2 * free)))
+    inlier = smooth.misfit < max(6 * smooth.spread * 1.2, 0.1)
+    if not inlier.all():
+        notes = (*notes, f"{(~inlier).sum()} of {len(inlier)} points out of place were left out")
+    std = np.maximum(np.broadcast_to(noise, len(node)), map_std)
+    height, width = image.shape
+    return TargetPoints(node[inlier], pixel[inlier], std[inlier], (width, height), notes)
+
 
 MIN_NEIGHBOURS = 3  # of the eight around a ring that are dots
 RADII = np.arange(0.0, 0.46, 0.03)  # meshes, of the profile of a ring
@@ -25,11 +201,6 @@ ANGLES = 2 * np.pi * np.arange(24) / 24
 MIN_RING = 0.35  # of the dots' contrast, all around
 MAX_HOLE = 0.6  # of the brightness of the ring
 MAX_OUTSIDE = 0.3  # of the dots' contrast, beyond the ring
-CELL = np.arange(-0.4, 0.41, 0.025)  # meshes around an odd dot
-MAX_AROUND = 0.15  # of the dots' contrast: ground
-MIN_AROUND = 0.2  # of a cell
-MIN_LEAD = 2.5  # of the odd dot over the next
-MIN_EXCESS = 5e-4  # of the dots' contrast, mean around the dot
 CELL_MIDDLES = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
@@ -75,26 +246,6 @@ def find_rings(image: Image, lattice: TargetLattice) -> Nodes:
     return np.asarray(cells.places[closed & hollow & alone])
 
 
-def find_odd_dot(image: Image, lattice: TargetLattice) -> Nodes:
-    """The node (2,) of the one dot with something around it: a box, a circle, a larger disc.
-    CalibrationError where none stands out.
-    """
-    cells = _Cells(image, lattice)
-    share = cells.share(np.stack(np.meshgrid(CELL, CELL), -1).reshape(-1, 2))
-    usual = np.median(share, axis=0).reshape(len(CELL), -1)
-    around = (cv2.dilate(usual, np.ones((5, 5))) < MAX_AROUND).ravel()  # what is ground in most cells
-    if around.sum() < MIN_AROUND * around.size:
-        raise CalibrationError("the dots leave too little between them to find one that is marked")
-    excess = np.where(cells.neighbours == 8, np.maximum(share[:, around], 0).mean(1), 0.0)
-    first, second = np.sort(excess - np.median(excess[cells.neighbours == 8]))[[-1, -2]]
-    if not first > max(MIN_LEAD * second, MIN_EXCESS):
-        raise CalibrationError(
-            "no dot has a box or a circle around it, or is larger than all others; it must be in view, with "
-            "the eight dots around it (origin_mark: odd dot)"
-        )
-    return np.asarray(cells.places[int(np.argmax(excess))])
-
-
 def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
     """Indices of nodes (n, 2) counted from the ring at the right angle, right-handed seen from above.
     CalibrationError unless the rings are three whose arms follow the rows and columns.
@@ -123,10 +274,10 @@ MIN_FULLNESS = 0.3  # of a ring: its area over that of an ellipse of its moments
 
 def find_dots(image: Image, target: Target) -> TargetPoints:
     """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
-    With marks the grid may be partly out of view.
+    With three rings the grid may be partly out of view.
     """
-    if target.marked_dots:
-        return _find_with_marks(image, target)
+    if target.ringed:
+        return _find_with_rings(image, target)
     shape = shape_of(target)
     best: tuple[Nodes, Array, Image] | None = None
     most = 0
@@ -143,8 +294,7 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
     if best is None:
         raise CalibrationError(
             f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {most}); "
-            "all of it must be in view and in focus, or marks must number it "
-            "(origin_mark: ring, or odd dot); "
+            "all of it must be in view and in focus, or three rings must number it (origin_mark: ring); "
             "grids whose rows are set off by half a dot (asymmetric) are not supported"
         )
     node, pixel, polarity = best
@@ -156,8 +306,7 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
     return make_points(image, node, pixel, (*notes, *more), noise)
 
 
-def _find_with_marks(image: Image, target: Target) -> TargetPoints:
-    rings = target.origin_mark == "ring"
+def _find_with_rings(image: Image, target: Target) -> TargetPoints:
     grids = [
         (polarity, lattice)
         for polarity in (image, 255.0 - image)
@@ -167,15 +316,11 @@ def _find_with_marks(image: Image, target: Target) -> TargetPoints:
         raise CalibrationError(
             f"no grid of at least {MIN_DOTS} dots was found; it must be in view and in focus"
         )
-    polarity, lattice = max(grids, key=lambda one: (rings and len(find_rings(*one)) == 3, len(one[1])))
-    marks = find_rings(polarity, lattice) if rings else find_odd_dot(polarity, lattice)[None]
-    dots = ~(lattice.node[:, None] == marks).all(2).any(1)
+    polarity, lattice = max(grids, key=lambda one: (len(find_rings(*one)) == 3, len(one[1])))
+    rings = find_rings(polarity, lattice)
+    dots = ~(lattice.node[:, None] == rings).all(2).any(1)
     node, pixel = lattice.node[dots], lattice.pixel[dots]
-    node, turned = (
-        (numbered_from_rings(node, pixel, marks), ())
-        if rings
-        else right_handed(None, node - marks, pixel, (1, 1))
-    )
+    node = numbered_from_rings(node, pixel, rings)
     span = tuple((np.ptp(node, axis=0) + 1).tolist())
     if target.shape is not None and (span[0] > target.shape[0] or span[1] > target.shape[1]):
         raise CalibrationError(
@@ -183,7 +328,7 @@ def _find_with_marks(image: Image, target: Target) -> TargetPoints:
             f"{target.shape[1]} that are stated as the target's shape"
         )
     pixel, noise, notes = dot_centres(polarity, node, pixel, target)
-    return make_points(image, node, pixel, (*turned, *notes), noise)
+    return make_points(image, node, pixel, notes, noise)
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:

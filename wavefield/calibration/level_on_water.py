@@ -7,17 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.calibration.horizon import find_horizon
-from wavefield.calibration.platform import PlatformFit, fit_platform, leave_out, sway
+from wavefield.calibration.platform import PlatformFit, find_horizon, fit_platform, leave_out, sway
 from wavefield.calibration.relative_pose import (
     MAX_EPIPOLAR_ERROR,
     MIN_MATCHES,
     Pixels,
     match_features,
-    of_other_images,
     place_second,
     points_of,
-    too_few,
 )
 from wavefield.errors import RigError
 from wavefield.rig import Rig
@@ -70,7 +67,7 @@ class Levelled:
             return ""
         return (
             f"; the cameras roll and pitch by {self.sway:.2f} degrees (rms), so that no single rig fits all "
-            "frames: `wavefield rig level --each-frame FOLDER` turns them level one by one"
+            "frames: z is wrong by that angle times the distance; measure from a fixed platform"
         )
 
     @property
@@ -101,7 +98,13 @@ def level_on_water(
     ]
     points = np.concatenate([none, *surfaces])
     if len(points) < MIN_MATCHES:
-        raise RigError(of_other_images(rig, matches) or too_few(len(points)))
+        matched = sum(len(a) for by_pair in matches for a, _ in by_pair.values())
+        raise RigError(
+            f"sight lines of only {len(points)} of {matched} matching features meet within "
+            f"{MAX_EPIPOLAR_ERROR:g} px, {MIN_MATCHES} at least are needed: is the rig that of these images, "
+            "each camera its own (or state --distance to recompute the second one's pose), do images show "
+            "texture, and were they taken at the same moment?"
+        )
     levelled, plane = level(rig, *points.T)
     name = next(iter(rig))
     axes = rig[name].R.T @ levelled[name].R

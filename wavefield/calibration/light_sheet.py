@@ -26,7 +26,6 @@ MAX_BRIGHTNESS = 4.0  # standard deviations: brighter particles are limited to t
 SMOOTHING = 1.5  # px: of the correlation, so that single particles do not make peaks of their own
 PEAK_LEVEL = 0.5  # of the maximum: correlations above it belong to the peak
 MIN_PEAK = 6.0  # standard deviations of the correlation around the peak, for a peak to be significant
-MIN_SAMPLES = 12  # of a peak, for its widths
 
 
 def particles(image: Image, visible: Mask) -> Image:
@@ -52,7 +51,7 @@ class Correlation:
     def __post_init__(self) -> None:
         half = self.side // 2 + 1
         shape = len(self.rows), len(self.columns), self.side, half
-        self._sum, self._own = np.zeros(shape, np.complex64), np.zeros(shape[2:], np.float32)
+        self._sum = np.zeros(shape, np.complex64)
         edge = np.hanning(self.side + 2)[1:-1]
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
@@ -63,18 +62,10 @@ class Correlation:
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
             spectrum = scipy.fft.rfft2(pieces * self._taper, workers=1)
             self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
-            self._own += np.square(np.abs(spectrum)).sum(axis=(0, 1))
 
     def planes(self) -> Image:
         """Correlation of every window, (rows, columns, side, side), with zero displacement in the middle."""
-        return self._plane(self._sum)
-
-    def own(self) -> Image:
-        """Mean autocorrelation over all windows and both images, (side, side)."""
-        return self._plane(self._own)
-
-    def _plane(self, spectrum: NDArray[np.complexfloating | np.floating]) -> Image:
-        plane = scipy.fft.fftshift(scipy.fft.irfft2(spectrum, s=(self.side, self.side)), axes=(-2, -1))
+        plane = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
         out = np.ascontiguousarray(plane, np.float32)
         for one in _each(out):
             one[:] = cv2.GaussianBlur(one, (0, 0), SMOOTHING)
@@ -110,40 +101,7 @@ def _peak(plane: Image) -> Mask:
     return np.asarray(parts == parts[top])
 
 
-def peak_length(planes: Image, own: Image, shift: Array, along: Array) -> float:
-    """Standard deviation, px, that the height of particles adds to the peaks along the disparity (n, m, 2).
-    The width across and the size of particle images are subtracted (Wieneke 2005, Exp. Fluids 39, 267).
-    """
-    middle = np.full(2, own.shape[0] // 2)
-    variances = [
-        _excess_variance(plane, centre + middle, way / np.linalg.norm(way))
-        for plane, centre, way in zip(_each(planes), shift.reshape(-1, 2), along.reshape(-1, 2), strict=True)
-        if np.isfinite(centre).all()
-    ]
-    if not variances:
-        return float("nan")
-    mean_way = np.mean(along.reshape(-1, 2), axis=0)
-    own_variance = _excess_variance(own, middle, mean_way / np.linalg.norm(mean_way))
-    return float(np.sqrt(max(float(np.median(variances)) - own_variance, 0.0)))
-
-
-def _excess_variance(plane: Image, centre: Array, way: Array) -> float:
-    """Variance of one peak along a direction minus that across it, px^2."""
-    peak = _peak(plane)
-    row, column = np.nonzero(peak)
-    place = np.stack([column - centre[0], row - centre[1]])
-    s, t = way @ place, np.array([-way[1], way[0]]) @ place
-    design = np.stack([np.ones(s.size), s, t, -0.5 * s * s, -0.5 * t * t, s * t], axis=1)
-    if len(design) < MIN_SAMPLES:
-        return 0.0
-    # the logarithm's curvature above half of the maximum: second moments depend on where a peak is cut off
-    fit = np.linalg.lstsq(design, np.log(plane[peak]), rcond=None)[0]
-    return float(1.0 / fit[3] - 1.0 / fit[4]) if fit[3] > 0 and fit[4] > 0 else 0.0
-
-
 ENOUGH_WINDOWS = 100  # windows overlap where fewer would fit next to each other
-STD_PER_THICKNESS = 4.0  # standard deviations of a Gaussian sheet between the places where its light is 1/e2
-
 Read = Callable[[str, int], NDArray[np.generic] | None]  # an image by camera and frame
 
 
@@ -168,8 +126,7 @@ class SheetWindows:
         self.pairs = pairs_of(rig, tuple(rig))
         self._correlations = {pair: Correlation(rows, columns, side) for pair in self.pairs}
         self.instants = self._add(read, instants, x, y)
-        self._planes = {pair: total.planes() for pair, total in self._correlations.items()}
-        self._disparities = {pair: disparities(planes) for pair, planes in self._planes.items()}
+        self._disparities = {pair: disparities(total.planes()) for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
         """Correlate all instants; returns how many had the images of a pair."""
@@ -203,19 +160,6 @@ class SheetWindows:
         squares = [np.sum(np.square(shift), axis=-1) for shift in self._disparities.values()]
         return float(np.sqrt(np.nanmean(squares)))
 
-    def thickness(self) -> float:
-        """Thickness of the sheet at 1/e2, metres.
-        The peak is a product of the light of both cameras, so the sheet is wider by root 2.
-        """
-        out = []
-        for (a, b), planes in self._planes.items():
-            lines = [np.stack(self.rig[n].sight_line(self.x, self.y), axis=-1) for n in (a, b)]
-            along = (lines[1] - lines[0]) / self.pixel
-            length = peak_length(planes, self._correlations[a, b].own(), self._disparities[a, b], along)
-            parallax = float(np.mean(np.linalg.norm(along, axis=-1)))
-            out.append(STD_PER_THICKNESS * np.sqrt(2.0) * length / parallax)
-        return float(np.mean(out))
-
 
 SIDES = 128, 64, 64, 64  # px: of the windows, pass after pass
 MIN_WINDOWS = 60  # by which a plane, and a camera that moved, can be fitted
@@ -230,7 +174,6 @@ class LightSheet:
     rig: Rig  # z = 0 in the middle of the sheet
     height: float  # Of the sheet above the old z = 0, at the origin, metres
     slope: tuple[float, float]  # Of the sheet in the old frame, along x and y
-    thickness: float  # Between places where its light is 1/e2 of the brightest, metres; NaN if undetermined
     disparity_before: float  # Of the dewarped images, rms, px
     disparity: float  # After the correction
     check: RigCheck  # Whether a camera had moved
@@ -246,8 +189,8 @@ class LightSheet:
         x, y = (1e3 * part for part in self.slope)
         return (
             f"light sheet: {1e3 * self.height:+.3f} mm at the origin, slope {x:+.2f}, {y:+.2f} mrad along "
-            f"x, y; {1e3 * self.thickness:.2g} mm thick (1/e2); disparity {self.disparity_before:.2f} px "
-            f"before, {self.disparity:.2f} px now ({self.windows} windows of {self.instants} instants); "
+            f"x, y; disparity {self.disparity_before:.2f} px before, {self.disparity:.2f} px now "
+            f"({self.windows} windows of {self.instants} instants); "
             f"{self._moved_cameras()}"
         )
 
@@ -354,5 +297,4 @@ def fit_sheet(
         key: value for key, value in rig.provenance.items() if key != "levelled"
     }  # that is of water
     rig = Rig(rig.cameras, {**provenance, "light_sheet": note})
-    thickness = windows.thickness()
-    return LightSheet(rig, height, slope, thickness, before, rms, check, count, used, ambiguity)
+    return LightSheet(rig, height, slope, before, rms, check, count, used, ambiguity)

@@ -8,13 +8,12 @@ import numpy as np
 from wavefield.calibration.bundle import TERMS, Fit, linearised
 from wavefield.calibration.observations import Observations, common_extent
 from wavefield.errors import CalibrationError
-from wavefield.rig.lens import LENS, Array
+from wavefield.rig.lens import Array
 
 HEIGHT = 0.05  # metres about z = 0 of the volume in which errors are stated
 MIN_POINTS_IN_VIEW = 30  # of the volume, for those in view of all cameras to be used alone
 MAX_POINTS = 600  # of the target, where the volume is that of its views
 CELLS = 8  # along each side of an image, for the coverage
-STRONG_CORRELATION = 0.9
 
 
 @dataclass(frozen=True)
@@ -25,11 +24,8 @@ class PredictedErrors:
     reprojection: Mapping[str, float]
     # Standard uncertainty of z within 5 cm of z = 0 (rms over the field), metres; NaN for one camera
     z_std: float
-    z_tilt: float  # Of which the part that is a tilted plane, and so is corrected by levelling, metres
     # Fraction of each image, in cells of an eighth of its side, that held a node in some view
     coverage: Mapping[str, float]
-    correlation: list[tuple[str, str, float]]  # The strongest correlations between parameters
-    condition: float  # Condition number of the scaled normal matrix
     volume: str = "near z = 0"  # Where, in words
 
 
@@ -41,23 +37,12 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
     C, n = len(o.cameras), len(points)
     cov = result.covariance
     reprojection = np.sqrt(np.einsum("cnip,pq,cniq->c", J, cov, J, optimize=True) / (2 * n))
-    z_std = z_tilt = float("nan")
+    z_std = float("nan")
     if C > 1:
         A = by_point.transpose(1, 0, 2, 3).reshape(n, 2 * C, 3)
         back = np.linalg.pinv(A)[:, 2]  # z row
         dz = -np.einsum("nk,nkp->np", back, J.transpose(1, 0, 2, 3).reshape(n, 2 * C, -1))
         z_std = float(np.sqrt(np.einsum("np,pq,nq->", dz, cov, dz, optimize=True) / n))
-        plane = np.column_stack([np.ones(n), points[:, :2]])
-        fitted = plane @ np.linalg.lstsq(plane, dz, rcond=None)[0]
-        z_tilt = float(np.sqrt(np.einsum("np,pq,nq->", fitted, cov, fitted, optimize=True) / n))
-    std = np.sqrt(np.diag(cov))
-    unit = cov / np.outer(std, std)
-    upper = np.abs(np.triu(unit, 1))
-    pairs = [np.unravel_index(k, upper.shape) for k in np.argsort(upper, axis=None)[::-1][:12]]
-    names = result.layout.names
-    strongest = [
-        (names[i], names[j], float(unit[i, j])) for i, j in pairs if upper[i, j] > STRONG_CORRELATION
-    ]
     coverage = {}
     for c, name in enumerate(o.cameras):
         cell = np.floor(CELLS * (o.pixel[o.camera == c] + 0.5) / np.array(o.sizes[c])).astype(int)
@@ -65,10 +50,7 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
     return PredictedErrors(
         {name: float(r) for name, r in zip(o.cameras, reprojection, strict=True)},
         z_std,
-        z_tilt,
         coverage,
-        strongest,
-        float(np.linalg.cond(unit)),
         "near z = 0" if level else "where the target was",
     )
 
@@ -124,12 +106,8 @@ MODELS: dict[str, tuple[str, ...]] = {
     "opencv": ("f", "aspect", "c", "k1", "k2", "p", "k3"),
     "c and tilt": ("f", "aspect", "c", "tilt", "k1"),
 }
-CANDIDATES = (
-    *("f c k1", "f", "f k1", "f c", "f tilt k1", "paper", "tilt"),
-    *("paper k2", "paper p", "paper k2 p", "opencv"),
-)
+CANDIDATES = ("f c k1", "f tilt k1", "paper", "paper k2 p", "opencv")
 EQUIVALENT_RATIO = 1.05  # of expected errors: models within it count as equally good
-SIGNIFICANCE = 10.0  # standard deviations from a perfect camera's value: a term that is needed
 
 
 @dataclass(frozen=True)
@@ -159,20 +137,6 @@ def terms_of(model: str | Sequence[str]) -> tuple[str, tuple[str, ...]] | None:
     return " ".join(model), tuple(model)
 
 
-def significant_terms(fit: Fit, sizes: Sequence[tuple[int, int]]) -> set[str]:
-    """Terms that some camera needs: ten times their uncertainty away from a perfect camera's."""
-    std = np.sqrt(np.diag(fit.covariance))
-    needed = set()
-    for c, columns in enumerate(fit.layout.lens):
-        perfect = {"cx": (sizes[c][0] - 1) / 2, "cy": (sizes[c][1] - 1) / 2, "k1": 0.0}
-        for k, column in columns:
-            if column in perfect:
-                away = abs(fit.geometry.lens[c, LENS.index(column)] - perfect[column])
-                if away > SIGNIFICANCE * std[k]:
-                    needed.add("k1" if column == "k1" else "c")
-    return needed
-
-
 def choose(
     fit_model: Callable[[tuple[str, ...]], Fit],
     observations: Observations,
@@ -185,15 +149,10 @@ def choose(
     o, count = observations, 2 * len(observations)
     fits: dict[str, Fit] = {}
     bic: dict[str, float] = {}
-    needed: set[str] = set()
     for done, name in enumerate(CANDIDATES):
         if progress:
             progress(done, len(CANDIDATES))
-        terms = MODELS[name]
-        if needed - set(terms) - ({"c"} if "tilt" in terms else set()):
-            continue
-        fits[name] = result = fit_model(terms)
-        needed = needed or significant_terms(result, o.sizes)
+        fits[name] = result = fit_model(MODELS[name])
         k = len(result.layout.names)
         bic[name] = float(count * np.log(max(result.chi2, 1e-300) / count) + k * np.log(count))
     if progress:

@@ -54,7 +54,6 @@ class TargetPoints:
 
 COLUMNS = ("i", "j", "X", "Y")
 FREE_COLUMNS = ("x", "y", "z", "X", "Y")
-PLAIN_COLUMNS = "X Y x y z"  # of a table without a header, as MyPTV's
 
 
 def read_points(
@@ -62,7 +61,7 @@ def read_points(
 ) -> TargetPoints:
     """Read target points from a CSV file with columns i, j, X, Y and, where available, std (px) and z (m).
     size and std are used where the file states none; CalibrationError for a line that makes no sense.
-    With a unit (metres) the columns are x, y, z, X, Y of any points, or without a header X, Y, x, y, z.
+    With a unit (metres) the columns are x, y, z, X, Y of any points.
     """
     path = Path(path)
     lines = _lines(path)
@@ -127,9 +126,6 @@ def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple
     """Columns x, y (in the unit), X, Y, std, z (metres) of points that are in the physical frame."""
     content = [line.replace(",", " ") for line in _content(lines)]
     header = content[0].split() if content else []
-    if not set(header) & set(FREE_COLUMNS):
-        content.insert(0, PLAIN_COLUMNS)
-        header = PLAIN_COLUMNS.split()
     if not set(header) >= set(FREE_COLUMNS):
         raise CalibrationError(f"{path}: its header must be {','.join(FREE_COLUMNS)}, or also std")
     rows = csv.DictReader((" ".join(line.split()) for line in content), delimiter=" ")

@@ -4,7 +4,6 @@ For cameras of which only the lenses are known, as at sea: features of natural t
 camera is turned until sight lines meet, and a stated distance gives the scale.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import cv2
@@ -14,7 +13,7 @@ from scipy.optimize import least_squares
 
 from wavefield.calibration.camera_start import Pose
 from wavefield.errors import RigError
-from wavefield.rig import Camera, Rig
+from wavefield.rig import Camera
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
 
@@ -62,15 +61,15 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
     """
     a, b = matches
     if len(a) < MIN_MATCHES:
-        raise RigError(too_few(len(a)))
+        raise RigError(_too_few(len(a)))
     tangents = [np.stack(camera.tangents(*pixel.T), -1) for camera, pixel in ((one, a), (other, b))]
     reach = MAX_EPIPOLAR_ERROR / min(one.fx, other.fx)
     E, inliers = cv2.findEssentialMat(tangents[0], tangents[1], np.eye(3), cv2.RANSAC, 0.9999, reach)
     if E is None or E.shape != (3, 3):
-        raise RigError(too_few(0))
+        raise RigError(_too_few(0))
     good = inliers.ravel() > 0
     if good.sum() < MIN_MATCHES:
-        raise RigError(too_few(int(good.sum())))
+        raise RigError(_too_few(int(good.sum())))
     true = a[good], b[good]
     starts = _starts(np.asarray(E, float), tangents[0][good], tangents[1][good], 10 * reach)
     # from the essential matrix by RANSAC, and from the solutions of the homography of the sea's plane
@@ -117,38 +116,11 @@ def _fitted(
     return placed(np.asarray(fit.x, float)), float(fit.cost)
 
 
-def too_few(count: int) -> str:
-    """A sentence on too few matches."""
+def _too_few(count: int) -> str:
     return (
         f"only {count} features match between both cameras, {MIN_MATCHES} at least are needed: the images "
         "must show texture, be taken at the same moment, and from sides that are not too different"
     )
-
-
-def of_other_images(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> str:
-    """A sentence where features match but their sight lines do not meet: the rig is of other images."""
-    for pair in {pair for by_pair in matches for pair in by_pair}:
-        found = [by_pair[pair] for by_pair in matches if pair in by_pair]
-        a, b = (np.concatenate([pixels[side] for pixels in found]) for side in (0, 1))
-        if len(a) < MIN_MATCHES:
-            continue
-        # wrong matches alone have no geometry in common
-        _, inliers = cv2.findFundamentalMat(a, b, cv2.FM_RANSAC, MAX_EPIPOLAR_ERROR, 0.999)
-        true = np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
-        if true.sum() < max(MIN_MATCHES, 0.5 * len(a)):
-            continue
-        one, other = pair
-        distance = epipolar_distance(rig[one], rig[other], *a[true].T, *b[true].T)
-        error = float(np.nanmedian(np.abs(distance)))
-        if error < MAX_EPIPOLAR_ERROR:
-            continue
-        return (
-            f"the rig does not match the images: {true.sum()} features of {one} and {other} match, but they "
-            f"miss their epipolar lines by {error:.3g} px (median; {MAX_EPIPOLAR_ERROR:g} at most); take the "
-            "rig of these images, check which camera is which, or state --distance to recompute the second "
-            "camera's pose"
-        )
-    return ""
 
 
 def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:

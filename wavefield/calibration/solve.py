@@ -1,7 +1,9 @@
 """From target points to a rig, with a sentence for everything that may be wrong."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -10,22 +12,80 @@ from wavefield.calibration.assess import (
     assess_rig,
     calibrate_each,
     consistent_cameras,
-    provenance,
     usable_views,
 )
-from wavefield.calibration.bundle import Fit, fit
-from wavefield.calibration.model_choice import CANDIDATES, MODELS, Choice, choose, predict_errors, terms_of
+from wavefield.calibration.bundle import Fit, covariance_to_dict, fit
+from wavefield.calibration.camera_start import PhysicalFrame, physical_frame, start_geometry
+from wavefield.calibration.model_choice import (
+    CANDIDATES,
+    MODELS,
+    Choice,
+    PredictedErrors,
+    choose,
+    predict_errors,
+    terms_of,
+)
 from wavefield.calibration.observations import Findings, Geometry, Observations, collect
 from wavefield.calibration.points import Mask
-from wavefield.calibration.pose_consistency import PhysicalFrame, physical_frame, start_geometry
-from wavefield.calibration.result import Calibration
 from wavefield.calibration.target import Target
 from wavefield.rig import Rig
+from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
 OUTLIER_DEVIATIONS = 6.0  # of a point or view from the fit, over the typical deviation
 MIN_OUTLIER_VIEW_PX = 0.1  # a view that misses the fit by less is not left out
 MAX_ROUNDS = 4  # of leaving out outliers
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A rig and how far it can be trusted.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras; empty if none could be solved for.
+    usable : bool
+        Whether measurements may be made with it.
+    problems : tuple of str
+        Why not, and which target images to retake.
+    notes : tuple of str
+        What was left out, and other remarks.
+    model : str
+        The camera model, a name of `wavefield.calibration.model_choice.MODELS`.
+    models : tuple of Choice
+        The models that were compared.
+    observations : Observations, optional
+        The points that were fitted.
+    fit : Fit, optional
+        The joint fit.
+    predicted : PredictedErrors, optional
+        Uncertainty of pixels and of z that follows from that of the parameters.
+    left_out : dict of str to int
+        Points left out per view ("camera pose"), all of them where the view is.
+    target_std : float
+        Stated uncertainty of the target's nodes per axis, metres.
+    reference : str
+        The view that defines z = 0 and the axes.
+    """
+
+    rig: Rig
+    usable: bool
+    problems: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    model: str = ""
+    models: tuple[Choice, ...] = ()
+    observations: Observations | None = None
+    fit: Fit | None = None
+    predicted: PredictedErrors | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    target_std: float = 0.0
+    reference: str = ""
+
+    @property
+    def node_offsets(self) -> Array:
+        """Offset of each of ``observations.nodes`` from its position on the target, (N, 3), metres."""
+        return np.zeros((0, 3)) if self.fit is None else self.fit.geometry.offset
 
 
 def calibrate(
@@ -129,7 +189,7 @@ def calibrate(
         target_std,
         observations.poses[frame.reference],
     )
-    return replace(calibration, rig=Rig(cameras, provenance(calibration)))
+    return replace(calibration, rig=Rig(cameras, _provenance(calibration)))
 
 
 def _fit_and_choose(
@@ -216,3 +276,40 @@ def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
     for v in np.unique(view[~inlier]).tolist():
         leave_out(v, ~inlier & (view == v))
     return inlier
+
+
+def _provenance(calibration: Calibration) -> dict[str, Any]:
+    """The numbers and texts stored with the rig."""
+    o, result, errors = calibration.observations, calibration.fit, calibration.predicted
+    assert o is not None
+    assert result is not None
+    assert errors is not None
+    std = np.sqrt(np.diag(result.covariance))
+    cameras = {}
+    for c, name in enumerate(o.cameras):
+        rows = o.camera == c
+        first = result.layout.camera[c]
+        columns = [*(k for k, _ in result.layout.lens[c]), *range(first, first + 6)]
+        cameras[name] = {
+            "views": [o.poses[p] for p in np.unique(o.pose[rows])],
+            "points": int(rows.sum()),
+            "rms_px": float(np.sqrt(np.mean(result.residual[rows] ** 2))),
+            "max_px": float(np.abs(result.residual[rows]).max()),
+            "reprojection_std_px": errors.reprojection[name],
+            "parameter_std": {result.layout.names[k].split()[-1]: float(std[k]) for k in columns},
+        }
+    return {
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "usable": calibration.usable,
+        "problems": list(calibration.problems),
+        "notes": list(calibration.notes),
+        "model": calibration.model,
+        "mesh_m": float(o.mesh),
+        "target_std_m": float(calibration.target_std),
+        "reference_view": calibration.reference,
+        "z_std_m": errors.z_std,
+        "left_out_points": dict(calibration.left_out),
+        "cameras": cameras,
+        "parameter_units": "f, aspect: log of the focal lengths; c: px; R: rad; T: m; k, p: 1; tau: rad",
+        "covariance": covariance_to_dict(result.layout.names, result.covariance, o.cameras),
+    }

@@ -221,7 +221,7 @@ class RigCheck:
     faulty_cameras: tuple[str, ...]  # Cameras whose motion explains the misfit about equally well
     angle: float  # By how much the moved camera has turned, degrees
     sentence: str  # All this for the user
-    refused: bool = False  # Whether matches cannot correct the rig: `refine` leaves it as it is
+    refused: bool = False  # Whether matches cannot correct the rig, which is left as it is
 
 
 def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
@@ -303,35 +303,6 @@ def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: floa
     return RigCheck(before, after, best if len(faulty) == 1 else None, faulty, angle, text)
 
 
-def refine(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck]:
-    """Refine a rig so that the sight lines of matched pixels meet.
-
-    Parameters
-    ----------
-    rig : Rig
-        As calibrated; the covariance in its file is the prior.
-    matches : mapping of camera to array_like, (n, 2)
-        Pixels of the same pieces of surface in each camera; NaN where a camera has none.
-    std : float, default 0.1
-        Standard uncertainty of a match per axis, px.
-
-    Returns
-    -------
-    rig : Rig
-        Refined. Level it afterwards (`refine_and_level`): sight lines do not determine the water's plane.
-    check : RigCheck
-        What had been wrong.
-    """
-    problem = SightLineFit(rig, matches, std)
-    check, solutions = _check(problem)
-    if check.refused:
-        return rig, check
-    faulty = check.faulty_cameras
-    # where several cameras may have moved, all of them are free: the prior distributes the motion
-    solution = problem.solve(faulty) if len(faulty) > 1 else solutions[check.moved]
-    return _refined(problem, solution, check), check
-
-
 def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
     note = {
         "misfit_before_px": check.misfit,
@@ -347,8 +318,12 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
 
     Parameters
     ----------
-    rig, matches, std
-        As `refine`, of a record of still water.
+    rig : Rig
+        As calibrated; the covariance in its file is the prior.
+    matches : mapping of camera to array_like, (n, 2)
+        Pixels of the same pieces of still water in each camera; NaN where a camera has none.
+    std : float, default 0.1
+        Standard uncertainty of a match per axis, px.
 
     Returns
     -------

@@ -35,23 +35,23 @@ class Target:
 
     Parameters
     ----------
-    kind : {"strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level", "points"}
+    kind : {"strings", "chessboard", "dots", "charuco", "two-level", "points"}
         What the target shows.
     mesh : float
-        Distance between neighbouring nodes, m. AprilGrid: a tag and its gap; two-level: between rows, half of
+        Distance between neighbouring nodes, m. Two-level: between rows, half of
         that between dots of a row; points: unit of the tables (0.001 for mm).
     shape : tuple of int, optional
-        Nodes along x and y: inner corners (chessboard), squares (ChArUco), tags (AprilGrid).
+        Nodes along x and y: inner corners (chessboard), squares (ChArUco).
     origin_mark : str
-        Mark of node (0, 0): disc (strings), square (two-level), ring or odd dot (dots). Rings replace three
-        dots: at the origin and further along x and y. With an odd dot x is to the right in the image.
+        Mark of node (0, 0): disc (strings), square (two-level), ring (dots). Rings replace three dots: at the
+        origin and further along x and y.
     x_mark : str
         Small disc (strings): node (1, 0). Triangle (two-level): further along x, or at (1, 0) if both marks
         are between the dots, with the square at (0, 1).
     diameter : float, optional
         Diameter of a dot, m.
     dictionary : str
-        OpenCV's name of the markers; default DICT_4X4_50 (ChArUco), DICT_APRILTAG_36h11 (AprilGrid).
+        OpenCV's name of the markers; default DICT_4X4_50 (ChArUco).
     marker : float, optional
         Side of a ChArUco marker, m.
     depth : float, optional
@@ -72,13 +72,13 @@ class Target:
     (9, 6)
     """
 
-    kind: Literal["strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level", "points"]
+    kind: Literal["strings", "chessboard", "dots", "charuco", "two-level", "points"]
     mesh: Length
     shape: tuple[Nodes, Nodes] | None = None
-    origin_mark: Literal["disc", "square", "ring", "odd dot"] = "disc"
+    origin_mark: Literal["disc", "square", "ring"] = "disc"
     x_mark: Literal["small disc", "triangle"] = "small disc"
     diameter: Length | None = None
-    dictionary: str = ""
+    dictionary: str = "DICT_4X4_50"
     marker: Length | None = None
     depth: Annotated[float, Field(gt=-1, lt=1)] | None = None
     origin: tuple[float, float] = (0.0, 0.0)
@@ -86,19 +86,12 @@ class Target:
     def __post_init__(self) -> None:
         if self.kind == "two-level" and not self.depth:
             raise ValueError("a two-level target needs its depth, for example depth: 0.002 (metres)")
-        if self.origin_mark in ("ring", "odd dot") and self.kind != "dots":
-            raise ValueError(f"origin_mark: {self.origin_mark} is for a grid of dots only (kind: dots)")
-        if (
-            self.shape is None
-            and self.kind not in ("strings", "two-level", "points")
-            and not self.marked_dots
-        ):
+        if self.origin_mark == "ring" and self.kind != "dots":
+            raise ValueError("origin_mark: ring is for a grid of dots only (kind: dots)")
+        if self.shape is None and self.kind not in ("strings", "two-level", "points") and not self.ringed:
             raise ValueError(f"a {self.kind} target needs its shape, for example shape: [9, 6]")
         if self.diameter is not None and self.diameter >= self.mesh:
             raise ValueError("the target's dots are larger than its mesh; check diameter and mesh (metres)")
-        if not self.dictionary:
-            family = "DICT_APRILTAG_36h11" if self.kind == "aprilgrid" else "DICT_4X4_50"
-            object.__setattr__(self, "dictionary", family)
         if self.kind == "charuco":
             if self.marker is None:
                 raise ValueError("a charuco target needs the side of its markers, for example marker: 0.02")
@@ -108,9 +101,9 @@ class Target:
                 )
 
     @property
-    def marked_dots(self) -> bool:
-        """Whether marks number a grid of dots, which may then be partly out of view."""
-        return self.origin_mark in ("ring", "odd dot")
+    def ringed(self) -> bool:
+        """Whether rings number a grid of dots, which may then be partly out of view."""
+        return self.origin_mark == "ring"
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> "Target":

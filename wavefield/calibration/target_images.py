@@ -1,62 +1,27 @@
-"""From the target images of an experiment to its rig, on several processes."""
+"""Find the target in images; from the target images of an experiment to its rig."""
 
 import os
-import sys
-import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import forkserver, get_context, parent_process
-from multiprocessing.connection import wait
-from multiprocessing.context import BaseContext
 from pathlib import Path
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from wavefield.calibration.points import TargetPoints, read_points
-from wavefield.calibration.result import Calibration
-from wavefield.calibration.solve import calibrate
+from wavefield.calibration.dots import find_dots
+from wavefield.calibration.points import Image, TargetPoints, read_points
+from wavefield.calibration.printed import find_charuco, find_chessboard
+from wavefield.calibration.solve import Calibration, calibrate
+from wavefield.calibration.strings import find_strings
 from wavefield.calibration.target import Target
-from wavefield.calibration.target_finder import find_target
+from wavefield.calibration.two_level import find_two_level
 from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.images import read_image
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
-
-
-def worker_context(preloaded: str) -> BaseContext:
-    """How processes that find targets are started: on Linux forked from one that imports `preloaded`
-    while the caller does, which halves the time for a few images.
-    """
-    if sys.platform != "linux":
-        return get_context("spawn")
-    context = get_context("forkserver")
-    context.set_forkserver_preload([preloaded])
-    forkserver.ensure_running()
-    return context
-
-
-def start_worker() -> None:
-    """Settle this process, a worker: one thread, and no longer than the process that started it."""
-    import cv2
-
-    cv2.setNumThreads(1)
-    leave_with_parent()
-
-
-def leave_with_parent() -> None:
-    """Let this worker end with the process that started it, however that ends (SIGTERM, SIGKILL)."""
-    parent = parent_process()
-    if parent is not None:
-        sentinel = parent.sentinel
-
-        def watch() -> None:
-            wait([sentinel])
-            os._exit(1)
-
-        threading.Thread(target=watch, daemon=True).start()
-
 
 TABLES = (".csv", ".txt", ".dat", "")  # endings of points found by another program
 MAX_WORKERS = 8
@@ -73,27 +38,68 @@ class TargetRig:
     mesh: float  # Of the target, m
 
 
-def one_note_each(unfound: Sequence[tuple[str, Path]]) -> list[str]:
-    """Notes on images, each of which may begin with its path; those of one reason become one.
+FINDERS = {
+    "strings": find_strings,
+    "chessboard": find_chessboard,
+    "dots": find_dots,
+    "charuco": find_charuco,
+    "two-level": find_two_level,
+}
+MIN_SIDE = 32  # px
+MIN_CONTRAST = 4.0 / 255.0  # of the brightest grey
+MAX_SATURATED = 0.2  # of the image: if nothing is found in more, overexposure is named as the cause
 
-    Examples
-    --------
-    >>> a, b = Path("a/1.tif"), Path("b/2.tif")
-    >>> one_note_each([("a/1.tif: no target", a), ("b/2.tif: no target", b)])
-    ['no target (2 images: a/1.tif, b/2.tif)']
-    >>> one_note_each([("a/1.tif: no target", a)])
-    ['a/1.tif: no target']
+
+def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
+    """Find the nodes of a calibration target in one image.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), any real dtype
+        The image; bright where the strings are white.
+    target : Target
+        Kind and dimensions of the target.
+
+    Returns
+    -------
+    TargetPoints
+        Indices of the nodes found, their pixel coordinates and standard uncertainties.
+
+    Raises
+    ------
+    CalibrationError
+        If the image is empty or overexposed, or shows no such target, or a mirrored one, or too little of it.
     """
-    by_reason: dict[str, list[Path]] = {}
-    for words, path in unfound:
-        by_reason.setdefault(words.removeprefix(f"{path}: "), []).append(path)
-    if len(by_reason) == len(unfound):
-        return [words for words, _ in unfound]
-    return [
-        f"{reason} ({len(paths)} image{'s' if len(paths) > 1 else ''}: "
-        f"{', '.join('/'.join(path.parts[-2:]) for path in paths)})"
-        for reason, paths in by_reason.items()
-    ]
+    grey = scaled(image)
+    try:
+        return FINDERS[target.kind](grey, target)
+    except CalibrationError as error:
+        saturated = float(np.mean(grey >= grey.max()))
+        if saturated > MAX_SATURATED:
+            raise CalibrationError(
+                f"{error}; {saturated:.0%} of the image is overexposed: photograph it again with less light"
+            ) from None
+        raise
+
+
+def scaled(image: NDArray[np.generic]) -> Image:
+    """The image as float32 with its brightest patch at 255, refused when it cannot show a target."""
+    image = np.asarray(image)
+    if image.ndim != 2 or min(image.shape) < MIN_SIDE:
+        raise CalibrationError(
+            f"a target image must be one grey image of {MIN_SIDE} px or more, not {image.shape}"
+        )
+    grey = image.astype(np.float32)
+    if not np.isfinite(grey).all():
+        raise CalibrationError("the image holds values that are not numbers; export it from the camera again")
+    # hot pixels and sparkles are no part of a target, whose marks are more than a few pixels wide
+    grey = np.minimum(grey, cv2.medianBlur(grey, 5).max())
+    low, high = float(grey.min()), float(grey.max())
+    if high - low < MIN_CONTRAST * max(abs(high), 1e-12):
+        raise CalibrationError(
+            "the image is empty: all its pixels have one grey; check light, cap and exposure"
+        )
+    return np.asarray(grey * np.float32(255.0 / high))
 
 
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
@@ -176,21 +182,23 @@ def calibrate_experiment(
         (camera, pose, images[camera][pose]) for pose in order for camera in images if pose in images[camera]
     ]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
-    unfound: list[tuple[str, Path]] = []  # why no target was found, and in which image
+    notes: list[str] = []  # images without a target, and why
     frame_sizes = _frame_sizes(experiment) if any(is_table(p) for _, _, p in jobs) else {}
-    workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
-    with ProcessPoolExecutor(workers, mp_context=worker_context(__name__), initializer=start_worker) as pool:
-        sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
+    sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
+    # threads suffice: OpenCV and the compiled loops leave Python's lock
+    pool = ThreadPoolExecutor(min(os.cpu_count() or 1, len(jobs), MAX_WORKERS))
+    try:
         found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs), sizes)
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
             if isinstance(points, str):
-                unfound.append((points, jobs[done - 1][2]))
+                notes.append(points)
             else:
                 height = section.heights.get(pose)
                 views[camera][pose] = points if height is None else placed_at(points, height)
             if progress:
                 progress(done, len(jobs))
-    notes = one_note_each(unfound)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
     named = {
         camera: {pose: os.path.relpath(path, experiment.path.parent) for pose, path in by_pose.items()}
         for camera, by_pose in images.items()

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wavefield.calibration.blobs import dot_centres, find_blobs, make_points
+from wavefield.calibration.dots import dot_centres, find_blobs, make_points
 from wavefield.calibration.lattice import Candidates, SmoothMap, TargetLattice, cross, most_central
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.target import Target

@@ -89,7 +89,6 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
 Examples:
   wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # the level alone
   wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
-  wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml --each-frame level/  # from a ship
 """
 )
 @EXPERIMENT
@@ -101,18 +100,12 @@ Examples:
     help="Between two cameras, m: the second camera's pose is recomputed from features that both see.",
 )
 @frames_option(20, "How many instants to use.")
-@click.option(
-    "--each-frame",
-    type=click.Path(path_type=Path),
-    help="New folder for the frames of a platform that rolls and pitches, turned level one by one.",
-)
 def level(
     experiment: Path,
     rig: Path | None,
     output: Path,
     distance: float | None,
     frames: int,
-    each_frame: Path | None,
 ) -> None:
     """Place and level cameras by the sea that they see.
 
@@ -126,15 +119,7 @@ def level(
     with Progress("Matching the cameras", "instants") as progress:
         found = level_experiment(experiment, rig, distance, frames, progress)
     _save(found.rig, output, experiment, found.sentence)
-    if each_frame is None:
-        print_next("check", experiment, "--rig", output)
-        return
-    from wavefield.calibration.platform import level_frames
-
-    with Progress("Levelling", "frames") as progress:
-        moved = level_frames(experiment, each_frame, output, progress)
-    click.echo(moved.sentence)
-    print_next("rig level", moved.experiment, "-o", each_frame / "rig.yaml")
+    print_next("check", experiment, "--rig", output)
 
 
 @click.command(
@@ -152,8 +137,7 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     """Bring z = 0 to a light sheet by its particles.
 
     Also corrects a camera that has moved. The cameras' images of one instant, dewarped to z = 0, are
-    correlated; where they disagree, the sheet is not at the target's plane or a camera has moved. Reports the
-    thickness of the sheet, too.
+    correlated; where they disagree, the sheet is not at the target's plane or a camera has moved.
     """
     from wavefield.calibration.light_sheet import find_sheet
 
@@ -161,8 +145,6 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     with Progress("Correlating the cameras", "passes") as progress:
         found = find_sheet(experiment, rig, frames, progress)
     _save(found.rig, output, experiment, found.sentence)
-    if found.thickness > 0:
-        click.echo(f"Then: settings: {{preset: sheet, sheet_thickness: {found.thickness:.2g}}}")
     print_next("check", experiment, "--rig", output)
 
 

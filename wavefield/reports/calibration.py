@@ -14,12 +14,12 @@ from wavefield.calibration.assess import FlatSurface, numbers
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.model_choice import MODELS
 from wavefield.calibration.observations import Observations
-from wavefield.calibration.result import Calibration
+from wavefield.calibration.solve import Calibration
 from wavefield.errors import RigError
 from wavefield.figures import rig_views
 from wavefield.pipeline import Run
 from wavefield.reports import calibration_pictures as pictures
-from wavefield.reports.html import Head, Item, Listing, Picture, ReportSection, Table, Text, render
+from wavefield.reports.html import Head, Item, Picture, ReportSection, Table, Text, render
 from wavefield.reports.numbers import number, small
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field, pixel_size
@@ -91,10 +91,7 @@ def _predicted(calibration: Calibration) -> dict[str, Any]:
         "predicted": {
             "reprojection_px": dict(errors.reprojection),
             "z_mm": 1e3 * errors.z_std,
-            "z_of_which_tilt_mm": 1e3 * errors.z_tilt,
             "image_covered": dict(errors.coverage),
-            "condition_number": errors.condition,
-            "strongest_correlations": [[a, b, round(r, 6)] for a, b, r in errors.correlation],
         },
     }
 
@@ -178,10 +175,6 @@ def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator
     gist = f"every point, and the mean per cell of the image; at most {largest:.2g} px"
     yield ReportSection("Residuals", list(residuals), folded=True, gist=gist)
     items = [*_models(content), _lens(content), Text(_CORRELATED)]
-    strongest = content["predicted"]["strongest_correlations"]
-    words = "\n".join(f"{a} with {b}: {r:.4f}" for a, b, r in strongest)
-    if words:
-        items.append(Listing("Strongest correlations of the parameters", words))
     yield ReportSection(
         "Camera model", items, folded=True, gist=f"{model_words(content['model'])}; parameters of the lenses"
     )
@@ -225,9 +218,7 @@ def _flat(content: Content) -> str:
         f"z of the {flat['nodes']} nodes of view {flat['view']}, triangulated: rms "
         f"{small(flat['z_rms_mm'], 'mm')}, {small(flat['z_about_its_plane_rms_mm'], 'mm')} about its plane, "
         f"tilt {small(flat['tilt_mrad'], 'mrad')}. By the fit alone, the standard uncertainty of z is "
-        f"{small(predicted['z_mm'], 'mm')}, of which tilt and level of the target contribute "
-        f"{small(predicted['z_of_which_tilt_mm'], 'mm')}. `check` and `run` add that of the water's level "
-        "(`z_level_std`)."
+        f"{small(predicted['z_mm'], 'mm')}. `check` and `run` add that of the water's level (`z_level_std`)."
     )
 
 
