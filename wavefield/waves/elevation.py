@@ -13,10 +13,11 @@ import dask
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
-from wavefield.water import dispersion, water_of, wavenumber
+from wavefield.water import dispersion, water_of
 from wavefield.waves import rings
 from wavefield.waves.cross import Requested, door, label, lazy_sums
 from wavefield.waves.current import NO_CURRENT, CurrentUsed
@@ -38,91 +39,15 @@ from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import density, plane_density
 from wavefield.waves.welch import (
-    LOWEST,
     MIN_OVER_FILLED,
     Welch,
-    hann,
+    hann_power,
     inner,
     k_coords,
     omega_coords,
-    richardson_lucy,
 )
 
 Array = NDArray[Any]
-
-FREQUENCIES_PER_LINE = 4
-ROUNDS = 60
-MAIN_LOBE = 2.0  # lines: half the width of the window's main lobe
-FLOOR = 1e-12  # of the strongest line
-
-
-@dataclass(frozen=True)
-class Leakage:
-    """Energy from other frequencies in the lines of E(omega) of w; all (omega,)."""
-
-    # Factors of the elevation's spectrum from w, and from the cross spectrum of w with z, that follow the
-    # factor of the line's own frequency
-    w: Array
-    cross: Array
-    # Fraction of the line from within the window's main lobe; below the strongest line at most that of the
-    # lines between
-    own: Array
-
-
-def leakage(energy: Array, dt: float, frames: int) -> Leakage:
-    """Leakage in the lines of a spectrum of w, (n // 2 + 1,), by 60 iterations of `richardson_lucy`.
-    The deconvolved spectrum, times the factor to elevation and through the window again, is that of the
-    elevation.
-    """
-    half = energy.size - 1
-    lines = np.pi * np.arange(half + 1) / (half * dt)
-    ones = np.ones(half + 1)
-    # the two lowest lines, from which mean and trend are removed, are left as they are
-    strongest = float(energy[LOWEST:].max(initial=0.0))
-    if not strongest > 0:
-        return Leakage(ones, ones, ones)
-    fine = (np.arange(half * FREQUENCIES_PER_LINE) + 0.5) * lines[1] / FREQUENCIES_PER_LINE
-    response, main_lobe = _response(lines, fine)
-    given = np.maximum(energy, FLOOR * strongest)
-    used = response[LOWEST:]
-    area = used.sum(axis=0)
-    spectrum = richardson_lucy(
-        given[LOWEST:],
-        np.interp(fine, lines, given),
-        lambda estimate: _sum(used, estimate),
-        lambda estimate, ratio: estimate * np.einsum("lf,l->f", used, ratio) / area,
-        ROUNDS,
-    )
-    inner = slice(LOWEST, -1)
-    factor, line_factor = elevation_from_w(fine, dt, frames), elevation_from_w(lines[inner], dt, frames)
-    elevation, cross_power, power = (
-        _sum(response, spectrum * weight)[inner] for weight in (factor, np.sqrt(factor), np.ones_like(factor))
-    )
-    w, cross, own = ones.copy(), ones.copy(), ones.copy()
-    w[inner] = elevation / power / line_factor
-    cross[inner] = elevation / cross_power / np.sqrt(line_factor)
-    own[inner] = _sum(response * main_lobe, spectrum)[inner] / power
-    peak = LOWEST + int(np.argmax(energy[LOWEST:]))
-    own[: peak + 1] = np.minimum.accumulate(own[peak::-1])[::-1]
-    return Leakage(w, cross, own)
-
-
-def _sum(response: Array, spectrum: Array) -> Array:
-    # not a matrix product: that of BLAS may depend on the number of threads in the last bit
-    return np.asarray(np.einsum("lf,f->l", response, spectrum))
-
-
-def _response(lines: Array, fine: Array) -> tuple[Array, Array]:
-    """Response of each line to each frequency, positive and negative, and its main lobe, (lines, fine)."""
-    n = 2 * (lines.size - 1)
-    window = hann(n)
-    resolution = 2 * FREQUENCIES_PER_LINE
-    power = np.abs(np.fft.fft(window, resolution * n)) ** 2 / (window**2).sum()
-    difference = np.subtract.outer(lines, fine) / lines[1]
-    total = np.add.outer(lines, fine) / lines[1]
-    response = sum(power[np.rint(resolution * off).astype(int) % power.size] for off in (difference, total))
-    return np.asarray(response), np.abs(difference) < MAIN_LOBE
-
 
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 
@@ -206,26 +131,18 @@ def longest_waves(omega: Array, water: Water, speed: float) -> Array:
     return np.asarray(np.interp(omega, dispersion(_TABLE_K, *water) + _TABLE_K * speed, _TABLE_K))
 
 
-def shortest_waves(omega: Array, water: Water, speed: float) -> Array:
-    """Wavenumber of the waves against a current; for blocked frequencies that of the last waves that pass."""
-    with_current = dispersion(_TABLE_K, *water) - _TABLE_K * speed
-    blocked = np.flatnonzero(np.diff(with_current) <= 0)
-    stop = max(int(blocked[0]), 2) if blocked.size else _TABLE_K.size
-    return np.asarray(np.interp(omega, with_current[:stop], _TABLE_K[:stop]))
-
-
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
 PLANES = ("z*w",)
 METHODS = ("stereo", "w", "cross", "fusion")
 BY_SOURCE = ["Ez", "dof_Ez", "low_Ez", "high_Ez", "valid_Ez"]
-MIN_FREE_K = 0.5  # of the k of free waves: longer waves of that frequency are not free
-MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: further off there are none
-MIN_TRUSTED_FRACTION = 0.7  # of the cells of free waves
-MIN_OWN_FRACTION = 0.5  # of a line of w: the rest is leakage
+MIN_FREE_K = 0.5  # of the k of free waves: half-way to the peak, whose leakage keeps its wavenumber
+MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: noise alone is further off
+MIN_TRUSTED_FRACTION = 0.8  # of a line's energy: the others miss more than a fifth
+MAIN_LOBE = 2  # lines: half the width of the window's main lobe
+MIN_LINES = 5  # below it the weights 1 / omega^2 vary by more than a fifth within a line
+MAX_LEAKED_FRACTION = 0.5  # of a line of w
 LEARNED_WITHIN = 1.5  # factor by which signal over noise of a predicted gain is uncertain
-MAX_DEVIATION = 3.0  # of a method from the more certain of z and w, in standard deviations
-MODEL_ERROR = 0.05  # of z against w besides: leakage, bound waves
 MIN_NOISE_FREQUENCY = 1.2  # Hz: below it the integrated w is mostly drift
 
 
@@ -249,17 +166,24 @@ def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
     return float(omega[index] / (2 * np.pi)), decades
 
 
-def _smooth(values: Array, width: int = 7) -> Array:
-    padded = np.pad(values, width // 2, mode="edge")
-    return np.convolve(padded, np.full(width, 1 / width), "valid")
+def _smooth(values: Array) -> Array:
+    """Running mean over seven lines, along the first axis."""
+    return np.asarray(uniform_filter1d(values, 7, axis=0, mode="nearest"))
 
 
-def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    """Lines whose free waves fall in trusted cells, within three rings and seven lines."""
-    k = spectra.k
-    place = np.rint(np.interp(_wavenumber(spectra, water), k, np.arange(k.size))).astype(int)
-    near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
-    return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > MIN_TRUSTED_FRACTION
+def _trusted_lines(trusted: Array, cross: Array) -> Array:
+    """Lines most of whose energy, by the cross spectrum as measured, lies in trusted cells (omega, k)."""
+    energy = np.maximum(_smooth(cross), 0.0)
+    return np.asarray((energy * trusted).sum(axis=1) > MIN_TRUSTED_FRACTION * energy.sum(axis=1))
+
+
+def _resolved_lines(energy: Array) -> Array:
+    """Lines of a spectrum of w, (omega,), that are narrow and hold little of what the window spreads."""
+    line = np.arange(energy.size)
+    apart = np.abs(np.subtract.outer(line, line))
+    # between whole lines, where the side lobes of a Hann window are
+    leaked = np.where(apart > MAIN_LOBE, hann_power(apart + 0.5), 0.0) * energy
+    return np.asarray((line >= MIN_LINES) & (leaked.sum(axis=1) < MAX_LEAKED_FRACTION * energy))
 
 
 @dataclass(frozen=True)
@@ -295,15 +219,6 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
     return _Gains(z, w, both, float(np.log(LEARNED_WITHIN)) if is_predicted(gain) else 0.0)
 
 
-def _source(spectra: "_Elevations", water: Water) -> Array:
-    """Wavenumber, rad/m, of the waves whose energy each cell (omega, k) holds.
-    In a field of few wavelengths the window spreads free waves to rings with other gains.
-    """
-    waves = [reach(spectra.omega, water, spectra.speed)[:, None] for reach in (longest_waves, shortest_waves)]
-    of_waves = np.clip(spectra.k, *waves)
-    return np.where(np.abs(spectra.k - of_waves) < MAIN_LOBE * spectra.step, of_waves, spectra.k)
-
-
 @dataclass(frozen=True)
 class _Elevations:
     """Elevation spectra (omega, k): from stereo, from integrated w, and from both."""
@@ -315,7 +230,7 @@ class _Elevations:
     ww: Array
     zw: Array
     shape: Array  # 4 sin^2: noise of a displacement over that of the elevation from it
-    own: Array  # (omega,), fraction of w that leaks in from no other frequency
+    resolved: Array  # (omega,), lines in which w can be integrated
     speed: float = 0.0  # of the current, m/s
 
     @property
@@ -331,7 +246,7 @@ def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None)
     frames = int(ring.attrs.get("frames", 2))
     of_z, measured_w = (ring["E"].sel(quantity=name).values for name in NAMES)
     given = omega, ring["k"].values, dt, of_z
-    leaked = leakage(measured_w.sum(axis=1), dt, frames)
+    resolved = _resolved_lines(measured_w.sum(axis=1))
     if moving is not None:
         of_w, cross, shape = moving.elevations(water, dt, frames)
         speed = float(np.hypot(*moving.current))
@@ -346,19 +261,7 @@ def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None)
         of_w = measured_w * factor_w[:, None]
         cross = (ring["S"].sel(pair="z*w").values * to_elevation[:, None]).real
         shape = np.broadcast_to(noise_of_displacement(omega, dt, frames)[:, None], cross.shape)
-    of_w, cross = of_w * leaked.w[:, None], cross * leaked.cross[:, None]
-    return _Elevations(*given, of_w, cross, shape, leaked.own, speed)
-
-
-def _wavenumber(spectra: _Elevations, water: Water) -> Array:
-    """Wavenumber of the waves at each frequency; on a current, that of their energy."""
-    omega = spectra.omega
-    if spectra.speed == 0:
-        return np.asarray(wavenumber(omega, *water))
-    energy = np.maximum(spectra.zw, 0.0)
-    middle = (energy * spectra.k).sum(axis=1) / np.maximum(energy.sum(axis=1), _tiny(spectra))
-    reach = longest_waves(omega, water, spectra.speed), shortest_waves(omega, water, spectra.speed)
-    return np.asarray(np.clip(_smooth(middle), *reach))
+    return _Elevations(*given, of_w, cross, shape, resolved, speed)
 
 
 @dataclass(frozen=True)
@@ -450,31 +353,6 @@ def _by_method(
     return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted, stds
 
 
-def _agreed(
-    spectra: _Elevations, noise: _Noise, gains: _Gains, both: Array, best: Array, dof: Array
-) -> dict[str, Array]:
-    """Lines in which a method agrees with the more certain of z and w, in cells (omega, k) that both have."""
-    tiny = _tiny(spectra)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        noises = noise.fit_z / gains.z, noise.fit_w / gains.w
-        measured = spectra.zz / gains.z, spectra.ww / gains.w
-        parts = measured[0] - noises[0], measured[1] - noises[1], gains.elevation(spectra.zw), best
-        stereo, w, cross, fusion, *rest = (
-            np.maximum(np.where(both, part, 0.0).sum(axis=1), tiny)
-            for part in (*parts, *measured, *noises, *(best * std for std in gains.std))
-        )
-    all_z, all_w, noise_z, noise_w, std_z, std_w = (part / fusion for part in rest)
-    chance = 4 * np.clip(1 - (cross / fusion) ** 2 / (all_z * all_w), 0.0, 1.0) / dof
-    std = np.sqrt(chance + 4 * (std_z**2 + std_w**2) + MODEL_ERROR**2)
-    # z is geometry alone: w is followed only where z is clearly less certain
-    z_is_better = np.hypot(noise_z, 2 * std_z) <= np.hypot(noise_w, 2 * std_w) + MODEL_ERROR
-    better = np.where(z_is_better, stereo, w)
-    return {
-        method: ~both.any(axis=1) | (np.abs(np.log(one / better)) < MAX_DEVIATION * std)
-        for method, one in zip(METHODS, (stereo, w, cross, fusion))
-    }
-
-
 def from_spectra(
     ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: SpectraOnCurrent | None = None
 ) -> xr.Dataset:
@@ -484,8 +362,7 @@ def from_spectra(
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
     noise = _noise(spectra, water, gains)
-    corrected = _gains(gain, _source(spectra, water))
-    energies_k, trusted_k, stds_k = _by_method(spectra, noise, corrected, gain is not None)
+    energies_k, trusted_k, stds_k = _by_method(spectra, noise, gains, gain is not None)
     energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
     fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
     # of the fields as measured, the same for all k: for time series
@@ -498,13 +375,12 @@ def from_spectra(
     if trusted_k is None:
         valid = _above_noise(energies, dof["cross"], fit_z, fit_w, remaining, positive)
     else:
-        lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
-        both = trusted_k[0] & trusted_k[1] & (lines[0] & lines[1])[:, None]
-        agreed = _agreed(spectra, noise, corrected, both, energies_k[-1], dof["fusion"])
-        valid = {m: inner(omega.size) & trusted & agreed[m] for m, trusted in zip(METHODS, lines)}
+        lines = [_trusted_lines(trusted, spectra.zw) for trusted in trusted_k]
+        valid = {method: inner(omega.size) & trusted for method, trusted in zip(METHODS, lines)}
     waves = _at_waves(energies_k[-1], spectra, water)
-    own = {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | (spectra.own > MIN_OWN_FRACTION)}
-    valid = {m: lines & waves & own.get(m, spectra.own > MIN_OWN_FRACTION) for m, lines in valid.items()}
+    resolved = dict.fromkeys(METHODS, spectra.resolved)
+    resolved |= {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | spectra.resolved}
+    valid = {method: lines & waves & resolved[method] for method, lines in valid.items()}
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, remaining, tiny)
     for method, energy_k, std in zip(METHODS, energies_k, stds_k):
@@ -517,7 +393,7 @@ def from_spectra(
     parts["valid"] = (dims, [valid[method] for method in METHODS])
     out = annotate(parts.rename(dict(zip(("E", "dof", "low", "high", "valid"), BY_SOURCE))), "spectra")
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
-    out["weight_z"], out["wiener"] = ("omega", weight), ("omega", positive / (positive + remaining))
+    out["weight_z"] = ("omega", weight)
     if trusted_k is not None:
         out = out.assign_coords(k_coords(spectra.k))
         known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))  # of the ring itself, not of what leaks in
@@ -526,7 +402,6 @@ def from_spectra(
     for name, white in (("sigma_z", noise.white_z), ("sigma_dz", noise.white_dz)):
         sigma = np.sqrt(float(white.sum()) * spectra.step * band)
         out[name] = ((), sigma if noise.known else np.nan)
-    out["noise_coherence"] = ((), _noise_coherence(ring, spectra, water))
     out["range_frequency"] = ("source", [r[0] for r in reach])
     out["range_decades"] = ("source", [r[1] for r in reach])
     still: dict[str, Any] = {"current": [0.0, 0.0] if moving is None else list(moving.current)}
@@ -578,23 +453,6 @@ def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> 
     }
 
 
-def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> float:
-    """Correlation of both noises, in cells without free or bound waves."""
-    free = dispersion(spectra.k, *water)
-    omega = spectra.omega[:, None]
-    off = (
-        (free - spectra.k * spectra.speed > 1.6 * omega + 12)
-        & ring["valid"].values
-        & (omega > 2 * np.pi * 0.5)
-    )
-    if off.sum() < 10:
-        return float("nan")
-    z, w, both = ((array * off).sum(axis=1) for array in (spectra.zz, spectra.ww, spectra.zw))
-    lines = (z > 0) & (w > 0)
-    # each line on the scale of its own noise
-    return float((both[lines] / np.sqrt(z[lines] * w[lines])).mean()) if lines.any() else float("nan")
-
-
 @takes(a_cube)
 def fused_spectra(
     cube: xr.Dataset,
@@ -628,10 +486,10 @@ def fused_spectra(
     -------
     Dataset
         ``Ez`` (source, omega; m2 s rad-1) from stereo, w, cross and fusion, with ``dof_Ez``, ``low_Ez``,
-        ``high_Ez``, ``valid_Ez``; ``noise_z``, ``noise_w``; ``weight_z``, ``wiener`` (omega);
+        ``high_Ez``, ``valid_Ez``; ``noise_z``, ``noise_w``; ``weight_z`` (omega);
         ``sigma_z``, ``sigma_dz`` (m), NaN where segments are too short to tell noise from waves;
-        ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
-        (source); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.
+        ``range_frequency`` (Hz), ``range_decades`` (source); with a gain ``Ez_komega`` (omega, k) too, NaN
+        where it cannot be trusted. Computed at once.
 
     Raises
     ------
@@ -644,10 +502,10 @@ def fused_spectra(
     noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) replaces
     the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them;
     H^2 of a ring is the mean over directions, weighted by the energy that w has in each. A gain S / (S + N)
-    that a run predicted is uncertain by a factor of 1.5 in S / N, which weights and intervals contain. Where
-    z and w are both trusted and differ by more than three standard deviations, the less certain is not valid.
-    It assumes independent noises: ``noise_coherence`` measures their correlation. On a current U, w is
-    integrated at omega - k . U in every cell.
+    that a run predicted is uncertain by a factor of 1.5 in S / N, which weights and intervals contain. It
+    assumes independent noises. On a current U, w is integrated at omega - k . U in every cell. A line of w
+    holds waves of its width, each of which the integration weights by its own frequency: the five lowest are
+    not valid, nor are lines that hold mostly what the window spreads from stronger ones.
     """
     water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
