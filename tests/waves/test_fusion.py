@@ -228,10 +228,12 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
 def test_w_is_not_integrated_where_a_line_is_as_wide_as_its_frequency():
     quiet = PeriodicSea(n=128).cube(700, 40, 50)
     out = wv.fused_spectra(quiet, segment=64, current=(0.0, 0.0))
-    strong = (out.Ez_stereo > 0.05 * out.Ez_stereo.max()) & (out.frequency < 2)
-    assert out.valid_stereo.values[strong.values].all()
+    stereo = out.sel(source="stereo", drop=True)
+    strong = (stereo.Ez > 0.05 * stereo.Ez.max()) & (out.frequency < 2)
+    assert stereo.valid_Ez.values[strong.values].all()
     for method, asked in (("w", 0.25), ("cross", 0.12), ("fusion", 0.2)):
-        ratio = (out[f"Ez_{method}"] / out.Ez_stereo).where(out[f"valid_{method}"] & strong, drop=True)
+        one = out.sel(source=method)
+        ratio = (one.Ez / stereo.Ez).where(one.valid_Ez & strong, drop=True)
         assert ratio.size
         np.testing.assert_allclose(ratio, 1, atol=asked, err_msg=method)
 

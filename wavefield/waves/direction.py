@@ -14,7 +14,7 @@ from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import rings
 from wavefield.waves.current import CurrentUsed
 from wavefield.waves.dispersion_fit import fit_dispersion
-from wavefield.waves.dispersion_points import PlaneSpectrum
+from wavefield.waves.dispersion_points import HALF_WIDTH, MIN_HALF_WIDTH, SHORTEST_WAVES, PlaneSpectrum
 from wavefield.waves.dof import correlation_at, expected_segment_correlation
 from wavefield.waves.gains import elevation_from_w
 from wavefield.waves.inputs import is_cube
@@ -129,13 +129,11 @@ def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[floa
     return np.sqrt(max(along, 0.0)), np.sqrt(max(across, 0.0))
 
 
-HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2  # of the ring around the relation: relative to k, and in cells
 BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
 SECTORS = 36  # of the group `directional`: ten degrees, as wave models have them
 BANDWIDTH_HZ = 0.2
 STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
 LOWEST_HZ = 0.5  # the integrated w holds little but drift below
-SHORTEST_WAVES = 0.8  # of the grid's largest k: sectors are incomplete beyond
 MIN_SIGNAL_TO_NOISE = 3.0  # energy near the relation over that of the noise there: less has no direction
 UNIFORM_STD = np.pi / np.sqrt(3)  # rad, of a direction of which nothing is known
 

@@ -1,7 +1,6 @@
 """Fit of current and surface tension to the measured dispersion relation."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,9 @@ from wavefield.waves.dispersion_points import (
     FitSettings,
     PlaneSpectrum,
     RelationPoints,
-    SpectralCells,
     WindowDisplacement,
     centroids,
     contrast,
-    explained,
     fit_settings,
     fraction,
     scan_current,
@@ -38,13 +35,11 @@ Array = NDArray[Any]
 MIN_POINTS = 6
 OUTLIER_STDS = 3.0  # standard deviations of the points: larger misfits count less
 MIN_SLOPE = 0.15  # of the group velocity: waves that a current slows more count as these
-FAST_WAVES = 0.7  # of the free group velocity: the change of the fit without slower waves is an uncertainty
 FREQUENCY_BLOCKS = 5  # that are left out in turn
 MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
 MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
 TENSION_RANGE = 0.3  # of the surface tension: how far that of the water may differ from what is given
 BAND_WIDTH = 0.5  # Hz, over which points are compared with theory
-_NEWTON_ROUNDS = 20
 _UNITS = np.array([1, 1, 1e5])  # the solver's unit of surface tension is 1e-5 m3/s2
 
 
@@ -150,58 +145,36 @@ def with_surface_tension(fit: Array, covariance: Array, gamma: float) -> tuple[A
     return fit + gain * (gamma - fit[2]), covariance - np.outer(gain, covariance[2])
 
 
-def fast_waves(points: RelationPoints, depth: float, fit: Array) -> RelationPoints:
-    """Points of waves that the current slows down little; all points if few of them remain."""
+def distance_from_relation(points: RelationPoints, depth: float, fit: Array) -> Array:
+    """Distance of the points from the fitted relation in k, rad/m; to first order."""
+    along = points.along(fit)
     speed = group_velocity(points.k, depth, fit[2])
-    fast = speed + points.along(fit) > FAST_WAVES * speed
-    return points[fast] if fast.sum() >= MIN_POINTS else points
-
-
-def distance_from_relation(points: RelationPoints, depth: float, fit: Array, least_k: float) -> float:
-    """Rms distance of the points from the fitted relation in k, relative to k, weighted as in the fit.
-    Wavenumbers below `least_k`, rad/m, count as that value.
-    """
-    model = dispersion(points.k, depth, fit[2]) + points.k * points.along(fit)
-    distance = (points.omega - model) / group_velocity(points.k, depth, fit[2])
-    relative = distance / np.maximum(points.k, least_k)
-    return float(np.sqrt(np.average(relative**2, weights=1 / points.k_std**2)))
+    model = dispersion(points.k, depth, fit[2]) + points.k * along
+    return np.asarray((model - points.omega) / np.maximum(speed + along, MIN_SLOPE * speed))
 
 
 def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
     """Variables ``ridge_error`` and ``band_frequency``, Hz, (band,): points against theory by bands.
-    The error is the energy-weighted mean of k over the theory's k for that omega and direction, less 1.
+    The error is the mean of k over the theory's k for that omega and direction, less 1, weighted as in the
+    fit.
     """
-    along = points.along(fit)
-    theory = points.k.copy()
-    for _ in range(_NEWTON_ROUNDS):
-        off = dispersion(theory, depth, gamma) + theory * along - points.omega
-        speed = group_velocity(theory, depth, gamma)
-        slope = np.maximum(speed + along, MIN_SLOPE * speed)
-        theory = np.clip(theory - off / slope, 0.5 * theory, 2 * theory)
-    relative = points.k / theory - 1
+    distance = distance_from_relation(points, depth, np.array([fit[0], fit[1], gamma]))
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
-    centres, errors = [], []
-    for number in np.unique(band):
-        inside = band == number
-        # each line on its own scale: energy falls by decades within a band
-        omega, energy = points.omega[inside], points.energy[inside]
-        lines = np.unique(omega)
-        means = np.array([energy[omega == line].mean() for line in lines])
-        centres.append((number + 0.5) * BAND_WIDTH)
-        errors.append(float(np.average(relative[inside], weights=energy / np.interp(omega, lines, means))))
-    return {"ridge_error": ("band", np.array(errors)), "band_frequency": ("band", np.array(centres))}
+    numbers, inverse = np.unique(band, return_inverse=True)
+    weight = 1 / points.k_std**2
+    errors = np.bincount(inverse, weight * distance / points.k) / np.bincount(inverse, weight)
+    return {"ridge_error": ("band", errors), "band_frequency": ("band", (numbers + 0.5) * BAND_WIDTH)}
 
 
 MAX_RELATIVE_DISTANCE = 0.1  # of k: points of waves lie within 3 % of the relation, of other energy 8 to 70 %
-MIN_EXPLAINED = 0.5  # of the energy above the noise: a relation that holds less is not that of the waves
 MIN_CONTRAST = 1.5  # energy near the relation over that at other frequencies: noise has 0.9 to 1.2
 MAX_CURRENT_STD = 0.012  # m/s
-NOISE_FACTOR = 1.2  # by which the level of the noise may be wrong locally
 TENSION_ERROR = 0.02  # of the surface tension: the error that remains in noisy seas
+FIT_SECTORS = 24  # of direction; each must hold several cells of the shortest waves' ring
+ROUNDS_OF_WINDOW = 4  # in which the window is centred on the fit before anything else is corrected
 MAX_ROUNDS = 12  # in which the displacement by the windows is removed; at least two
 DAMPED_FROM = 3  # round
 CONVERGED, NOT_CONVERGED = 3e-4, 5e-3  # m/s: the rounds end at a smaller change; a larger one is refused
-STRONG_LINE = 20.0  # energy near the dispersion relation over the noise there: the band of a second fit
 
 
 @takes(plane_of("w"))
@@ -225,7 +198,7 @@ def fit_dispersion(
     gamma : float
         Surface tension over density, m3/s2, to start from and for the theory of ``ridge_error``.
     settings : FitSettings, optional
-        Band, sectors and window.
+        Band of the fit.
 
     Returns
     -------
@@ -240,8 +213,8 @@ def fit_dispersion(
     CubeError
         If the band has too few points, they lie on the relation of no current, or the energy near the
         relation hardly exceeds that of the same wave vectors at other frequencies (noise has a best current,
-        too); if less than half of the energy is near it, the fit does not converge or depends on the band, or
-        the standard uncertainty of the current exceeds 12 mm/s.
+        too); if the fit does not converge or depends on the band, or the standard uncertainty of the current
+        exceeds 12 mm/s.
 
     Notes
     -----
@@ -258,11 +231,9 @@ def fit_dispersion(
 
     The uncertainty is the larger of two: that of least squares, from the misfit of all points, increased
     where the contrast of the relation is low; and a jackknife over five blocks of lines of equal
-    information. Added in quadrature are half of the change of the fit when a fifth more noise is subtracted,
-    its changes with three tenths of the displacement by the windows left and without the waves that the
-    current slows most, its change in the last round, and 2 % of the surface tension, which is taken to be
-    within 30 % of `gamma` where the waves determine it less well. Where the fit to all lines is refused and
-    no ``highest`` is given, the lines whose waves far exceed the noise are tried.
+    information. Added in quadrature are its change with three tenths of the displacement by the windows left,
+    and 2 % of the surface tension, which is taken to be within 30 % of `gamma` where the waves determine it
+    less well.
 
     Examples
     --------
@@ -287,40 +258,7 @@ def fit_dispersion(
     settings = settings or FitSettings()
     density = density.compute()
     spectrum = PlaneSpectrum.of(density, depth)
-    cells = SpectralCells(*(density[name].values for name in ("omega", "ky", "kx")))
-    try:
-        out = _fit_band(spectrum, cells, gamma, settings)
-    except CubeError as refusal:
-        highest = None if settings.highest else _end_of_strong_lines(spectrum, gamma)
-        if highest is None:
-            raise
-        try:
-            out = _fit_band(spectrum, cells, gamma, replace(settings, highest=highest))
-        except CubeError:
-            raise refusal from None
-    out["ridge_weight"].attrs["units"] = density.attrs.get("units", "1")
-    return out
-
-
-def _end_of_strong_lines(spectrum: PlaneSpectrum, gamma: float) -> float | None:
-    """Highest frequency, Hz, up to which waves on the relation far exceed the noise."""
     omega, plane = spectrum.omega, spectrum.plane
-    k = wavenumber(np.maximum(omega, omega[1]), spectrum.depth, gamma)
-    near = np.abs(plane.k - k[:, None]) < np.maximum(0.1 * k[:, None], 2.0 * plane.cell)
-    energy = (spectrum.energy * near).sum(axis=1)
-    ratio = energy / np.maximum((spectrum.noise * near).sum(axis=1), np.finfo(float).tiny)
-    strongest = int(np.argmax(energy))
-    weak = np.flatnonzero(ratio[strongest:] < STRONG_LINE)
-    if not weak.size or weak[0] < 2:
-        return None
-    return float(omega[strongest + weak[0] - 1] / (2 * np.pi))
-
-
-def _fit_band(
-    spectrum: PlaneSpectrum, cells: SpectralCells, gamma: float, settings: FitSettings
-) -> xr.Dataset:
-    """The fit of `fit_dispersion` in the band of the settings; raises CubeError where it is refused."""
-    omega, plane, depth = spectrum.omega, spectrum.plane, spectrum.depth
     highest = 2 * np.pi * (settings.highest or np.inf)
     top = min(highest, 0.92 * dispersion(0.9 * plane.nyquist, depth), 0.97 * omega[-1])
     bottom = max(2 * np.pi * (settings.lowest or 0.0), dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth))
@@ -330,15 +268,15 @@ def _fit_band(
     limits = bottom, top
     in_band = (omega >= bottom) & (omega <= top)
     band = spectrum.on_lines(in_band)
-    sectors = sectors_of(plane, settings.sectors)
+    sectors = sectors_of(plane, FIT_SECTORS)
     fit = np.array([*start, gamma])
-    for _ in range(settings.rounds):
-        points = _refuse_few(centroids(band, sectors, fit, settings), limits)
+    for _ in range(ROUNDS_OF_WINDOW):
+        points = _refuse_few(centroids(band, sectors, fit, settings.highest), limits)
         fit = solve(points, depth, fit)
     for correction in range(MAX_ROUNDS):
         before = fit
-        windows = WindowDisplacement.measure(spectrum, cells, in_band, sectors, fit, settings)
-        measured = centroids(band, sectors, fit, settings)
+        windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit, settings.highest)
+        measured = centroids(band, sectors, fit, settings.highest)
         points = _refuse_few(windows.removed_from(measured), limits)
         fit = solve(points, depth, fit)
         if correction >= DAMPED_FROM:  # rounds that overshoot in turn converge half-way
@@ -348,20 +286,13 @@ def _fit_band(
             break
     contrast_of_fit = _check_fit(spectrum, points, fit, change, limits)
 
-    noisier = replace(band, noise=NOISE_FACTOR * band.noise)
-    quieter = windows.removed_from(centroids(noisier, sectors, fit, settings))
-    by_noise = 0.5 * np.abs(solve(quieter, depth, fit) - fit)
-    fast = fast_waves(points, depth, fit)
-    by_slow_waves = solve(fast, depth, fit) - fit
-    displaced = windows.removed_from(measured, 1 - LEAKAGE_ERROR)
-    by_leakage = solve(displaced, depth, fit) - fit
-    systematic = np.sqrt(by_noise**2 + by_slow_waves**2 + by_leakage**2 + (fit - before) ** 2)
+    by_leakage = solve(windows.removed_from(measured, 1 - LEAKAGE_ERROR), depth, fit) - fit
     # 1 / contrast of the energy in the points is noise
     covariance = covariance_of(points, depth, fit) / (1 - 1 / contrast_of_fit) ** 2
     fit, covariance = with_surface_tension(fit, covariance, gamma)
     std = np.sqrt(np.diag(covariance))
     std[:2] = np.maximum(std[:2], jackknife(points, depth, fit))
-    std = np.hypot(std, np.hypot(systematic, [0.0, 0.0, TENSION_ERROR * gamma]))
+    std = np.sqrt(std**2 + by_leakage**2 + np.square([0.0, 0.0, TENSION_ERROR * gamma]))
     _refuse_uncertain(float(np.hypot(*std[:2])), limits)
 
     out: dict[str, Any] = {}
@@ -371,7 +302,7 @@ def _fit_band(
         "ridge_omega": ("point", points.omega),
         "ridge_k": ("point", points.k),
         "ridge_angle": ("point", points.angle),
-        "ridge_weight": ("point", points.energy),
+        "ridge_weight": ("point", points.energy, {"units": density.attrs.get("units", "1")}),
         "ridge_fraction": ((), fraction(spectrum, fit)),
         "depth": ((), depth),
     }
@@ -402,12 +333,13 @@ def _check_fit(
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # a window spreads a wave over more than a cell of the k plane: in a small field that distance is no error
     least_k = spectrum.plane.cell / MAX_RELATIVE_DISTANCE
-    distance = distance_from_relation(points, spectrum.depth, fit, least_k)
+    relative = distance_from_relation(points, spectrum.depth, fit) / np.maximum(points.k, least_k)
+    distance = float(np.sqrt(np.average(relative**2, weights=1 / points.k_std**2)))
     if distance > MAX_RELATIVE_DISTANCE:
         raise CubeError(
             f"the waves {between} are {100 * distance:.0f} % of their wavenumber away from the dispersion"
-            f" relation of any current (the best is {best}): check depth, frame rate and grid step, or choose"
-            " another band"
+            f" relation of any current (the best is {best}); a current may block them: check depth, frame"
+            " rate and grid step, or choose another band"
         )
     lines = (spectrum.omega > limits[0] / 2) & (spectrum.omega < 1.5 * limits[1])
     contrast_of_fit = contrast(spectrum, lines, fit)
@@ -420,13 +352,6 @@ def _check_fit(
         raise CubeError(
             f"the current fit did not converge {between} (last estimate {best}); choose a band with"
             " `fit: {lowest, highest}`"
-        )
-    near = explained(spectrum, lines, fit)
-    if near < MIN_EXPLAINED:
-        raise CubeError(
-            f"the waves {between} have {100 * near:.0f} % of their energy near the dispersion relation of any"
-            f" current (the best is {best}); a current may block them: check depth, frame rate and grid step,"
-            " or choose another band"
         )
     return contrast_of_fit
 

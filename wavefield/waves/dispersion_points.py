@@ -23,7 +23,7 @@ _CURRENT_NAMES = ("current_x", "current_y")
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Band of the dispersion fit, and the window in which it measures centroids.
+    """Band of the dispersion fit.
 
     Parameters
     ----------
@@ -31,22 +31,10 @@ class FitSettings:
         Band of frequencies used, Hz, and higher ones of waves that a current carries past faster. If not
         given, all that the spectrum resolves, each line weighted by how far its waves exceed the noise. Waves
         longer than two fifths of the shorter side of the rectangle are always left out.
-    sectors : int
-        Sectors of angle.
-    half_width : float
-        Half width of the window around the relation, relative to k.
-    least_width : float
-        Its lower bound in cells of the k plane: a Hann window spreads a wave over two on either side.
-    rounds : int
-        How often the window is centred on the fit again.
     """
 
     lowest: float | None = None
     highest: float | None = None
-    sectors: int = 24
-    half_width: float = 0.22
-    least_width: float = 2.2
-    rounds: int = 4
 
 
 def fit_settings(
@@ -61,14 +49,13 @@ def fit_settings(
     """
     if fit is None or isinstance(fit, FitSettings):
         return fit or FitSettings(), None
-    kinds = {field.name: field.type for field in fields(FitSettings)}
-    kinds |= dict.fromkeys(_CURRENT_NAMES, "float")
+    names = ("lowest", "highest", *_CURRENT_NAMES)
     values: dict[str, Any] = {}
     for name, value in fit.items():
-        if name not in kinds:
-            raise CubeError(f"`fit` has no setting {name!r}; it has {', '.join(kinds)}")
+        if name not in names:
+            raise CubeError(f"`fit` has no setting {name!r}; it has {', '.join(names)}")
         try:
-            values[name] = int(value) if kinds[name] is int else float(value)
+            values[name] = float(value)
         except (TypeError, ValueError):
             raise CubeError(f"`fit` needs a number for {name}, not {value!r}") from None
         if not np.isfinite(values[name]) or (name not in _CURRENT_NAMES and values[name] <= 0):
@@ -103,11 +90,12 @@ class WavenumberPlane:
     cell: float  # larger side of a cell, rad/m
     spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
     nyquist: float  # along the axis with the wider nodes, rad/m
+    axes: tuple[Array, Array]  # ky and kx of the grid
 
     @classmethod
     def of(cls, density: xr.DataArray) -> "WavenumberPlane":
         """The plane of E(omega, ky, kx)."""
-        axes = [density[name].values for name in ("ky", "kx")]
+        axes = density["ky"].values, density["kx"].values
         ky, kx = np.meshgrid(*axes, indexing="ij")
         cells = [float(axis[1] - axis[0]) for axis in axes]
         # second moment of a Hann line |W|^2 (weights 1, 4, 1 over 6) is a third of a cell squared; across the
@@ -115,7 +103,7 @@ class WavenumberPlane:
         spread = float(np.mean(np.square(cells))) / 3
         k, angle = np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel()
         nyquist = min(abs(float(axis.min())) for axis in axes)
-        return cls(kx.ravel(), ky.ravel(), k, angle, max(cells), spread, nyquist)
+        return cls(kx.ravel(), ky.ravel(), k, angle, max(cells), spread, nyquist, axes)
 
 
 @dataclass(frozen=True)
@@ -244,19 +232,6 @@ def fraction(spectrum: PlaneSpectrum, fit: Array) -> float:
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
-def explained(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
-    """Fraction of the energy above the noise that lies near the relation.
-    Waves that a current carries backwards appear at the opposite wave vector, omega = k.U - sigma(k); they
-    count.
-    """
-    counted = spectrum.plane.k > MIN_CELLS_FROM_ZERO * spectrum.plane.cell
-    above = np.maximum(spectrum.energy[lines] - 3 * spectrum.noise[lines], 0.0)[:, counted]
-    backwards = replace(spectrum, omega=-spectrum.omega)
-    near = _near_relation(spectrum, fit) | _near_relation(backwards, fit * [-1, -1, 1])
-    total = float(above.sum(dtype=float))
-    return float((above * near[lines][:, counted]).sum(dtype=float)) / total if total > 0 else 1.0
-
-
 REACH = 4  # cells and lines to either side over which a wave is spread
 WAVES_PER_AXIS = 2  # in a cell of the k plane
 ROUNDS = 8  # in which the energy of the waves is adjusted: four leave narrow seas too wide
@@ -265,57 +240,31 @@ FLOOR = 1e-9  # of the strongest cell: weaker ones are left out
 MAX_FACTOR = 4.0  # of the energy in one round
 
 
-@dataclass(frozen=True)
-class SpectralCells:
-    """Grid of the cells of a spectrum in omega, ky, kx."""
-
-    omega: Array  # (lines,), rad/s, evenly spaced like the next two
-    ky: Array  # rad/m
-    kx: Array
-
-    @property
-    def steps(self) -> tuple[float, float, float]:
-        """Distance between cells along each axis."""
-        omega, ky, kx = (float(axis[1] - axis[0]) for axis in (self.omega, self.ky, self.kx))
-        return omega, ky, kx
-
-    def frequency(self, ky: Array, kx: Array, depth: float, fit: Array) -> Array:
-        """Frequency of free waves in the frame of the cameras, rad/s; ``fit`` is current x, y and gamma."""
-        k = np.hypot(ky, kx)
-        return np.asarray(dispersion(k, depth, fit[2]) + kx * fit[0] + ky * fit[1])
-
-
-def _energy_on_relation(excess: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
-    """Energy (ny, nx) of each cell of the k plane near the frequency of free waves."""
-    ky, kx = np.meshgrid(cells.ky, cells.kx, indexing="ij")
-    frequency = cells.frequency(ky, kx, depth, fit)
-    k = np.maximum(np.hypot(ky, kx), max(cells.steps[1:]))
-    slope = group_velocity(k, depth, fit[2]) + np.hypot(fit[0], fit[1])
-    reach = 2 * max(cells.steps[1:]) * slope + 2 * cells.steps[0]
-    out = np.zeros(frequency.shape)
-    for omega, line in zip(cells.omega, excess):
-        near = np.abs(omega - frequency) < reach
-        out += np.where(near, np.maximum(line.reshape(frequency.shape), 0.0), 0.0)
-    return out
-
-
-def windowed_waves(energy: Array, noise: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
-    """Spectrum that Hann windows make of free waves on the relation `fit` with the measured energy.
-    Energy, noise and result are (lines, ny * nx); ``fit`` is current x, y (m/s) and gamma.
+def windowed_waves(spectrum: PlaneSpectrum, fit: Array) -> Array:
+    """Spectrum (lines, cells) that Hann windows make of free waves on the relation `fit` with the measured
+    energy.
     """
-    measured = _energy_on_relation(energy - noise, cells, depth, fit)
-    steps = cells.steps
+    near, ky, kx = _near_relation(spectrum, fit), *spectrum.plane.axes
+    shape = spectrum.omega.size, ky.size, kx.size
+
+    def on_relation(energy: Array) -> Array:
+        return np.asarray(np.where(near, np.maximum(energy, 0.0), 0.0).sum(axis=0).reshape(shape[1:]))
+
+    measured = on_relation(spectrum.energy - spectrum.noise)
     # the energy of four waves a cell is adjusted in rounds of `richardson_lucy`, each to the power 1.8, until
     # each cell of the k plane shows what was measured there: a sea that is left too wide would hide how far
     # the windows reach from its strong directions into the weak ones
     offsets = (np.arange(WAVES_PER_AXIS) + 0.5) / WAVES_PER_AXIS - 0.5
-    rows, columns = np.meshgrid(np.arange(cells.ky.size), np.arange(cells.kx.size), indexing="ij")
+    rows, columns = np.meshgrid(np.arange(ky.size), np.arange(kx.size), indexing="ij")
     places = np.array([(rows + a, columns + b) for a in offsets for b in offsets])
     row, column = places.reshape(WAVES_PER_AXIS**2, 2, -1).swapaxes(0, 1).reshape(2, -1)
-    ky, kx = cells.ky[0] + row * steps[1], cells.kx[0] + column * steps[2]
-    line = (cells.frequency(ky, kx, depth, fit) - cells.omega[0]) / steps[0]
+    wave_y, wave_x = ky[0] + row * (ky[1] - ky[0]), kx[0] + column * (kx[1] - kx[0])
+    frequency = (
+        dispersion(np.hypot(wave_y, wave_x), spectrum.depth, fit[2]) + wave_x * fit[0] + wave_y * fit[1]
+    )
+    line = (frequency - spectrum.omega[0]) / (spectrum.omega[1] - spectrum.omega[0])
     floor = FLOOR * max(float(measured.max()), 1e-300)
-    used = (line > -REACH) & (line < cells.omega.size + REACH)
+    used = (line > -REACH) & (line < shape[0] + REACH)
     used &= np.tile(measured.ravel() > floor, WAVES_PER_AXIS**2)
     place = np.array([line[used], row[used], column[used]])
     cell = np.tile(np.arange(measured.size), WAVES_PER_AXIS**2)[used]
@@ -324,21 +273,24 @@ def windowed_waves(energy: Array, noise: Array, cells: SpectralCells, depth: flo
     weights = hann_power(first[..., None] + offset - place[..., None])  # (3, waves, cells or lines)
 
     def spread(power: Array) -> Array:
-        out = np.zeros((cells.omega.size, *measured.shape))
+        out = np.zeros(shape)
         kernels.spread_waves(first - REACH, weights, power, out)
-        return out.reshape(cells.omega.size, -1)
+        return out.reshape(shape[0], -1)
 
     logs = np.log(np.maximum(measured, floor))
     power = richardson_lucy(
         measured,
         np.exp(ndimage.map_coordinates(logs, place[1:], order=1, mode="nearest")),
-        lambda power: np.maximum(_energy_on_relation(spread(power), cells, depth, fit), floor * 1e-3),
+        lambda power: np.maximum(on_relation(spread(power)), floor * 1e-3),
         lambda power, ratio: power * np.clip(ratio, 1 / MAX_FACTOR, MAX_FACTOR).ravel()[cell] ** EXPONENT,
         ROUNDS,
     )
     return spread(power)
 
 
+# half width of the window around the relation: relative to k, for a start that is off by a tenth of the phase
+# velocity; and in cells, of which a Hann window spreads a wave over two on either side
+HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2
 MIN_CELLS = 5  # in the window of a centroid
 MIN_SHARE = 3e-3  # of the energy of the strongest sector on a line: weaker centroids are leakage
 MIN_SPEED_ON_CURRENT = (
@@ -400,7 +352,7 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
 
 
 def centroids(
-    spectrum: PlaneSpectrum, sectors: list[Sector], fit: Array, settings: FitSettings
+    spectrum: PlaneSpectrum, sectors: list[Sector], fit: Array, highest_hertz: float | None
 ) -> RelationPoints:
     """Centroids in k of the energy above the noise, in a window around the relation `fit`."""
     plane, omega, depth = spectrum.plane, spectrum.omega, spectrum.depth
@@ -408,15 +360,15 @@ def centroids(
     free = dispersion(k_table, depth, fit[2])
     speed = np.gradient(free, k_table)
     largest_k = np.full(omega.size, SHORTEST_WAVES * min(plane.kx.max(), plane.ky.max()))
-    if settings.highest:
-        highest = 2 * np.pi * settings.highest
+    if highest_hertz:
+        highest = 2 * np.pi * highest_hertz
         shortest = wavenumber(highest, depth, fit[2])
         largest_k[omega > highest] = np.minimum(largest_k[omega > highest], shortest)
     parts = []
     for number, sector in enumerate(sectors):
         along = fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta)
         centres = _relation_in_k(omega, k_table, free, speed, along)
-        reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
+        reach = np.maximum(HALF_WIDTH * centres, MIN_HALF_WIDTH * plane.cell)
         known = np.isfinite(centres)
         middle, reach = np.where(known, centres, 0.0), np.where(known, reach, 0.0)
         first = np.searchsorted(sector.k, middle - reach, "right")
@@ -480,20 +432,19 @@ class WindowDisplacement:
     def measure(
         cls,
         spectrum: PlaneSpectrum,
-        cells: SpectralCells,
         band: Array,
         sectors: list[Sector],
         fit: Array,
-        settings: FitSettings,
+        highest_hertz: float | None,
     ) -> "WindowDisplacement":
         """Displacements of the centroids of free waves on the relation `fit`, by simulated windows.
         Points displaced far are left out: beyond the end of a sea all energy is leakage. band is (lines,).
         """
-        free_waves = windowed_waves(spectrum.energy, spectrum.noise, cells, spectrum.depth, fit)[band]
+        free_waves = windowed_waves(spectrum, fit)[band]
         simulated = replace(
             spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
         )
-        points = centroids(simulated, sectors, fit, settings)
+        points = centroids(simulated, sectors, fit, highest_hertz)
         along = points.along(fit)
         off = points.omega - dispersion(points.k, spectrum.depth, fit[2]) - points.k * along
         displacement = -off / (group_velocity(points.k, spectrum.depth, fit[2]) + along)
