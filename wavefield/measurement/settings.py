@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from wavefield import matching
 from wavefield.config_files import CHECKED, make, place_of
@@ -76,6 +76,8 @@ class Settings:
         Fraction of the common view that a frame must measure to count.
     row_delays : tuple of (str, float)
         Camera and ``row_time`` in frame intervals; `run` fills it in.
+    vibration : {"leave", "correct"}
+        correct: turn each frame back by its epipolar error (constant, tilt, roll).
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings
@@ -99,6 +101,7 @@ class Settings:
     eps_floor: float = 0.3
     min_valid: float = 0.2
     row_delays: tuple[tuple[str, float], ...] = ()
+    vibration: Literal["leave", "correct"] = "leave"
     stereo: matching.MatchSettings = _STEREO
     piv: matching.MatchSettings = _PIV
 
@@ -134,6 +137,11 @@ class Settings:
                 raise ExperimentError(f"sheet_thickness: give a length above 0 m, not {self.sheet_thickness}")
             if self.bead_height:
                 raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
+            if self.vibration != "leave":
+                raise ExperimentError(
+                    "vibration: correct needs cameras that are matched with each other: those of a light "
+                    "sheet are not; leave one of the two out"
+                )
 
     def adjusted(self, preset: str) -> Settings:
         """These settings for other images.

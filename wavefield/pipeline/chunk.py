@@ -155,11 +155,13 @@ def measure_chunk(
     terms: bool = False,
 ) -> Measured:
     """Measure all steps of a chunk; with the terms of the standard uncertainties if asked for."""
+    from wavefield.measurement.stabilize import steady
     from wavefield.measurement.step import measure
 
     frames = {name: ChunkFrames(source, chunk) for name, source in chunk.sources.items()}
     masks = {name: ChunkMasks(source, chunk) for name, source in chunk.sources.items()}
-    fields = dict(measure(frames, geometry, frame_rate, model, masks, chunk.departures, terms))
+    given = steady(frames, geometry) if geometry.settings.vibration == "correct" else frames
+    fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures, terms))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, chunk, geometry)
     _find_ranges(frames, fields, status, chunk, geometry)

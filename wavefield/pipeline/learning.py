@@ -92,11 +92,14 @@ def learn_from(
 ) -> dict[str, Any]:
     """Learn from sample steps; frame rate in Hz."""
     from wavefield.measurement import learn
+    from wavefield.measurement.stabilize import corrected
 
     def masks(pair: Mapping[str, Source], back: int) -> dict[str, Any]:
         return {name: source.covered(len(source) - back) for name, source in pair.items()}
 
     steps = list(map(both_frames, pairs))
+    if geometry.settings.vibration == "correct":
+        steps = [(corrected(first, geometry), corrected(second, geometry)) for first, second in steps]
     covered = [(masks(pair, 2), masks(pair, 1)) for pair in pairs]
     with one_thread():  # each of them
         record = learn(steps, geometry, covered, threads, frame_rate)

@@ -342,6 +342,7 @@ def prepare(
 ) -> PreparedRun:
     """Read and check everything that a run needs."""
     from wavefield.measurement import GridGeometry
+    from wavefield.measurement.stabilize import refuse_unless_in_a_row
 
     experiment, workflow = load_files(experiment, workflow)
     series = experiment.open_frames()
@@ -364,6 +365,8 @@ def prepare(
     series = {name: series[name] for name in used}
     covered = masks.footprints(experiment.mask)
     geometry = GridGeometry(rig, grid, settings, covered)
+    if settings.vibration == "correct":
+        refuse_unless_in_a_row(geometry)
     bare, folder = series, experiment.path.parent
     series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
     look = _SampleImages(series, geometry)

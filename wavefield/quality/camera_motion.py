@@ -545,7 +545,8 @@ def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
             "remark" if rms > CAMERA_LIMITS.motion else "note",
             f"their sight lines miss each other by {rms:.3f} +- {std:.3f} px more or less from step to step",
             "The cameras tilt or roll on their mounts: z and velocities are off by about as much",
-            "Stiffen the mounts and keep carriages, pumps and people away",
+            "Stiffen the mounts and keep carriages, pumps and people away; `settings: {vibration: correct}` "
+            "turns the images back",
             {"px": rms, "std": std},
         )
 
