@@ -139,7 +139,6 @@ def test_wrong_use_is_refused_with_the_remedy(pair):
         {"iterations": (3, 0)},
         {"window": 0},
         {"smoother_sigma": -1},
-        {"smoother_order": 0},
         {"search_x": (5, -5)},
         {"search_x": None},
         {"normalization": float("nan")},

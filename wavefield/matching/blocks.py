@@ -14,6 +14,8 @@ from wavefield.matching.kernels import BLOCK
 F = np.float32
 BORDER = cv2.BORDER_REPLICATE
 
+SMOOTHER_ORDER = 4  # higher: a flatter passband
+RELAXATION = 1.25  # of every step: noise makes steps too short
 # weights of a first derivative per px, of sixth order, over seven blocks
 _DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60 / BLOCK
 

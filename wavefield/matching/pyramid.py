@@ -10,6 +10,8 @@ import numpy as np
 from wavefield.compiled import compiled
 from wavefield.errors import FrameError
 from wavefield.matching.blocks import (
+    RELAXATION,
+    SMOOTHER_ORDER,
     block_weights,
     filtered,
     replace_outliers,
@@ -191,10 +193,10 @@ class _LevelPair:
         settings = self.settings
         u, v = u.copy(), v.copy()
         ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
-        step(hessian, score, ridge, F(settings.relaxation), F(MAX_STEP), u, v)
+        step(hessian, score, ridge, F(RELAXATION), F(MAX_STEP), u, v)
         # the first step of a level may still be far off
         outlier = replace_outliers(u, v, settings.max_deviation * (2 if number == 0 else 1))
-        u, v = (smoothed(f, self.sigma, settings.smoother_order, self.weighting) for f in (u, v))
+        u, v = (smoothed(f, self.sigma, SMOOTHER_ORDER, self.weighting) for f in (u, v))
         return u, v, outlier
 
 

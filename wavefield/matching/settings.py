@@ -25,13 +25,9 @@ class MatchSettings:
     window : float
         Side of the square with the area of the Gaussian window, px of each level.
     smoother_sigma : float
-        Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^smoother_order; 0: none.
+        Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^4; 0: none.
     coarse_smoother_sigma : float
         The same on the coarser levels.
-    smoother_order : int
-        Higher: a flatter passband of the smoother.
-    relaxation : float
-        Factor on every step; noise makes steps too short.
     normalization : float
         Standard deviation of the window that normalises brightness, px.
     search_x, search_y : (float, float) or None
@@ -53,8 +49,6 @@ class MatchSettings:
     window: float = 32.0
     smoother_sigma: float = 2.5
     coarse_smoother_sigma: float = 2.0
-    smoother_order: int = 4
-    relaxation: float = 1.15
     normalization: float = 16.0
     search_x: Range | None = (-16.0, 16.0)
     search_y: Range | None = (-16.0, 16.0)
@@ -67,19 +61,12 @@ class MatchSettings:
         object.__setattr__(self, "iterations", tuple(int(n) for n in self.iterations))
         if not self.iterations or min(self.iterations) < 0 or self.iterations[-1] < 1:
             raise ValueError("iterations: give one count per level, coarsest first, the last at least 1")
-        for name in ("window", "search_window", "relaxation", "max_deviation", "normalization"):
+        for name in ("window", "search_window", "max_deviation", "normalization"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, not {getattr(self, name)}")
-        not_negative = (
-            "smoother_sigma",
-            "coarse_smoother_sigma",
-            "min_gradient_energy",
-        )
-        for name in not_negative:
+        for name in ("smoother_sigma", "coarse_smoother_sigma", "min_gradient_energy"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, not {getattr(self, name)}")
-        if self.smoother_order < 1:
-            raise ValueError(f"smoother_order must be 1 or more, not {self.smoother_order}")
         if (self.search_x is None) != (self.search_y is None):
             raise ValueError("give both search_x and search_y, or neither")
         for name in ("search_x", "search_y"):

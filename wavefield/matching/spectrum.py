@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching.blocks import gaussian, window_sigma
+from wavefield.matching.blocks import SMOOTHER_ORDER, gaussian, window_sigma
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.settings import MatchSettings
 
@@ -263,7 +263,7 @@ def transfer_function(settings: MatchSettings, kx: np.ndarray, ky: np.ndarray) -
         window = response(gaussian(2**level * window_sigma(settings.window)))
         smoother = np.ones_like(window)
         if sigma > 0:
-            smoother = 1 - (1 - response(gaussian(2**level * sigma))) ** settings.smoother_order
+            smoother = 1 - (1 - response(gaussian(2**level * sigma))) ** SMOOTHER_ORDER
         for _ in range(settings.iterations[settings.levels - 1 - level]):
             total = smoother * (total + window * (1 - total))
     return total

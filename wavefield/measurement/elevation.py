@@ -25,6 +25,7 @@ PreparedImages = Mapping[str, matching.PreparedImage]
 _SMOOTH_MODES = 6  # half waves along the lattice: epipolar errors as smooth as that are the calibration's
 NOISE_MARGIN = 1.5  # on the noise across the sight lines, in the weights: spectra contain some noise
 MAX_NOISE_GROWTH = 2.0  # from evaluation to evaluation, of the least, while a spectrum is learned
+MIN_MEASURED = 0.2  # of the common view: a frame with less shows no surface
 _NOISE_AT_HOLES = 3.0  # times more noise is assumed around a hole
 
 
@@ -296,7 +297,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]
-        least = geometry.settings.min_valid * np.sum(geometry.views[reference].visible_blocks > 0.5)
+        least = MIN_MEASURED * np.sum(geometry.views[reference].visible_blocks > 0.5)
         matches = [match_pair(prepared[a], prepared[b], (a, b), geometry) for a, b in pairs]
         matches = [m for m in matches if m.valid.sum() >= least] or matches
         blocks = combine(matches)

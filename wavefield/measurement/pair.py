@@ -19,6 +19,8 @@ from wavefield.variables import Quality
 
 Float = NDArray[Any]
 
+NEVER_REJECTED_PX = 0.3  # of the epipolar error: the calibration's own
+
 
 @dataclass(frozen=True)
 class PairMatch:
@@ -74,7 +76,7 @@ def match_pair(
     matched = rejected == 0
     if matched.any():
         settings = geometry.settings
-        limit = max(settings.eps_limit * robust_std(eps_y[matched]), settings.eps_floor * geometry.pixel)
+        limit = max(settings.eps_limit * robust_std(eps_y[matched]), NEVER_REJECTED_PX * geometry.pixel)
         rejected[np.abs(eps_y) > limit] |= np.uint16(Quality.REJECTED_EPS)
     return PairMatch(pair, d, parallax, eps_y, rejected, matched, found)
 

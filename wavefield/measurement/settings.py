@@ -29,7 +29,6 @@ _STEREO = matching.MatchSettings(
     window=21.0,
     smoother_sigma=1.8,
     coarse_smoother_sigma=1.5,
-    relaxation=1.25,
     normalization=10.0,
     search_x=(-48.0, 48.0),
     search_y=(-8.0, 8.0),
@@ -42,7 +41,6 @@ _PIV = matching.MatchSettings(
     window=12.0,
     smoother_sigma=1.3,
     coarse_smoother_sigma=1.0,
-    relaxation=1.25,
     normalization=10.0,
     min_correlation=0.5,
 )
@@ -70,10 +68,6 @@ class Settings:
         of it where blocks of five would be wider than 0.8 grid steps.
     eps_limit : float
         Matches beyond this many times the rms of the epipolar error are rejected.
-    eps_floor : float
-        Epipolar error that is never rejected, px of the rectified images.
-    min_valid : float
-        Fraction of the common view that a frame must measure to count.
     row_delays : tuple of (str, float)
         Camera and ``row_time`` in frame intervals; `run` fills it in.
     vibration : {"leave", "correct"}
@@ -98,8 +92,6 @@ class Settings:
     bead_height: float = 0.0
     pixel: float | None = None
     eps_limit: float = 3.0
-    eps_floor: float = 0.3
-    min_valid: float = 0.2
     row_delays: tuple[tuple[str, float], ...] = ()
     vibration: Literal["leave", "correct"] = "leave"
     stereo: matching.MatchSettings = _STEREO
@@ -127,7 +119,7 @@ class Settings:
         if self.pixel is not None and not self.pixel > 0:
             raise ExperimentError(f"pixel: give a length above 0 m, not {self.pixel}")
         self._check_sheet()
-        for name in ("eps_limit", "eps_floor", "min_valid", "bead_height"):
+        for name in ("eps_limit", "bead_height"):
             if not getattr(self, name) >= 0:
                 raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
 
