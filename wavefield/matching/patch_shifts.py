@@ -13,7 +13,6 @@ MIN_CORRELATION = 0.25  # no more is left of particles that leave a light sheet
 MIN_CORRELATION_SMALL = 0.4  # of the smaller patches of small images, which correlate more by chance
 MAX_SECOND_BEST = 0.85  # correlation over the best, above which the match is ambiguous
 AGREEMENT_PX = 8.0  # patches that moved alike differ by less than this and a quarter of their motion
-REFINEMENT_PX = 4  # around where images of half the size have a patch
 MARGIN_PX = 12.0  # added to the range found, and a quarter of its span
 
 Float = NDArray[np.float32]
@@ -28,7 +27,7 @@ def widened(ends: tuple[float, float]) -> tuple[float, float]:
 def shifts(
     a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
-    """Displacements of large patches between two images, the best whole-pixel shifts within the reach.
+    """Displacements of large patches between two images within the reach, to 2 px, or 1 px in small images.
     Returns (n, 5) for patches with contrast: displacement x, y, px (NaN if not found), correlation, middle x,
     y.
     """
@@ -40,7 +39,7 @@ def shifts(
     rows = np.linspace(0, height - size, PATCHES_ACROSS).astype(int)
     columns = np.linspace(0, width - size, PATCHES_ACROSS).astype(int)
     contrast = float(a.std())
-    # large patches are searched for in images of half the size, then within a few pixels of that place
+    # large patches are searched for in images of half the size
     small_a, small_b = _half(a), _half(b)
     out = []
     for y in rows.tolist():
@@ -52,8 +51,9 @@ def shifts(
             if size < PATCH_PX:
                 found = _found(a, b, (x, y), size, reach, MIN_CORRELATION_SMALL)
             else:
-                found = _found(small_a, small_b, (x // 2, y // 2), size // 2, (reach[0] // 2, reach[1] // 2))
-                found = _refined(a, b, (x, y), size, found)
+                half = (x // 2, y // 2), size // 2, (reach[0] // 2, reach[1] // 2)
+                dx, dy, correlation = _found(small_a, small_b, *half)
+                found = 2.0 * dx, 2.0 * dy, correlation
             out.append((*found, *middle))
     return np.array(out, float).reshape(-1, 5)
 
@@ -62,25 +62,6 @@ def _half(image: Float) -> Float:
     height, width = image.shape
     small = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32)
-
-
-def _refined(
-    a: Float, b: Float, at: tuple[int, int], size: int, found: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    """Repeat the search at full size near the result found at half size."""
-    if not np.isfinite(found[0]):
-        return found
-    dx, dy = (int(2 * d) for d in found[:2])
-    x, y = at[0] + dx, at[1] + dy
-    x0, y0 = max(0, x - REFINEMENT_PX), max(0, y - REFINEMENT_PX)
-    score = _scores(
-        a[at[1] : at[1] + size, at[0] : at[0] + size],
-        b[y0 : y + size + REFINEMENT_PX, x0 : x + size + REFINEMENT_PX],
-    )
-    _, best, _, (column, row) = cv2.minMaxLoc(score)
-    if not best > MIN_CORRELATION:
-        return np.nan, np.nan, float(best)
-    return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
 
 
 def _scores(patch: Float, around: Float) -> Float:
