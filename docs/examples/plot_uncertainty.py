@@ -17,10 +17,6 @@ figures.uncertainty_maps(cube)
 figures.misfit_maps(cube)
 
 # %%
-# The same as distributions.
-figures.misfit_distributions(cube)
-
-# %%
 # How often each node was measured, and the course of the run.
 figures.coverage_map(cube)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+import yaml
 
 from wavefield.explorer.map import arrows
 from wavefield.explorer.node import spectrum
@@ -157,20 +158,13 @@ def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_r
         assert np.corrcoef(drawn.ravel(), image.ravel())[0, 1] > 0.999
     x, y = np.meshgrid(X, Y)
     at = {n: fields[n][STEP].astype(float) for n in ("z", "u", "v", "w")}
-    ends = [
-        tank_rig[name].project(
-            x + s * at["u"] / 40, y + s * at["v"] / 40, np.nan_to_num(at["z"]) + s * at["w"] / 40
-        )
-        for s in (-1, 1)
-    ]
-    inside = np.isfinite(ends[0][0]) & (ends[0][0] >= 0) & (ends[0][0] <= tank_rig[name].size[0] - 1)
-    inside &= (ends[0][1] >= 0) & (ends[0][1] <= tank_rig[name].size[1] - 1)
-    np.testing.assert_allclose(page.column("camera_nodes", "X"), ends[0][0][inside], atol=0.01)
-    np.testing.assert_allclose(page.column("camera_nodes", "Y"), ends[0][1][inside], atol=0.01)
-    page.set("camera_over", "value", "'displacements'")
-    page.wait(f"{model('camera_moves')}.data.X0.length > 0")
-    moved = (page.column("camera_moves", "X1") - page.column("camera_moves", "X0")) / 5
-    np.testing.assert_allclose(moved, (ends[1][0] - ends[0][0])[inside], atol=0.01)
+    X_px, Y_px = tank_rig[name].project(
+        x - at["u"] / 40, y - at["v"] / 40, np.nan_to_num(at["z"]) - at["w"] / 40
+    )
+    inside = np.isfinite(X_px) & (X_px >= 0) & (X_px <= tank_rig[name].size[0] - 1)
+    inside &= (Y_px >= 0) & (Y_px <= tank_rig[name].size[1] - 1)
+    np.testing.assert_allclose(page.column("camera_nodes", "X"), X_px[inside], atol=0.01)
+    np.testing.assert_allclose(page.column("camera_nodes", "Y"), Y_px[inside], atol=0.01)
     wide, high = page.page.evaluate(
         f"(() => {{ const v = {model('camera_view')}; "
         "return [(v.x_range.end - v.x_range.start) / v.inner_width,"
@@ -178,13 +172,9 @@ def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_r
     )
     assert wide == pytest.approx(high, rel=1e-6)  # pixels are square
     j, i = np.argwhere(inside)[inside.sum() // 2]
-    page.click("camera_view", float(ends[0][0][j, i]), float(ends[0][1][j, i]))
+    page.click("camera_view", float(X_px[j, i]), float(Y_px[j, i]))
     page.wait(f"Math.abs({model('map_node')}.data.x[0] - {X[i]}) < 1e-6")
-    page.wait(f"Math.abs({model('camera_node')}.data.X[0] - {ends[0][0][j, i]}) < 2")
-    page.set("camera_frame", "value", "'second frame'")
-    page.wait(f"{model('camera_view')}.title.text.endsWith('frame {STEP + 1}')")
-    page.set("camera_frame", "value", "'first frame'")
-    page.set("camera_over", "value", "'nodes'")
+    page.wait(f"Math.abs({model('camera_node')}.data.X[0] - {X_px[j, i]}) < 2")
     page.set("step", "value", "100")  # whose frame is not there
     page.wait(f"{model('camera_words')}.text.includes('is missing')")
 
@@ -279,15 +269,6 @@ def test_a_node_at_a_probe_is_shown_with_its_series(chrome, served, fields):
     assert window.errors == []
 
 
-def test_only_this_machine_may_talk_to_it(served):
-    import urllib.error
-    import urllib.request
-
-    request = urllib.request.Request(served.url + "metadata", headers={"Host": "evil.example"})
-    with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(request)
-
-
 def test_texts_of_an_experiment_run_no_script(chrome, tmp_path):
     from browser import Browser
     from explorer_cases import create_cube
@@ -357,11 +338,7 @@ def test_a_cube_that_is_being_written_is_followed(chrome, tmp_path):
     assert window.errors == []
 
 
-def test_masks_are_drawn_with_the_mouse_and_saved_as_polygons(page, whole):
-    from wavefield.series import Experiment
-
-    file = whole[0].parent / "experiment.yaml"
-    before = file.read_text()
+def test_masks_are_drawn_with_the_mouse(page):
     page.page.keyboard.press("m")
     page.wait(f"{model('drag')}.value == 'mask'")
     corners = [(-0.3, -0.2), (0.2, -0.25), (0.1, 0.2), (-0.4, 0.3)]
@@ -375,13 +352,9 @@ def test_masks_are_drawn_with_the_mouse_and_saved_as_polygons(page, whole):
     for number, pixel in enumerate(((20, 20), (80, 25), (50, 70)), 1):
         page.click("camera_view", *pixel)
         page.wait(f"{model('camera_mask')}.data.x.length == {number + 1}")
-    page.page.get_by_role("button", name="Save").click()
-    page.wait(f"{model('mask_words')}.text.includes('Saved in {file}')")
-    try:
-        saved = Experiment.load(file).mask
-        np.testing.assert_allclose(saved["water"][0].polygon, corners[:3], atol=0.01)
-        np.testing.assert_allclose(saved["cam1"][0].polygon, [(20, 20), (80, 25), (50, 70)], atol=2)
-        page.wait(f"{model('map_masks')}.data.xs.length == 1 && {model('map_mask')}.data.x.length == 0")
-        page.wait(f"{model('camera_masks')}.data.xs.length >= 1")
-    finally:
-        file.write_text(before)
+    page.wait(f"{model('mask_words')}.text.includes('polygon')")
+    mask = yaml.safe_load(page.page.locator("pre").inner_text())["mask"]
+    np.testing.assert_allclose(mask["water"][0]["polygon"], corners[:3], atol=0.01)
+    np.testing.assert_allclose(mask["cam1"][0]["polygon"], [(20, 20), (80, 25), (50, 70)], atol=2)
+    page.page.get_by_role("button", name="Clear").click()
+    page.wait(f"{model('map_mask')}.data.x.length == 0")

@@ -31,10 +31,8 @@ def test_a_cube_without_a_sound_preview_shows_the_same(cube, harm):
         shutil.rmtree(path / "preview")
     if harm == "in the way":
         (path / "preview").write_text("in the way")
-    reported = []
     record = CubeRecord(path)
-    record.preview.load(lambda done, total: reported.append((done, total)))
-    assert reported == [(1, 3), (2, 3), (3, 3)]
+    record.preview.load()
     assert np.array_equal(record.preview.fields, written.preview.fields)
 
 

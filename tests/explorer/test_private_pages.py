@@ -2,8 +2,6 @@
 
 import http.client
 import math
-import os
-import stat
 from html.parser import HTMLParser
 from types import SimpleNamespace
 from urllib.parse import urlsplit
@@ -164,29 +162,17 @@ def test_any_value_that_is_not_offered_is_another_one(own):
     assert page.entered("drag") == "move"
 
 
-def test_a_disabled_button_writes_nothing(own):
+def test_corners_become_lines_of_the_experiment_file_and_the_page_writes_nothing(own):
     page, _, path = own
-    before = path.read_bytes()
-    for corner in ((0, 0), (1, 1), (math.nan, 0), (0, math.inf)):
-        page.masks()._save()
+    before = {file: file.stat().st_mtime_ns for file in path.parent.rglob("*")}
+    for corner in ((math.nan, 0), (0, math.inf), (0, 0), (0.1, 0), (0, 0.12345)):
+        assert "polygon" not in page.masks().words.text
         page.masks().add("water", corner)
-    page.masks()._save()
-    assert path.read_bytes() == before
-
-
-@pytest.mark.skipif(os.name == "nt", reason="modes of files are those of POSIX")
-def test_a_mask_goes_into_the_file_of_the_session_whose_rights_stay(own):
-    page, _, path = own
-    names = {p.name for p in path.parent.iterdir()}
-    for count, mode in enumerate((0o600, 0o640, 0o664), 1):
-        path.chmod(mode)
-        for corner in ((0, 0), (0.1, 0), (0, 0.1)):
-            page.masks().add("water", corner)
-        page.masks()._save()
-        assert f"Saved in {path}" in page.masks().words.text
-        assert len(Experiment.load(path).mask["water"]) == count
-        assert stat.S_IMODE(path.stat().st_mode) == mode
-        assert {p.name for p in path.parent.iterdir()} == names
+    lines = page.masks().words.text.split("<pre>")[1].split("</pre>")[0]
+    path.write_text(path.read_text() + lines)
+    assert Experiment.load(path).mask["water"][0].polygon == [(0, 0), (0.1, 0), (0, 0.1235)]
+    after = {file: file.stat().st_mtime_ns for file in path.parent.rglob("*")}
+    assert {file for file in after if after[file] != before.get(file)} == {path}
 
 
 # -- texts of an experiment --------------------------------------------------------------------------------
@@ -196,7 +182,7 @@ def mark(name):
     return f"<img src=x onerror=hit('{name}')>"
 
 
-LOOK = ("folder", "experiment file", "camera", "frame message", "probe", "preview", "waves")
+LOOK = ("folder", "experiment file", "camera", "mask", "frame message", "probe", "preview", "waves")
 FOLLOW = ("light", "watch", "trouble")
 
 
@@ -264,9 +250,9 @@ def shown(tmp_path_factory):
 
     page, document = page_of()
     page.masks().add("water", (0, 0))
-    for corner in ((1, 0), (0, 1)):
+    for corner in ((1, 0), (0, 1), (2, 2)):
         page.masks().add("water", corner)
-    page.masks()._save()
+        page.masks().add(mark("mask"), corner)
     collect(document)
     page.session.record.preview.trouble = mark("preview")
     page._show_head()

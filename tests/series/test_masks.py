@@ -5,7 +5,6 @@ import pytest
 from wavefield.errors import ExperimentError
 from wavefield.rig import Rig
 from wavefield.series import Experiment, masks
-from wavefield.series.mask_file import add_polygons
 from wavefield.tank import paper_rig
 
 SIZE = (40, 60)
@@ -80,35 +79,3 @@ def test_the_recipe_depends_on_the_content_of_an_image_of_a_mask(lab):
 def test_a_cylinder_without_height_is_refused(lab):
     with pytest.raises(ExperimentError, match="above its bottom"):
         opened(lab, "{water: {cylinder: {x: 0, y: 0, radius: 1, top: 0, bottom: 1}}}")
-
-
-def test_drawn_polygons_are_written_after_what_was_typed(lab):
-    opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25]]}}  # the wall")
-    path = lab / "experiment.yaml"
-    path.write_text("# a note\n" + path.read_text() + "# the end\nwater: {depth: 0.7}  # at noon\n")
-    triangle = [(0.1, 0.2), (0.3, 0.2), (0.3, 0.41234)]
-    add_polygons(Experiment.load(path), {"water": triangle, "cam1": [(1, 1), (2, 1), (2, 3)]})
-    again = Experiment.load(path)
-    assert len(again.mask["cam1"]) == 2
-    assert again.mask["water"][0].polygon[2] == (0.3, 0.4123)
-    text = path.read_text()
-    assert text.startswith("# a note\nname: lab\n")
-    assert text.endswith("# the end\nwater: {depth: 0.7}  # at noon\n")
-    add_polygons(again, {"cam2": [(1, 1), (2, 1), (2, 3)]})
-    assert {name: len(shapes) for name, shapes in Experiment.load(path).mask.items()} == {
-        "cam1": 2,
-        "water": 1,
-        "cam2": 1,
-    }
-
-
-def test_a_first_polygon_is_written_at_the_end(lab):
-    opened(lab, "{}")
-    path = lab / "experiment.yaml"
-    path.write_text(path.read_text().replace("mask: {}\n", "").rstrip("\n"))
-    before = path.read_text()
-    add_polygons(Experiment.load(path), {"cam2": [(1, 1), (2, 1), (2, 3)]})
-    assert path.read_text().startswith(before + "\nmask:\n")
-    with pytest.raises(ExperimentError, match="corners 1 and 3 cross"):
-        add_polygons(Experiment.load(path), {"cam2": [(0, 0), (9, 9), (9, 0), (0, 9)]})
-    assert len(Experiment.load(path).mask["cam2"]) == 1

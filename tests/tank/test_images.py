@@ -105,11 +105,12 @@ def test_rays_meet_the_surface_and_the_texture_is_read_along_them():
         sea={"kind": "single", "amplitude": 0.03, "wavelength": 0.5},
     )
     tank = Tank(scene)
-    snapshot = tank.basin.snapshot(0.0, ("z",))
+    snapshot = tank.basin.snapshot(0.0, ("z", "z_x", "z_y"))
     images = tank.render(0)
     sampled = {}
     for name, camera in tank.rig.cameras.items():
-        x, y = texture.cast(camera, snapshot)
+        seen = texture.meet(camera, snapshot, tank.sea.reach)
+        x, y = seen.x, seen.y
         z = tank.sea.at(x, y, 0.0, ("z",))["z"]
         X, Y = camera.project(x, y, z)
         columns, rows = np.meshgrid(np.arange(camera.size[0]), np.arange(camera.size[1]))

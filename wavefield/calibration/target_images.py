@@ -35,7 +35,6 @@ class TargetRig:
     views: dict[str, dict[str, TargetPoints]]  # Points found in the images
     images: dict[str, dict[str, Path]]  # The images
     notes: tuple[str, ...]  # Images without a target
-    mesh: float  # Of the target, m
 
 
 FINDERS = {
@@ -215,4 +214,4 @@ def calibrate_experiment(
     source = {"experiment": experiment.name, "target": dict(section.target), "images": named}
     rig = Rig(calibration.rig.cameras, {**calibration.rig.provenance, **source})
     calibration = replace(calibration, rig=rig)
-    return TargetRig(calibration, views, images, tuple(notes), target.mesh)
+    return TargetRig(calibration, views, images, tuple(notes))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from wavefield.commands import campaign_commands
 from wavefield.commands.progress import Progress, command_line, print_next
@@ -164,12 +163,6 @@ def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
     return lines
 
 
-def _complete(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    from wavefield.quality.remarks import EXPLANATIONS
-
-    return [CompletionItem(code) for code in EXPLANATIONS if code.startswith(begun)]
-
-
 @click.command(
     epilog="""\b
 Examples:
@@ -177,7 +170,7 @@ Examples:
   wavefield explain water-level
 """
 )
-@click.argument("code", required=False, shell_complete=_complete)
+@click.argument("code", required=False)
 @click.pass_context
 def explain(context: click.Context, code: str | None) -> None:
     """Explain a remark of `check`, `run` or `status`.

@@ -115,8 +115,7 @@ Scenes:
   rest            still water
   steep           a steep sea: elevations to 7 cm, slopes to 0.4
   spectra         full size, 515 frames, waves down to 3 cm
-  gaps, holes     beads in clusters and places without any
-  lighting        cameras of different brightness, flicker
+  gaps            beads in clusters and places without any
   low_light       faint beads, noisy cameras
   noisy           twice the noise, beads that one camera misses
   texture         painted texture in place of beads

@@ -1,9 +1,9 @@
-"""The frames of a camera with the nodes of the grid, their displacements and their quality.
+"""The frames of a camera with the nodes of the grid and their quality.
 
-Masks are drawn here, too: corners clicked on the map or in an image, saved into the experiment file.
+Masks are drawn here, too: clicked corners become lines for the experiment file.
 """
 
-import shlex
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -15,19 +15,17 @@ from bokeh.models import Button, ColumnDataSource, CustomJS, Range1d, Select
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from wavefield.errors import WavefieldError
 from wavefield.explorer import parts
-from wavefield.explorer.parts import Place, alert, plain, words_of
+from wavefield.explorer.parts import Place, plain, words_of
 from wavefield.explorer.record import LookSession, nearest
 from wavefield.figures.display import KINDS, quality_kind
 from wavefield.rig import Camera
-from wavefield.series.mask_file import add_polygons
 from wavefield.series.masks import WATER
 
 Corner = tuple[float, float]
 _HOW = (
     "Choose <b>mask</b> under <i>Clicks</i> (key M), then click corner after corner on the map (the "
-    "water) or in a camera's image. What is inside will not be measured."
+    "water) or in a camera's image. Three corners make a mask."
 )
 
 
@@ -38,19 +36,17 @@ def outlines_of(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
 
 
 class MaskPanel:
-    """The clicked corners, by camera or on the water."""
+    """The clicked corners, by camera or on the water, and the lines of an experiment file that mask them."""
 
-    def __init__(self, session: LookSession, changed: Callable[[], None]) -> None:
-        self._session, self._changed = session, changed
+    def __init__(self, changed: Callable[[], None]) -> None:
+        self._changed = changed
         self._corners: list[tuple[str, Corner]] = []  # camera or WATER, corner; in the order of the clicks
         self.words = words_of("mask_words", _HOW, html=True)
         self.undo = Button(label="Remove the last corner", name="mask_undo", disabled=True)
         self.clear = Button(label="Clear", name="mask_clear", disabled=True)
-        self.save = Button(label="Save", name="mask_save", button_type="primary", disabled=True)
         self.undo.on_click(lambda: self._keep(self._corners[:-1]))
         self.clear.on_click(lambda: self._keep([]))
-        self.save.on_click(self._save)
-        buttons = row(self.undo, self.clear, self.save, styles={"flex-wrap": "wrap"})
+        buttons = row(self.undo, self.clear, styles={"flex-wrap": "wrap"})
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
 
     def show(self, place: Place) -> None:
@@ -71,52 +67,36 @@ class MaskPanel:
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
 
-    def _polygons(self) -> dict[str, list[Corner]]:
-        return {name: self.polygon(name) for name in dict.fromkeys(name for name, _ in self._corners)}
-
-    def _complete(self) -> bool:
-        return all(len(corners) >= 3 for corners in self._polygons().values())
-
     def _keep(self, corners: list[tuple[str, Corner]]) -> None:
         self._corners = corners
-        polygons = self._polygons()
-        counts = "; ".join(
-            f"{'the water' if name == WATER else name}: {len(c)} corner{'s' if len(c) > 1 else ''}"
-            for name, c in polygons.items()
-        )
-        self.words.text = f"{counts}. The last corner joins the first." if counts else _HOW
+        names = dict.fromkeys(name for name, _ in corners)
         self.undo.disabled = self.clear.disabled = not corners
-        self.save.disabled = not corners or not self._complete()
+        complete = {name: self.polygon(name) for name in names if len(self.polygon(name)) >= 3}
+        lines = f"Add to the experiment file:<pre>{plain(mask_lines(complete))}</pre>"
+        self.words.text = lines if complete else _HOW
         self._changed()
 
-    def _save(self) -> None:
-        if not self._corners or not self._complete():  # a browser can press a button that is disabled
-            return
-        experiment = self._session.run.experiment
-        if experiment is None:
-            reason = plain(self._session.run.reason("experiment"))
-            self.words.text = f"There is no experiment file to save masks in: {reason}"
-            return
-        try:
-            add_polygons(experiment, self._polygons())
-        except WavefieldError as error:
-            self.words.text = alert(error)
-            return
-        self._session.reopen()
-        self._keep([])
-        file = plain(experiment.path.absolute())
-        command = plain(shlex.quote(str(experiment.path.absolute())))
-        self.words.text = (
-            f"Saved in {file}. This cube was measured without the mask: "
-            f"<code>wavefield run {command} -o masked.zarr</code> measures again."
-        )
+
+def mask_lines(polygons: dict[str, list[Corner]]) -> str:
+    """The entry of an experiment file that masks polygons, in px of a camera's image or m on the water.
+
+    Examples
+    --------
+    >>> print(mask_lines({"water": [(0.1, 0.0), (0.3, 0.0), (0.2, 0.24996)]}))
+    mask:
+      "water": [{polygon: [[0.1, 0.0], [0.3, 0.0], [0.2, 0.25]]}]
+    """
+    lines = ["mask:"]
+    for name, corners in polygons.items():
+        digits = 4 if name == WATER else 1  # 0.1 mm, 0.1 px
+        rounded = [[round(x, digits), round(y, digits)] for x, y in corners]
+        lines.append(f"  {json.dumps(name)}: [{{polygon: {rounded}}}]")
+    return "\n".join(lines)
 
 
-FRAMES = ("first frame", "second frame")  # the two frames of a step
 MAX_SCREEN_PX = 1100  # along the longer side
 _NODES = 34  # drawn along the longer side of the grid
 _GRID_LINES = 9  # lines drawn in each direction
-_EXAGGERATION = 5.0  # factor by which displacements are drawn longer
 _MOTION = ("u", "v", "w")
 Fields = dict[str, NDArray[np.floating]]
 Image = NDArray[Any]
@@ -170,16 +150,15 @@ def show_frame(made: figure, source: ColumnDataSource, image: Image, max_px: int
 
 
 def visible_nodes(
-    camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float, second: bool
+    camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
-    """Nodes (ny, nx) in the image of a camera: pixels X, Y (n,) in a frame of a step; dX, dY over it."""
+    """Nodes (ny, nx) in the first frame of a step, as a camera shows them: pixels X, Y (n,)."""
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]
-    first, last = (camera.project(*(p + s * h for p, h in zip((x, y, z), half))) for s in (-1.0, 1.0))
-    X, Y = last if second else first
+    X, Y = camera.project(*(p - h for p, h in zip((x, y, z), half)))
     width, height = camera.size
     visible = (X >= 0) & (X <= width - 1) & (Y >= 0) & (Y <= height - 1)
-    found = {"x": x, "y": y, "X": X, "Y": Y, "dX": last[0] - first[0], "dY": last[1] - first[1]}
+    found = {"x": x, "y": y, "X": X, "Y": Y}
     found["kind"] = quality_kind(fields["quality"].astype(int)).astype(np.float32)
     return {name: values[visible] for name, values in found.items()}
 
@@ -195,21 +174,20 @@ class CameraPanel:
         self.camera = Select(
             title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera"
         )
-        self.frame = Select(title="Image", value=FRAMES[0], options=list(FRAMES), name="camera_frame")
         self.overlay = Select(
-            title="Overlay", value="nodes", options=["nodes", "displacements", "nothing"], name="camera_over"
+            title="Overlay", value="nodes", options=["nodes", "nothing"], name="camera_over"
         )
-        for widget in (self.camera, self.frame, self.overlay):
+        for widget in (self.camera, self.overlay):
             widget.on_change("value", lambda attr, old, new: events.image_chosen())
         absent = "" if cameras else run.reason("frames")
         self.words = parts.words_of("camera_words", f"no images: {absent}" if absent else "")
         self.sources = parts.make_sources(
-            "camera", image=parts.IMAGE, nodes="X Y kind", moves="X0 Y0 X1 Y1", grid="xs ys", node="X Y",
+            "camera", image=parts.IMAGE, nodes="X Y kind", grid="xs ys", node="X Y",
             mask="x y", masks="xs ys",
         )  # fmt: skip
         self.figure = self._draw()
         self.layout = column(
-            row(self.camera, self.frame, self.overlay, styles={"flex-wrap": "wrap"}),
+            row(self.camera, self.overlay, styles={"flex-wrap": "wrap"}),
             self.figure, self.words, sizing_mode="stretch_width",
         )  # fmt: skip
 
@@ -229,7 +207,6 @@ class CameraPanel:
             "X", "Y", source=source["nodes"], size=4.5, line_color="white", line_width=0.4,
             fill_color={"field": "kind", "transform": parts.quality_mapper()},
         )  # fmt: skip
-        made.segment("X0", "Y0", "X1", "Y1", source=source["moves"], color=parts.YELLOW, line_width=1.6)
         parts.draw_ring(made, source["node"], "X", "Y", parts.VERMILION, 15)
         parts.draw_masks(made, source["mask"], source["masks"])
         parts.on_click(made, self._clicked)
@@ -238,12 +215,11 @@ class CameraPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the chosen image of the chosen camera at a step."""
+        """Show the image of the chosen camera at a step."""
         name = parts.chosen(self.camera)
         if not name:
             return
-        second = parts.chosen(self.frame) == FRAMES[1]
-        series, index = self._session.run.frames[name], place.step + int(second)
+        series, index = self._session.run.frames[name], place.step
         frame = series.read(index)
         self.figure.title.text = f"{name}, frame {series.first + index}"
         self._show_image(frame.image, frame.message)
@@ -255,7 +231,7 @@ class CameraPanel:
         }
         rig = self._session.run.rig
         if rig is not None and name in rig.cameras:
-            self._show_nodes(rig[name], place, second)
+            self._show_nodes(rig[name], place)
 
     def _show_image(self, image: Image | None, message: str) -> None:
         if image is None:
@@ -267,7 +243,7 @@ class CameraPanel:
         averaged = f"Every pixel here is the mean of {factor} x {factor} of the camera's."
         self.words.text = averaged if factor > 1 else ""
 
-    def _show_nodes(self, camera: Camera, place: Place, second: bool) -> None:
+    def _show_nodes(self, camera: Camera, place: Place) -> None:
         record, overlay = self._session.record, parts.chosen(self.overlay)
         fields = {name: record.field(name, place.step) for name in ("z", *_MOTION, "quality")}
         x, y = np.meshgrid(record.x, record.y)
@@ -275,18 +251,13 @@ class CameraPanel:
         thin = slice(every // 2, None, every), slice(every // 2, None, every)
         self._nodes = visible_nodes(
             camera, x[thin], y[thin], {name: field[thin] for name, field in fields.items()},
-            1.0 / record.frame_rate, second,
+            1.0 / record.frame_rate,
         )  # fmt: skip
-        parts.clear(self.sources["nodes"], self.sources["moves"])
+        parts.clear(self.sources["nodes"])
         of_a_kind = self._nodes["kind"] < len(KINDS)
         drawn = {key: values[of_a_kind].astype(np.float32) for key, values in self._nodes.items()}
         if overlay == "nodes":
             self.sources["nodes"].data = {key: drawn[key] for key in ("X", "Y", "kind")}
-        elif overlay == "displacements":
-            X, Y = drawn["X"], drawn["Y"]
-            ends = {"X1": X + _EXAGGERATION * drawn["dX"], "Y1": Y + _EXAGGERATION * drawn["dY"]}
-            self.sources["moves"].data = {"X0": X, "Y0": Y} | ends
-            self.words.text += f" Displacements over the step, drawn {_EXAGGERATION:g} times as long."
         z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
         lines = []
         if overlay != "nothing":

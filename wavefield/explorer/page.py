@@ -75,7 +75,7 @@ class LookPage:
         self.map, self.node = MapPanel(record, self._clicked), NodePanel(record)
         self.cameras = LazyPanel(lambda: _cameras(session, events))
         self.waves = LazyPanel(lambda: _waves(session))
-        self.masks = LazyPanel(lambda: _masks(session, events))
+        self.masks = LazyPanel(lambda: _masks(events))
         views: dict[str, LazyPanel[Any]] = {"cameras": self.cameras, "waves": self.waves}
         self._views = views
         bodies = [self.map.layout, *(panel.body for panel in views.values())]
@@ -420,7 +420,7 @@ def _waves(session: LookSession) -> Any:
     return WavePanel(session)
 
 
-def _masks(session: LookSession, events: PanelEvents) -> Any:
+def _masks(events: PanelEvents) -> Any:
     from wavefield.explorer.cameras import MaskPanel
 
-    return MaskPanel(session, events.masks_changed)
+    return MaskPanel(events.masks_changed)

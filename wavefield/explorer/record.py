@@ -5,7 +5,6 @@ The preview is int16 (variable, y, x, time): value = scale * stored, -32768 is m
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -161,13 +160,13 @@ class Preview:
         """Number of chunks in memory: what is drawn from them is drawn anew when it changes."""
         return int(self.loaded.sum())
 
-    def load(self, progress: Callable[[int, int], None] | None = None) -> None:
+    def load(self) -> None:
         """Read the chunks that are not in memory."""
         with self._lock:
             measured = self.measured
             self.loaded &= measured  # chunks that are being measured again are read again
-            chunks, bounds = np.flatnonzero(measured & ~self.loaded), self._record.layout.chunks()
-            for count, index in enumerate(chunks, 1):
+            bounds = self._record.layout.chunks()
+            for index in np.flatnonzero(measured & ~self.loaded):
                 start, stop = bounds[index]
                 try:
                     self.fields[..., start:stop] = read_thinned(self._record.group, self.thin, start, stop)
@@ -175,8 +174,6 @@ class Preview:
                     self.trouble = str(error)
                     continue
                 self.loaded[index] = True
-                if progress:
-                    progress(count, chunks.size)
 
     def stored(self, name: str) -> NDArray[np.int16]:
         """One variable, (y, x, time), as stored; missing where it is not read yet."""

@@ -122,39 +122,6 @@ def misfit_maps(cube: xr.Dataset) -> Figure:
     return figure
 
 
-def misfit_distributions(cube: xr.Dataset) -> Figure:
-    """Distributions of eps_y and of eps'.
-
-    Parameters
-    ----------
-    cube : Dataset, (time, y, x)
-        A cube with eps_y (m) and eps_piv (px); a long one may be thinned in time before.
-
-    Returns
-    -------
-    Figure
-
-    Notes
-    -----
-    Counterparts of the paper's distributions of its errors eps_Y and eps'.
-    """
-    figure, axes = panels(2)
-    for ax, values, lowest, label, unit in (
-        (axes[0, 0], 1e3 * cube.eps_y.values.astype(float), -6, "eps_y", "mm"),
-        (axes[0, 1], cube.eps_piv.values.astype(float), 0, "eps'", "px"),
-    ):
-        rms = float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else 1.0
-        bins = np.linspace(lowest * rms, 6 * rms, 121 if lowest else 101)
-        centres = (bins[1:] + bins[:-1]) / 2
-        ax.semilogy(centres, positive(densities(values, bins)), label=f"rms {rms:.3g} {unit}", **LINES[1])
-        if lowest:
-            gaussian = np.exp(-((centres / rms) ** 2) / 2) / (rms * np.sqrt(2 * np.pi))
-            ax.semilogy(centres, gaussian, label="Gaussian of that rms", **LINES[2])
-            ax.set_ylim(1e-5 / rms, 1 / rms)
-        finish(ax, f"{label} ({unit})", f"probability density ({unit}⁻¹)")
-    return figure
-
-
 def uncertainty_maps(cube: xr.Dataset) -> Figure:
     """Median in time of the standard uncertainties of z, u, v and w.
 

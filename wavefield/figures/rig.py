@@ -11,8 +11,8 @@ from wavefield.grid import Grid
 from wavefield.rig import Rig
 
 
-def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
-    """The rig from the side and from above, and the apparent position of a raised point for each camera.
+def rig_views(rig: Rig, grid: Grid) -> Figure:
+    """The rig from the side and from above.
 
     Parameters
     ----------
@@ -20,8 +20,6 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
         The cameras.
     grid : Grid
         The nodes of the measurement.
-    height : float, default 0.05
-        Height of the point whose apparent positions are drawn, m.
 
     Returns
     -------
@@ -29,12 +27,11 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's sketches of the set-up and of the apparent coordinates: a sight line through
-    a point at height z meets the plane z = 0 at x_a = x - D z.
+    Counterpart of the paper's sketch of the set-up.
     """
-    figure, axes = panels(3, width=3.9, height=4.0)
-    side, above, near = axes[0]
-    x0, y0 = np.mean(grid.x), np.mean(grid.y)
+    figure, axes = panels(2, height=4.0)
+    side, above = axes[0]
+    y0 = np.mean(grid.y)
     outline = _rectangle(grid.x, grid.y)
     corners = np.concatenate([outline, *(camera.corners(0.0) for camera in rig.cameras.values())])
     low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)  # lines would cross a name inside
@@ -50,12 +47,6 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
         for ax, height_or_y, free in ((side, cz, cz), (above, cy, high[1] if over else cy)):
             ax.plot(cx, height_or_y, "o", color=style["color"])
             ax.annotate(name, (cx, free), textcoords="offset points", xytext=(0, 7), ha="center")
-        dx, _ = camera.sight_line(x0, y0, height)
-        apparent = x0 - float(dx) * height
-        near.plot([100 * apparent, 100 * (x0 + float(dx) * height)], [0, 200 * height], **style)
-        near.plot(100 * apparent, 0, "v", color=style["color"], markersize=8)
-    near.axhline(0, color="0.2", linewidth=2)
-    near.plot(100 * x0, 100 * height, "o", color="black", label="point on the surface")
     side.set(xlabel="x (m)", ylabel="z (m)", title="from the side", aspect="equal")
     side.margins(0.12)
     side.set_ylim(-0.3, 1.2 * max(camera.centre[2] for camera in rig.cameras.values()))
@@ -63,7 +54,6 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     half = float(np.ptp(above.get_xlim())) / 2.6
     above.set_ylim(y0 - half, y0 + half)
     above.margins(x=0.12)
-    near.set(xlabel="x (cm)", ylabel="z (cm)", title="one point, apparent positions ▼", aspect="equal")
     for ax in axes[0]:
         ax.grid(True, color="0.9", linewidth=0.7)
     figure.legend(loc="outside lower center", ncols=len(rig) + 2, frameon=False, fontsize=9)

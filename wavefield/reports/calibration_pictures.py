@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
 
 from wavefield.calibration import TargetPoints
 from wavefield.calibration.assess import FlatSurface
@@ -135,30 +134,21 @@ def flat_target(surface: FlatSurface, mesh: float) -> Figure:
 
 
 def target_points(
-    images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None, mesh: float
+    images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None
 ) -> Figure:
-    """One image (row, column) of the target per camera with the nodes found, and (with a rig) these on z = 0.
-    A circle marks the origin. Counterpart of the paper's calibration grid with its reference points.
+    """One image (row, column) of the target per camera with the nodes found, and with a rig its origin.
+    Counterpart of the paper's calibration grid with its reference points.
     """
-    figure, axes = panels(len(images), 1 if rig is None else 2, width=4.0, height=3.8)
+    figure, axes = panels(len(images), width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
-    for column, (name, image) in zip(axes.T, images.items(), strict=True):
-        found, (h, w) = points[name], image.shape
+    for ax, (name, image) in zip(axes[0], images.items(), strict=True):
         low, high = np.percentile(image, (1, 99.8))
-        column[0].imshow(image, cmap="gray", vmin=low, vmax=max(high, low + 1))
-        column[0].plot(*found.pixel.T, **marks)
-        column[0].set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), xlabel="column (px)", ylabel="row (px)")
-        column[0].set_title(f"{name}: {len(found)} nodes")
-        if rig is None or name not in rig.cameras:
-            continue
-        origin = rig[name].project(0.0, 0.0, 0.0)  # a disc marks it on the target, and hides the node there
-        column[0].plot(*origin, "o", color="#F0E442", fillstyle="none", markersize=14)
-        column[1].plot(*rig[name].unproject(*found.pixel.T), **marks)
-        column[1].set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=f"{name}, at z = 0")
-        for axis in (column[1].xaxis, column[1].yaxis):
-            low, high = axis.get_view_interval()
-            axis.set_major_locator(MultipleLocator(mesh * max(1, round((high - low) / mesh / 6))))
-        column[1].grid(True, color="0.85", linewidth=0.6)
+        ax.imshow(image, cmap="gray", vmin=low, vmax=max(high, low + 1))
+        ax.plot(*points[name].pixel.T, **marks)
+        _image_frame(ax, image.shape[::-1])
+        ax.set_title(f"{name}: {len(points[name])} nodes")
+        if rig is not None and name in rig.cameras:  # a disc marks the origin, and hides the node there
+            ax.plot(*rig[name].project(0.0, 0.0, 0.0), "o", color="#F0E442", fillstyle="none", markersize=14)
     return figure
 
 
@@ -176,5 +166,4 @@ def draw_found(result: TargetRig) -> Figure | None:
         {camera: read_image(result.images[camera][pose]) for camera, pose in poses.items()},
         {camera: result.views[camera][pose] for camera, pose in poses.items()},
         rig if len(rig) and set(poses.values()) == {"flat"} else None,
-        result.mesh,
     )

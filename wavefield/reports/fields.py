@@ -13,48 +13,45 @@ from wavefield.errors import WavefieldError
 from wavefield.figures.display import SIGNED, limit
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Listing, Picture, Player, ReportSection, Table
-from wavefield.reports.numbers import extremes_of, number, thinned
+from wavefield.reports.numbers import extremes_of, number, snapshot, thinned
 from wavefield.store.ledger import status
 from wavefield.variables import FrameStatus
 
 MAX_STEPS = 1500  # compared with probes, in the middle of the record
 MAX_PROBES = 3  # drawn
-_MAX_FAULTS = 500  # faulty steps that are listed
 
 
-def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
-    """The surface and its velocity at one step (y, x)."""
-    ranges = extremes_of(snap)
-    return [
-        Picture(
-            figures.surface_3d(snap),
-            "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
-            f"Three-dimensional view of the surface. {ranges}",
-        ),
-        Picture(
-            figures.velocity_map(snap),
-            "Velocity of the surface water at the same moment: w in colour, u and v as arrows.",
-            f"Map of the vertical velocity with arrows of the horizontal velocity. {ranges}",
-        ),
-    ]
+def surface_picture(snap: xr.Dataset) -> Picture:
+    """The surface at one step (y, x)."""
+    return Picture(
+        figures.surface_3d(snap),
+        "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
+        f"Three-dimensional view of the surface. {extremes_of(snap)}",
+    )
 
 
-def distribution_picture(part: xr.Dataset, rate: float) -> Picture:
-    """Distributions of z, u, v, w (time, y, x) at a frame rate in Hz."""
+def snapshots(run: Run) -> ReportSection:
+    """The surface and its velocity at one moment."""
+    snap = snapshot(run.cube)
+    velocity = Picture(
+        figures.velocity_map(snap),
+        "Velocity of the surface water at the same moment: w in colour, u and v as arrows.",
+        f"Map of the vertical velocity with arrows of the horizontal velocity. {extremes_of(snap)}",
+    )
+    return ReportSection("Surface and velocity", [surface_picture(snap), velocity])
+
+
+def distributions(run: Run) -> ReportSection:
+    """Distributions of the fields and their moments."""
+    part, rate = thinned(run.cube, "z", "u", "v", "w"), float(run.cube.attrs["frame_rate"])
     stds = [f"z {100 * float(part.z.std()):.3g} cm"]
     stds += [f"d{axis} {100 / rate * float(part[n].std()):.3g} cm" for axis, n in zip("xyz", "uvw")]
-    return Picture(
+    picture = Picture(
         figures.distributions(part),
         "Probability densities of the elevation and of the displacements in one step, with Gaussians of the "
         "same standard deviation.",
         f"Densities on a logarithmic scale. Standard deviations: {', '.join(stds)}.",
     )
-
-
-def distributions(run: Run) -> ReportSection:
-    """Distributions of the fields and their moments."""
-    part = thinned(run.cube, "z", "u", "v", "w")
-    picture = distribution_picture(part, float(run.cube.attrs["frame_rate"]))
     section = ReportSection("Distributions", [picture], folded=True)
     statistics = run.wave_group("statistics")
     if statistics is not None and "skewness" in statistics:
@@ -90,15 +87,6 @@ def coverage(run: Run) -> ReportSection:
             f"Curves in percent over time; {faulty.size} of {step_status.size} steps have faults.",
         ),
     ]
-    if faulty.size:
-        lines = [
-            f"step {i}, t = {float(cube.time[i]):.4g} s: "
-            f"{FrameStatus(int(step_status[i])).name.lower().replace('_', ' ')}"
-            for i in faulty[:_MAX_FAULTS]
-        ]
-        if faulty.size > _MAX_FAULTS:
-            lines.append(f"... and {faulty.size - _MAX_FAULTS} more")
-        section.items.append(Listing(f"The {faulty.size} steps with faults", "\n".join(lines)))
     bad_frames = [str(bad) for bad in status(run.store).bad_frames] if run.store.is_dir() else []
     if bad_frames:
         section.items.append(Listing("Frames that were missing or bad", "\n".join(bad_frames)))
@@ -119,8 +107,7 @@ def setup(run: Run) -> ReportSection:
     section.items += [
         Picture(
             figures.rig_views(rig, grid),
-            "The rig from the side and from above, and a point 5 cm above the still water with its apparent "
-            "positions on the plane z = 0, from which its height follows.",
+            "The rig from the side and from above.",
             f"Drawing of the rig to scale. {positions}.",
         ),
     ]

@@ -1,10 +1,8 @@
 """Numbers and words that the sections of a report share: a run's numbers, and how they are written."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -62,26 +60,6 @@ def small(value: float, unit: str) -> str:
     ('0.41 mm', 'below 0.001 mrad')
     """
     return f"{value:.2g} {unit}" if abs(value) >= 1e-3 else f"below 0.001 {unit}"
-
-
-def without_folders(value: object, folder: str = "") -> Any:
-    """File names without the folders of this machine, since pages are passed on to others.
-
-    Examples
-    --------
-    >>> without_folders({"rig": "/data/tank/rig.yaml", "images": ["/data/tank/cam1/a.tif"]}, "/data/tank")
-    {'rig': 'rig.yaml', 'images': ['cam1/a.tif']}
-    >>> without_folders("/home/me/white.png"), without_folders("m/s")
-    ('white.png', 'm/s')
-    """
-    if isinstance(value, Mapping):
-        return {key: without_folders(one, folder) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_folders(one, folder) for one in value]
-    if not isinstance(value, str) or not Path(value).is_absolute():
-        return value
-    path = Path(value)
-    return path.relative_to(folder).as_posix() if folder and path.is_relative_to(folder) else path.name
 
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:

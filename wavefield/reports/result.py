@@ -1,18 +1,15 @@
 """The first and the last parts of a report: main numbers, what needs attention, summary, recipe."""
 
-import json
 from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
 
-from wavefield import figures
 from wavefield.pipeline import Run
-from wavefield.reports.fields import player, probes_of
-from wavefield.reports.html import Facts, Item, Listing, Picture, Remarks, ReportSection, Table, Text
+from wavefield.reports.fields import player, probes_of, surface_picture
+from wavefield.reports.html import Facts, Item, Remarks, ReportSection, Table, Text
 from wavefield.reports.numbers import (
     RunNumbers,
-    extremes_of,
     in_folder,
     in_light_sheet,
     median_of,
@@ -22,26 +19,19 @@ from wavefield.reports.numbers import (
     snapshot,
     thinned,
     with_interval,
-    without_folders,
 )
 from wavefield.store.verdict import Verdict
 from wavefield.text import spell_time
 from wavefield.variables import Quality, frames_of_path
 
-_UNITS = {"frame_rate": "Hz", "measured_frame_rate": "Hz", "pixel_size": "m", "water_depth": "m"}
-_LONG = 300  # characters; longer attributes are left out of the table
+_STATED = ("wavefield_version", "recipe_hash", "frame_rate", "water_depth", "pixel_size")
 _HEIGHT, _PERIOD = "Significant wave height Hs", "Peak period"
 _NO_PEAK = "No spectral peak"  # first words of the note that gives the reason
 
 
 def result(numbers: RunNumbers) -> ReportSection:
     """The surface in motion beside the main numbers."""
-    snap = snapshot(numbers.run.cube)
-    still = Picture(
-        figures.surface_3d(snap),
-        "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
-        f"Three-dimensional view of the surface. {extremes_of(snap)}",
-    )
+    still = surface_picture(snapshot(numbers.run.cube))
     return ReportSection("Result", [player(numbers.run.cube, still), Facts(facts(numbers))], layout="result")
 
 
@@ -159,30 +149,15 @@ def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str
 
 
 def recipe(run: Run) -> ReportSection:
-    """Section of the report on how the cube was made."""
-    folder = str(run.experiment.path.absolute().parent) if run.experiment else ""
-    attrs = {k: v for k, v in run.cube.attrs.items() if k not in ("recipe", "fingerprints")}
-    rows = [
-        (str(name).replace("_", " "), _in_words(str(name), without_folders(value, folder)))
-        for name, value in attrs.items()
-        if len(str(value)) < _LONG
-    ]
-    table = Table("Metadata", ("attribute", "value"), rows)
+    """Section of the report on how the cube was made: versions and all settings."""
+    attrs, made = run.cube.attrs, run.recipe
+    stated = {name: attrs[name] for name in _STATED if name in attrs}
+    stated |= {name: made[name] for name in ("algorithm", "frames", "grid") if name in made}
+    for name, value in made.get("settings", {}).items():
+        parts = value if isinstance(value, dict) else {"": value}
+        stated |= {f"{name}.{key}".rstrip("."): part for key, part in parts.items()}
+    rows = [(name, str(value)) for name, value in stated.items()]
     version = str(attrs.get("wavefield_version", ""))
-    section = ReportSection(
-        "Recipe", [table], folded=True, gist=version and f"measured by wavefield {version}"
-    )
-    if run.recipe:
-        words = json.dumps(without_folders(run.recipe, folder), indent=1)
-        section.items.append(Listing("The recipe: settings, rig, experiment, versions", words))
-    return section
-
-
-def _in_words(name: str, value: object) -> str:
-    """An attribute as text: lists with commas, numbers with a known unit to four digits."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(str, value))
-    try:
-        return f"{float(str(value)):.4g} {_UNITS[name]}"
-    except (KeyError, ValueError):
-        return str(value)
+    table = Table("Versions, and settings of the measurement", ("name", "value"), rows)
+    gist = version and f"measured by wavefield {version}"
+    return ReportSection("Recipe", [table], folded=True, gist=gist)

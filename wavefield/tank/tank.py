@@ -173,8 +173,9 @@ class Tank:
         """Light of a painted surface on the pixels of a camera."""
         settings = self.scene.surface
         assert isinstance(settings, Texture)
-        snapshot = self.basin.snapshot(self.time(frame), ("z",))
-        x, y = texture.cast(_shifted(self.rig[name], fault.shift), snapshot)
+        snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
+        seen = texture.meet(_shifted(self.rig[name], fault.shift), snapshot, max(self.sea.reach, MIN_REACH))
+        x, y = seen.x, seen.y
         if settings.carried:  # to where the water was at the first frame
             drift = self._drift_since_start(frame)
             x, y = x + drift[0].ev(y, x), y + drift[1].ev(y, x)

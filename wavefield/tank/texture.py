@@ -41,34 +41,6 @@ class Paint:
         return out
 
 
-def cast(camera: Camera, snapshot: Snapshot) -> tuple[Array, Array]:
-    """Horizontal position x, y (row, column), m, where the sight line of every pixel meets the water.
-    Fixed point of z = Z(x_a + D z) with x_a the apparent position, to a tenth of a micrometre.
-    """
-    width, height = camera.size
-    # first on every sixth pixel, then from a spline through these on every pixel
-    columns, rows = (np.append(np.arange(0, n - 1, 6.0), n - 1.0) for n in (width, height))
-    coarse = _meet(camera, snapshot, columns, rows, np.zeros((rows.size, columns.size)))[2]
-    start = np.zeros((height, width))
-    if min(coarse.shape) > 3 and np.isfinite(coarse).all():
-        start = RectBivariateSpline(rows, columns, coarse)(np.arange(height), np.arange(width))
-    return _meet(camera, snapshot, np.arange(float(width)), np.arange(float(height)), start)[:2]
-
-
-def _meet(
-    camera: Camera, snapshot: Snapshot, columns: Array, rows: Array, z: Array
-) -> tuple[Array, Array, Array]:
-    """Positions x, y, z where sight lines meet the water, from a first guess of z."""
-    xa, ya = camera.unproject(columns, rows[:, None])
-    dx, dy = camera.sight_line(xa, ya)
-    for _ in range(40):
-        (new,) = snapshot(xa + dx * z, ya + dy * z)
-        change, z = np.nanmax(np.abs(new - z), initial=0.0), new
-        if change < 1e-7:
-            break
-    return xa + dx * z, ya + dy * z, z
-
-
 Image = NDArray[np.float32]
 
 EARTH_RADIUS = 6.371e6  # m
