@@ -90,7 +90,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
     nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # older cubes hold 8 bits
     visible = (((cube.quality & nothing) == 0) & (cube.quality != 0)).mean(("y", "x")).compute()
     shares = quality_shares(cube.quality, ("y", "x")).compute()
-    figure, axes = panels(1, 2, width=8.6, height=2.3)
+    figure, axes = panels(1, 2, width=10.4, height=2.3)
     top, bottom = axes[:, 0]
     for style, name in zip(LINES, shares.data_vars, strict=False):
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -64,7 +64,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     frequency, k = hertz(energy), cycles(energy)
     values = positive(energy.values)
     top = float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
-    figure, [[ax]] = panels(1, width=7.2, height=4.8)
+    figure, [[ax]] = panels(1, width=10.4, height=4.8)
     ax.set_facecolor(_LOWEST_COLOUR)
     label = f"E$^{name}$(k, ω) ({_units(name)})"
     draw_cells(ax, k, frequency, values, label, norm=LogNorm(top * 1e-7, top), cmap="viridis")

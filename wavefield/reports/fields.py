@@ -38,7 +38,7 @@ def snapshots(run: Run) -> ReportSection:
         "Velocity of the surface water at the same moment: w in colour, u and v as arrows.",
         f"Map of the vertical velocity with arrows of the horizontal velocity. {extremes_of(snap)}",
     )
-    return ReportSection("Surface and velocity", [surface_picture(snap), velocity])
+    return ReportSection("Surface and velocity", [surface_picture(snap), velocity], layout="beside")
 
 
 def distributions(run: Run) -> ReportSection:
