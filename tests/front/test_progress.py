@@ -48,9 +48,22 @@ def test_time_left_of_a_resumed_run_counts_only_what_this_run_did(clock):
     stream = Terminal()
     with Progress("Measuring", "steps", stream) as report:
         report(900, 1000)
-        clock[0] += 10.0
-        report(910, 1000)
-    assert "910 of 1000 steps (91 %), 1 min 30 s left" in stream.getvalue()
+        for done in (910, 920):
+            clock[0] += 10.0
+            report(done, 1000)
+    assert "920 of 1000 steps (92 %), 1 min 20 s left" in stream.getvalue()
+
+
+def test_time_left_does_not_count_the_compilation_before_the_first_part(clock):
+    stream = Terminal()
+    with Progress("Measuring", "steps", stream) as report:
+        for done, spent in ((0, 0), (10, 60), (20, 1), (30, 29), (40, 30)):
+            clock[0] += spent
+            report(done, 100)
+    assert "10 of 100 steps (10 %)\r" in stream.getvalue()
+    assert "20 of 100 steps (20 %)\r" in stream.getvalue()
+    assert "30 of 100 steps (30 %), 1 min 45 s left" in stream.getvalue()
+    assert "40 of 100 steps (40 %), 2 min 00 s left" in stream.getvalue()
 
 
 def test_a_failure_is_reported_as_stopped(clock):

@@ -31,7 +31,8 @@ class Progress:
     def _begin(self, stage: str, unit: str) -> None:
         self.stage, self.unit = stage, unit
         self.start = time.monotonic()
-        self.first: tuple[float, int] | None = None
+        self.first: tuple[float, int] | None = None  # time and count at the first call
+        self.paced: tuple[float, int] | None = None  # the same when the first part was done
         self.last_line, self.last_quarter = -1e9, -1
         self.done, self.total = 0, 0
 
@@ -59,6 +60,8 @@ class Progress:
         self.done, self.total = int(done), int(total)
         if self.first is None:  # steps that a resumed run found done have no part in its speed
             self.first = (now, self.done)
+        if self.paced is None and self.done > self.first[1]:
+            self.paced = (now, self.done)
         quarter = 4 * self.done // self.total if self.total else 0
         due = 0.2 if self.terminal else 60.0
         if now - self.last_line >= due or (not self.terminal and quarter > max(self.last_quarter, 0)):
@@ -75,9 +78,13 @@ class Progress:
         return f"{self.done} of {self.total}{' ' + self.unit if self.unit else ''} ({share} %)"
 
     def _left(self, now: float) -> str:
-        if self.first is None or self.done <= self.first[1] or self.done >= self.total:
+        """Time that is left, from the parts after the first, which includes compilation; empty before."""
+        if self.first is None or self.paced is None or not self.paced[1] < self.done < self.total:
             return ""
-        pace = (now - self.first[0]) / (self.done - self.first[1])
+        spent, first = now - self.paced[0], self.paced[0] - self.first[0]
+        if spent < first / 2:  # other workers finish their first parts
+            return ""
+        pace = spent / (self.done - self.paced[1])
         return f", {spell_time(pace * (self.total - self.done))} left"
 
     def _write(self, text: str, *, final: bool) -> None:
