@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -27,7 +27,9 @@ HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # blocks: radii of tabu
 HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # tabulated fractions of the way from a hole's rim to its middle
 EVERY = 4  # blocks: the variance is computed on every fourth, because it varies slowly, and interpolated
 MIN_WAVE_FRACTION = 1e-3  # of a spectrum: keeps logarithms finite
-MEASURED_RIM_WIDTH = 10  # blocks around a hole that are taken as measured: farther ones hardly count
+# rings of blocks around a hole that are taken as measured, from its edge: farther ones hardly count
+RIM_MIDDLES, RIM_WIDTHS = np.array([0.5, 2.5, 7.0]), np.array([1.0, 3.0, 6.0])
+RIM_POINTS = 16  # of each ring
 
 
 class PosteriorVariance:
@@ -35,8 +37,8 @@ class PosteriorVariance:
 
     For uniform information A a mode has the variance 1 / (F^2 A + 1/S): the part F^2 A / (F^2 A + 1/S)^2 is
     noise, the part 1/S / (F^2 A + 1/S)^2 missing waves. Where information varies, a block gets the value for
-    the mean information around it, weighted by the squared impulse response of the estimate. The additional
-    variance in holes is tabulated for round holes by radius and depth.
+    the mean information around it, weighted by the squared impulse response of the estimate. The variance in
+    holes is tabulated for round holes by radius and depth.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -54,7 +56,6 @@ class PosteriorVariance:
         self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
             np.float32
         )
-        self._typical = np.float32(np.add(noise[1], missing[1])[:, None, None])
         kernels = np.array(
             [_squared_response((square * a / c).mean(axis=0)) for a, c in zip(levels, precision)]
         )
@@ -86,7 +87,7 @@ class PosteriorVariance:
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
             # the lower information around the hole has added a part of this already
-            more = self._typical + _in_holes(~hole, self._holes) - noise - missing
+            more = _in_holes(~hole, self._holes) - noise - missing
             missing += np.maximum(more, np.float32(0)) * hole
         return noise, missing
 
@@ -131,53 +132,34 @@ def _squared_response(gain: Float) -> Float:
     return out
 
 
-@cache
-def _around_hole(radius: float) -> tuple[Float, Float, Float, Float]:
-    """Sample of blocks in and around a round hole: one of two or four away from the rim.
-    Returns squared distances between them, distances from the points of each depth, weights, and which lie
-    outside.
-    """
-    reach = radius + MEASURED_RIM_WIDTH
-    g = np.arange(-np.ceil(reach), np.ceil(reach) + 1)
-    x, y = np.meshgrid(g, g)
-    d = np.hypot(x, y)
-    outside = d >= radius
-    every = np.select([outside & (d < radius + 2), outside & (d < radius + 5)], [1, 2], 4)
-    known = (every == 1) | ((x + y) % 2 == 0) & ((every == 2) | (x % 2 == 0))
-    known &= d < reach
-    x, y = x[known], y[known]
-    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
-    to_depths = np.hypot(x[:, None] - radius * (1 - np.array(HOLE_DEPTHS)), y[:, None])
-    return squared.astype(int), to_depths, every[known], outside[known]
-
-
 def hole_variance(spectrum: Float, noise: float) -> Float:
-    """Additional variance in round holes, (radii, depths), for a field with a spectrum (ny, nx).
-    It is the variance in the hole minus that if the hole were measured.
+    """Variance in round holes, (radii, depths), of a field with a spectrum (ny, nx) and the noise of blocks.
+    It is that of optimal interpolation from three rings of blocks around the hole.
     """
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)
     curve = spline_filter1d(0.5 * (covariance[0, :side] + covariance[:side, 0]), mode="mirror")
 
     def at(distance: Float) -> Float:
-        out: Float = map_coordinates(
-            curve, np.minimum(distance, side - 1)[None], mode="mirror", prefilter=False
-        )
-        return out
+        places = np.minimum(distance, side - 1)[None]
+        return np.asarray(map_coordinates(curve, places, mode="mirror", prefilter=False))
 
+    angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     out = np.zeros((len(HOLE_RADII), len(HOLE_DEPTHS)))
     for i, radius in enumerate(HOLE_RADII):
-        squared, to_depths, every, rim = _around_hole(radius)
-        measured = at(np.sqrt(np.arange(squared.max() + 1)))[squared] + noise * np.diag(1.0 / every)
-        to_q = at(to_depths)
-        without = np.sum(to_q * np.linalg.solve(measured, to_q), axis=0)
-        given = np.sum(to_q[rim] * np.linalg.solve(measured[np.ix_(rim, rim)], to_q[rim]), axis=0)
-        out[i] = np.maximum(without - given, 0.0)
+        ring = np.repeat(radius + RIM_MIDDLES, RIM_POINTS)
+        x, y = ring * np.tile([np.cos(angle), np.sin(angle)], len(RIM_MIDDLES))
+        # blocks that a point stands for
+        blocks = 2.0 * np.pi / RIM_POINTS * ring * np.repeat(RIM_WIDTHS, RIM_POINTS)
+        measured = at(np.hypot(x[:, None] - x, y[:, None] - y)) + noise * np.diag(1.0 / blocks)
+        inside = at(np.hypot(x[:, None] - radius * (1.0 - np.array(HOLE_DEPTHS)), y[:, None]))
+        known = np.sum(inside * np.linalg.solve(measured, inside), axis=0)
+        out[i] = np.maximum(covariance[0, 0] - known, 0.0)
     return out
 
 
 def _in_holes(measured: Float, tables: Sequence[Float]) -> Float:
-    """Additional variance in holes, by their width and the distance to the rim, (tables, ny, nx)."""
+    """Variance in holes, by their width and the distance to the rim, (tables, ny, nx)."""
     depth = cv2.distanceTransform((~measured).astype(np.uint8), cv2.DIST_L2, 5)
     out = np.zeros((len(tables), *measured.shape), np.float32)
     inside = depth > 0
