@@ -60,7 +60,9 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, geometry, mode
     away = far(series, found["quality"][0], window)
     assert away.sum() > 100
     change = {n: np.abs(found[n][0] - free[n][0])[away] / free[f"{n}_std"][0][away] for n in FIELDS}
-    assert {n: c for n, c in ((n, float(np.sqrt(np.mean(c**2)))) for n, c in change.items()) if c > 0.1} == {}
+    assert {
+        n: c for n, c in ((n, float(np.sqrt(np.mean(c**2)))) for n, c in change.items()) if c > 0.12
+    } == {}
     without = measure(around(drawn[0]), geometry, RATE, model)
     unmasked = {n: np.abs(without[n][0] - free[n][0])[away] / free[f"{n}_std"][0][away] for n in FIELDS}
     worse = {n: float(np.sqrt(np.mean(unmasked[n] ** 2) / np.mean(change[n] ** 2))) for n in FIELDS}
