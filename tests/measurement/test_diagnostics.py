@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from measurement_cases import PIXEL
 
-from wavefield.measurement import GridGeometry, Settings, diagnose, pooled
+from wavefield.measurement import GridGeometry, Settings, diagnose
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +24,6 @@ def test_it_reports_how_noisy_the_images_are_and_which_waves_they_keep(diagnosis
         assert 0.002 < value / PIXEL < 0.2, name
     assert set(diagnosis.widths) == {"cam1", "cam2", "cam3"}
     assert all(0.01 < length < 0.1 for length in diagnosis.carried.values())
-    again = pooled([diagnosis, diagnosis])
-    assert again.noise == diagnosis.noise
-    assert again.widths == diagnosis.widths
 
 
 def test_the_table_gives_centimetres_and_pixels(diagnosis):

@@ -142,7 +142,7 @@ def _pairs_table(prepared: PreparedRun) -> str:
     found = diagnose_around(read, steps, prepared.geometry, prepared.model, middle, pixel)
     if found is None:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"
-    lines = [f"  pairs, {len(next(iter(found.z.values())))} steps, rms; 1 px is {1e3 * pixel:.2g} mm"]
+    lines = [f"  pairs, one step in the middle, rms; 1 px is {1e3 * pixel:.2g} mm"]
     rows = found.table()
     width = max(len(row["name"]) for row in rows)
     for row in rows:

@@ -31,7 +31,7 @@ MIN_SIGNAL_TO_NOISE = 2e-2  # of a mode, and so the gain below which it is left 
 MAX_ITERATIONS = 200  # at most; some ten are usual
 HOLE_KERNEL = np.ones((5, 5), np.uint8)  # blocks: smaller holes converge as fast as the rest
 TOLERANCES_WITH_HOLES = 0.03, 0.007  # of the solver, in the first and the second evaluation
-TOLERANCES = 0.2, 0.03  # the same without holes
+TOLERANCES = 0.2, 0.05  # the same without holes
 Factor = tuple[Float, Float]
 
 EXACT_MODES = 300  # modes of the highest signal over noise that are solved exactly

@@ -1,6 +1,6 @@
 """From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
 
-from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
+from wavefield.measurement.diagnostics import Diagnosis, diagnose
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import LearnedRecord, Model
 from wavefield.measurement.record import learn, sample_steps
@@ -18,6 +18,5 @@ __all__ = [
     "gains",
     "learn",
     "measure",
-    "pooled",
     "sample_steps",
 ]

@@ -25,30 +25,29 @@ from wavefield.variables import Quality
 Pair = tuple[str, str]
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 
-COMPARED_STEPS = 3
 MAX_TRIED_STEPS = 12  # around the requested one, where frames are missing or bad
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Internal errors of one step, or of several (`pooled`); NaN where not measured.
+    """Internal errors of one step; NaN where not measured.
 
     Parameters
     ----------
     pixel : float
         Length that counts as one pixel, metres.
-    z : dict of (str, str) to ndarray, (..., ny, nx)
+    z : dict of (str, str) to ndarray, (ny, nx)
         Elevation from each pair alone at the first frame, metres: the planned pairs and the direct pairs
         among their partners.
     eps_y : dict of (str, str) to ndarray, (n,)
         Mismatch across the sight line at all blocks that were matched, before rejection by it, metres.
     z_std : dict of (str, str) to float
         eps_y's rms over |dD|: the standard uncertainty of z under isotropy of the matching error, metres.
-    recombined : dict of (str, str) to ndarray, (..., ny, nx)
+    recombined : dict of (str, str) to ndarray, (ny, nx)
         Elevation by a direct pair's displacement made of the two planned ones, minus that matched directly.
-    moved : dict of (str, str) to ndarray, (..., 3, ny, nx)
+    moved : dict of (str, str) to ndarray, (3, ny, nx)
         Displacement dx, dy, dz from the first frame to the second by each pair alone, metres.
-    eps_piv : dict of tuple of str to ndarray, (..., ny, nx)
+    eps_piv : dict of tuple of str to ndarray, (ny, nx)
         Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
         cameras that the geometry takes for the velocity.
     carried : dict of str to float
@@ -72,12 +71,12 @@ class Diagnosis:
 
     @property
     def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Elevation from one pair minus that from another, metres, (..., ny, nx)."""
+        """Elevation from one pair minus that from another, metres, (ny, nx)."""
         return {(p, q): self.z[p] - self.z[q] for p, q in combinations(self.z, 2)}
 
     @property
     def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Displacement from one pair minus that from another, metres, (..., 3, ny, nx)."""
+        """Displacement from one pair minus that from another, metres, (3, ny, nx)."""
         return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
     def table(self) -> list[dict[str, Any]]:
@@ -113,38 +112,6 @@ class Diagnosis:
 
     def _units(self, metres: float) -> dict[str, float]:
         return {"cm": 100.0 * metres, "px": metres / self.pixel}
-
-
-def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
-    """Join several steps of the same cameras into one diagnosis.
-
-    Parameters
-    ----------
-    found : sequence of Diagnosis
-        One per step.
-
-    Returns
-    -------
-    Diagnosis
-        Fields have the step as their first dimension.
-    """
-    first = found[0]
-
-    def stacked(name: str) -> dict[Any, NDArray[Any]]:
-        return {key: np.stack([getattr(one, name)[key] for one in found]) for key in getattr(first, name)}
-
-    return Diagnosis(
-        first.pixel,
-        stacked("z"),
-        {pair: np.concatenate([one.eps_y[pair] for one in found]) for pair in first.eps_y},
-        {pair: float(np.sqrt(np.mean([one.z_std[pair] ** 2 for one in found]))) for pair in first.z_std},
-        stacked("recombined"),
-        stacked("moved"),
-        stacked("eps_piv"),
-        first.carried,
-        {name: float(np.median([one.noise[name] for one in found])) for name in first.noise},
-        first.widths,
-    )
 
 
 def joined(cameras: Sequence[str]) -> str:
@@ -301,14 +268,11 @@ def diagnose_around(
     middle: int,
     pixel: float,
 ) -> Diagnosis | None:
-    """Compare the pairs of cameras on a few steps of a record; pixel in metres."""
-    found: list[Diagnosis] = []
+    """Compare the pairs of cameras in the usable step nearest to the middle; pixel in metres."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:
-            found.append(diagnose(frames, geometry, model, pixel))
+            return diagnose(frames, geometry, model, pixel)
         except ValueError:  # a frame is missing or bad
             continue
-        if len(found) == COMPARED_STEPS:
-            break
-    return pooled(found) if found else None
+    return None

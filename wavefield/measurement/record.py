@@ -65,8 +65,8 @@ _MIN_INFORMATION = 1e-3  # of a block, per square px: its own estimate is uncert
 _NOISE_FACTORS = 0.1, 10.0  # accepted range
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 _HALF_WITHIN = 0.6745  # standard deviations of a Gaussian; of half of a field, so that edges do not count
-# Noise of whole beads over that of plain blocks: 0.9 to 1 on long waves, 0.5 to 0.7 on slopes of 0.15 by
-# waves of 5 to 8 cm
+# Noise of whole beads over that of plain blocks, below which spectra from whole beads show more of the waves,
+# and elsewhere more of the noise: 0.9 to 1 on long waves, 0.5 to 0.7 on slopes of 0.15 by waves of 5 to 8 cm
 _NOISE_WITHOUT_CUT_BEADS = 0.75
 _FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
 
@@ -145,14 +145,16 @@ def _learned(
     beads = _bead_widths(steps, masks, geometry, pool)
     samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
     # first spectra
-    heights = [] if sheet else _elevation_samples(samples, geometry, pool, False)
+    heights = [] if sheet else _elevation_samples(samples, geometry, pool)
     moved = {name: _displacement_samples(name, samples, beads, geometry, pool) for name in geometry.sights}
     moved = {name: fields for name, fields in moved.items() if fields and name in geometry.velocity_cameras}
     if len(moved) < 2 or not (heights or sheet):
         return None
-    z_prior = _elevation_prior(heights, geometry, pool) if heights else _FLAT
-    if heights and all(beads.values()) and _cut_beads_dominate(heights, z_prior, pool):
-        z_prior = _elevation_prior(_elevation_samples(samples, geometry, pool, True), geometry, pool)
+    z_prior, noise = _elevation_prior(heights, geometry, pool) if heights else (_FLAT, 0.0)
+    if heights and all(beads.values()):
+        heights = _elevation_samples(samples, geometry, pool, True)
+        if _summary(heights, z_prior, pool)[3] < _NOISE_WITHOUT_CUT_BEADS * noise:
+            z_prior, _ = _elevation_prior(heights, geometry, pool)
     priors = {name: _first_spectrum(fields, geometry.settings.piv, pool) for name, fields in moved.items()}
     some = next(iter(priors.values()))
     priors = {name: priors.get(name, some) for name in geometry.velocity_cameras}
@@ -256,14 +258,12 @@ class _FieldSample:
     estimate: Callable[[Modes], tuple[Float, float]]  # coefficients of the MAP field, and its information
     # The same of a field of noise alone, where the cameras show one
     noise: Callable[[Modes], tuple[Float, float]] | None = None
-    # Information along the sight lines, variance of z, and of the smooth epipolar error, m^2
-    summary: Callable[[Modes], tuple[float, float, float]] | None = None
-    # Noise across the sight lines by plain blocks, and by whole beads
-    across: Callable[[Modes], tuple[float, float]] | None = None
+    # Information along the sight lines, variance of z and of the smooth epipolar error, m^2, noise of scores
+    summary: Callable[[Modes], tuple[float, float, float, float]] | None = None
 
 
 def _elevation_samples(
-    steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor, whole_beads: bool
+    steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor, whole_beads: bool = False
 ) -> list[_FieldSample]:
     """Elevation of the first frame of each sample step that shows one, by plain blocks or whole beads."""
 
@@ -284,21 +284,14 @@ def _elevation_samples(
             found = map_elevation(combine(turned), turned, flat, modes, pixel, whole_beads, False)
             return found.waves / np.sqrt(bare), float(found.information.mean()) / bare
 
-        def summary(modes: Modes) -> tuple[float, float, float]:
+        def summary(modes: Modes) -> tuple[float, float, float, float]:
             found = map_elevation(blocks, matches, flat, modes, pixel, whole_beads)
             z = modes.field(found.waves)[0][found.information > 0]
             std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
-            return float(found.information.mean()) / bare, std**2, found.epipolar**2
-
-        def across(modes: Modes) -> tuple[float, float]:
-            ways = (map_elevation(blocks, matches, flat, modes, pixel, beads) for beads in (False, True))
-            plain, whole = (found.noise for found in ways)
-            return plain, whole
+            return float(found.information.mean()) / bare, std**2, found.epipolar**2, found.noise
 
         information = first_information(blocks, matches, pixel, _FREEDOM) / bare
-        return _FieldSample(
-            blocks.filled, information, FOOTPRINT_VARIANCE, bare, estimate, noise, summary, across
-        )
+        return _FieldSample(blocks.filled, information, FOOTPRINT_VARIANCE, bare, estimate, noise, summary)
 
     least = _MIN_INFORMATION / geometry.pixel**2
     return [one for one in pool.map(sample_of, steps) if one is not None and one.information > least]
@@ -358,24 +351,22 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 def _elevation_prior(
     samples: Sequence[_FieldSample], geometry: GridGeometry, pool: ThreadPoolExecutor
-) -> Prior:
-    """Prior of the elevation, with its information along the sight lines and the fraction that is waves."""
-    prior = _first_spectrum(samples, geometry.settings.stereo, pool)
-    modes = Modes(prior, samples[0].field.shape[-2:])
-    each = list(pool.map(lambda one: one.summary(modes), samples))
-    information, variance, epipolar = np.mean(each, axis=0)
-    prior = replace(prior, information=float(information))
-    waves, noise = (float(part[0]) for part in prior.variances(modes.lattice))
-    return replace(prior, wave_fraction=shrinkage(variance, noise + epipolar, waves))
-
-
-def _cut_beads_dominate(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExecutor) -> bool:
-    """Whether beads that edges of blocks cut make much of the noise, as on short steep waves.
-    Spectra from whole beads then show more of the waves; elsewhere their noise passes for short waves.
+) -> tuple[Prior, float]:
+    """Prior of the elevation, with its information along the sight lines and the fraction that is waves.
+    Also the noise of scores with it.
     """
+    prior = _first_spectrum(samples, geometry.settings.stereo, pool)
+    information, variance, epipolar, of_scores = _summary(samples, prior, pool)
+    prior = replace(prior, information=information)
+    waves, noise = (float(part[0]) for part in prior.variances(samples[0].field.shape[-2:]))
+    return replace(prior, wave_fraction=shrinkage(variance, noise + epipolar, waves)), of_scores
+
+
+def _summary(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExecutor) -> list[float]:
+    """Means of the samples' summaries."""
     modes = Modes(prior, samples[0].field.shape[-2:])
-    plain, whole = np.mean(list(pool.map(lambda one: one.across(modes), samples)), axis=0)
-    return bool(whole < _NOISE_WITHOUT_CUT_BEADS * plain)
+    each = [one.summary for one in samples if one.summary]
+    return [float(mean) for mean in np.mean(list(pool.map(lambda summary: summary(modes), each)), axis=0)]
 
 
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from wavefield.measurement.displacement import Flows, flows
 from wavefield.measurement.elevation import Surface, surface
-from wavefield.measurement.error_budget import TERMS, bead_tilt, error_budget
+from wavefield.measurement.error_budget import MEDIAN_SQUARE, TERMS, bead_tilt, error_budget
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import (
     Frames,
@@ -54,7 +54,6 @@ Series = Mapping[str, Sequence[NDArray[Any] | None]]
 Mask = NDArray[np.bool_]
 
 SEARCHED_STEPS = 2  # of those learned from: the ranges to search are found in them
-MEDIAN_SQUARE = 0.455  # of a standard normal variable
 MIN_MEASURED = 0.05  # of the nodes in view: a step with fewer counts as not measured
 
 

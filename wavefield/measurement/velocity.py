@@ -137,7 +137,7 @@ def solve_nodes(
 # Of u, v, w by deep-water waves in all directions: they move the water along as much as up and down.
 WAVE_VARIANCES = np.array([0.5, 0.5, 1.0])
 _MAX_INCONSISTENT_FRACTION = 0.01  # of the nodes, by chance
-_NODES_FOR_MEAN_FLOW = 3000
+_NODES_FOR_MEAN_FLOW = 500
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wavefield.errors import WavefieldError
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_thread
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, pooled, sample_steps
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, sample_steps
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
 from wavefield.measurement.error_budget import fast_waves, level_std, ripples
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
@@ -286,7 +286,9 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
         found = {step: one for step, one in zip(steps, pool.map(diagnosed, steps)) if one is not None}
     if not found:
         return None
-    quantities, cameras, units, errors = zip(*_errors(pooled(list(found.values()))))
+    quantities, cameras, units, _ = zip(*_errors(next(iter(found.values()))))
+    each = zip(*([values for *_, values in _errors(one)] for one in found.values()))
+    errors = [np.concatenate([values.ravel() for values in one]) for one in each]
     finite = [values[np.isfinite(values)] for values in errors]
     rms, beyond = zip(*(rms_within(values) for values in finite))
     return xr.Dataset(
