@@ -18,18 +18,17 @@ def displaced(waves, now, dt, gx, gy, rounds=8):
 
 def measured(waves, t, y, x, dt):
     """Fields at mid-times t as measured: of the water whose path has its middle at each node."""
-    frames = np.array([waves.on_grid(t + (i - 0.5) * dt, y, x, "z")["z"] for i in (-1, 0, 1, 2)])
-    z = (9 * (frames[1] + frames[2]) - frames[0] - frames[3]) / 16
+    start, end = (waves.on_grid(t + i * dt / 2, y, x, "z")["z"] for i in (-1, 1))
     moved = []
     for now in t:
         x0, y0, x1, y1 = displaced(waves, now, dt, *np.meshgrid(x, y))
         z0, z1 = waves.at(x0, y0, now - dt / 2)[0], waves.at(x1, y1, now + dt / 2)[0]
         moved.append((x1 - x0, y1 - y0, z1 - z0))
     u, v, w = np.array(moved).swapaxes(0, 1) / dt
-    return {"z": z, "z_t": (frames[2] - frames[1]) / dt, "u": u, "v": v, "w": w}
+    return waves.on_grid(t, y, x, "z") | {"z_t": (end - start) / dt, "u": u, "v": v, "w": w}
 
 
-def test_the_residual_of_an_exact_sea_is_small():
+def test_the_residual_of_displacements_of_an_exact_sea_is_small():
     waves = random_waves(seed=5, n=150, lowest=1.0, highest=5.0, sigma=0.015)
     t, y, x = axes(3, 14, 16, 0.05, 0.01)
     residual, nonlinear = [], []
@@ -38,7 +37,7 @@ def test_the_residual_of_an_exact_sea_is_small():
         out = out.isel(y=slice(3, -3), x=slice(3, -3))
         residual.append(float((out.residual**2).mean()))
         nonlinear.append(float((out.nonlinear**2).mean()))
-    assert np.sqrt(np.mean(residual) / np.mean(nonlinear)) < 0.05
+    assert np.sqrt(np.mean(residual) / np.mean(nonlinear)) < 0.18
 
 
 def test_vorticity_and_divergence_of_a_known_flow():
@@ -73,9 +72,7 @@ def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
     sea = linear_cube(random_waves(n=300, highest=5.0, power=2), 1026, 24, 32, dx=0.03, dtype="f8")
     record = wv.whole_record(sea)
     ring = wv.cross_spectra(sea, ("z", "w"), segment=256, record=record)
-    # the mean of two frames, from what the cube holds
-    z_t = sea.z_t
-    mean = (sea.z + (0.05 / 16) * (z_t.shift(time=-1) - z_t.shift(time=1))).isel(time=slice(1, -1))
+    mean = (sea.z + sea.z.shift(time=-1)).isel(time=slice(0, -1)) / 2
     averaged = wv.komega(mean.assign_attrs(units="m"), segment=256)
     E_z, E_w = (ring.E.sel(quantity=name, drop=True).sum("k") for name in ("z", "w"))
     E_mean = averaged.E.sum("k")
@@ -115,7 +112,6 @@ def test_elevation_beside_the_mean_flow_goes_to_frame_time_on_a_current():
     none = np.zeros_like(z)
     made = cube({"z": z, "z_t": none, "u": none, "v": none, "w": none}, t, y, x, "f8", frame_rate=20.0)
     made = made.assign_coords(path_frames=np.uint8(4))
-    made.z.attrs |= {"frames": 6, "moving": 1}
     exact = wv.komega(cube({"z": height(t - dt / 2, 0.0)}, t, y, x, "f8").z, segment=64).E
     found = wv.cross_spectra(made, ("z",), segment=64).E.sel(quantity="z")
     assert float(found.sum() / exact.sum()) == pytest.approx(1.0, abs=0.01)

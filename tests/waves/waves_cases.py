@@ -94,8 +94,8 @@ def axes(steps, ny, nx, dt=0.05, dx=0.01):
 
 
 def linear_cube(waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.0, seed=9, dtype="f4"):
-    """A cube as measured from frames: four-frame z, z_t and w over a step, linear kinematics, u and v at
-    mid-time. Noise is independent between frames (z) and steps (dz), correlated over 4 cm in space."""
+    """A cube as measured from frames: z, u and v at mid-time, z_t and w over a step, linear kinematics.
+    Noise is independent between steps (z, dz) and frames (z_t), correlated over 4 cm in space."""
     from scipy.ndimage import uniform_filter
 
     rng = np.random.default_rng(seed)
@@ -109,15 +109,11 @@ def linear_cube(waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.
         raw = uniform_filter(raw, (0, box, box))[:, box:-box, box:-box] * box
         return rms * raw
 
-    exact = waves.on_grid(np.arange(-2, steps + 3) * dt, y, x, "z")["z"]
-    uv = waves.on_grid(t, y, x, "u", "v")
-    noisy = exact.copy()
-    noisy[1:-1] += noise(noise_z, steps + 3)
-    z = (9 * (noisy[2:-3] + noisy[3:-2]) - noisy[1:-4] - noisy[4:-1]) / 16
-    rise, sink = np.diff(noisy, axis=0) / dt, np.diff(exact, axis=0) / dt
-    sink[2:-2] += noise(noise_dz, steps) / dt
-    rise, sink = rise[2:-2], sink[2:-2]
-    fields = {"z": z, "z_t": rise, "u": uv["u"], "v": uv["v"], "w": sink}
+    fields = waves.on_grid(t, y, x, "z", "u", "v")
+    fields["z"] += noise(noise_z, steps)
+    frames = waves.on_grid(np.arange(steps + 1) * dt, y, x, "z")["z"]
+    fields["w"] = (np.diff(frames, axis=0) + noise(noise_dz, steps)) / dt
+    fields["z_t"] = np.diff(frames + noise(noise_z, steps + 1), axis=0) / dt
     return cube(fields, t, y, x, dtype, water_depth=waves.depth, frame_rate=1 / dt)
 
 
@@ -175,15 +171,15 @@ class PeriodicSea:
             raw = raw[1:] + raw[:-1]
             return rms / 2 * (raw[:, 1:] + raw[:, :-1])
 
-        exact = self.z(-dt, steps + 3, dt, ny, nx)
-        noisy = exact + np.array([noise(noise_z) for _ in range(steps + 3)])
-        w = np.diff(exact, axis=0)[1:-1] / dt
+        exact = self.z(0.0, steps + 1, dt, ny, nx)
+        noisy = exact + np.array([noise(noise_z) for _ in range(steps + 1)])
+        w = np.diff(exact, axis=0) / dt
         if self.flows:  # particles rise as the water that carries them sees the waves
             w = self.z(dt / 2, steps, dt, ny, nx, -2j * np.sin(self.free * dt / 2) / dt)
         w = w + np.array([noise(noise_dz) / dt for _ in range(steps)])
-        z = (9 * (noisy[1:-2] + noisy[2:-1]) - noisy[:-3] - noisy[3:]) / 16
+        z = self.z(dt / 2, steps, dt, ny, nx) + np.array([noise(noise_z) for _ in range(steps)])
         t, y, x = axes(steps, ny, nx, dt, self.dx)
-        fields = {"z": z, "z_t": np.diff(noisy, axis=0)[1:-1] / dt, "w": w, "exact": exact[1:-2]}
+        fields = {"z": z, "z_t": np.diff(noisy, axis=0) / dt, "w": w, "exact": exact[:-1]}
         return cube(fields, t, y, x, water_depth=self.depth, frame_rate=1 / dt)
 
 

@@ -18,11 +18,9 @@ from wavefield.figures.display import BALANCE, DERIVED
 from wavefield.store.preview import read_steps, read_thinned, thinning
 from wavefield.store.read import open_group, read_array, read_layout
 from wavefield.store.store_paths import beside
-from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
+from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus
 
 if TYPE_CHECKING:  # slow to import: the first map does not need it
-    import xarray as xr
-
     from wavefield.pipeline import Run
 
 MISSING = -32768
@@ -109,26 +107,12 @@ class CubeRecord:
         return out
 
     def _derived(self, name: str, step: int) -> NDArray[np.float32]:
-        """A variable that `kinematic_fields` derives, at one step: time derivatives need its neighbours."""
-        import xarray as xr
+        """A variable that `terms` derives, at one step."""
+        from wavefield.waves.motion import terms
 
-        from wavefield.waves.motion import kinematic_fields
-
-        if self.layout.steps < 2:
-            return np.full((self.y.size, self.x.size), np.nan, np.float32)
-        first, last = max(step - 1, 0), min(step + 2, self.layout.steps)
-        fields = {n: (CUBE_DIMS, np.array([self.field(n, k) for k in range(first, last)])) for n in BALANCE}
-        coords = {"time": self.time[first:last], "y": self.y, "x": self.x}
-        cube = self.annotated(xr.Dataset(fields, coords))
-        return np.asarray(kinematic_fields(cube)[name].values[step - first])
-
-    def annotated(self, dataset: "xr.Dataset") -> "xr.Dataset":
-        """Values of this cube with units, names and the length of its paths."""
-        if "path_frames" in self.group:
-            frames = read_array(self.group, self.path, "path_frames")
-            dataset = dataset.assign_coords(path_frames=frames.astype(np.uint8))
-        out: xr.Dataset = annotate(dataset)
-        return out
+        fields = {stored: self.field(stored, step) for stored in BALANCE}
+        dy, dx = (float(np.mean(np.diff(axis))) for axis in (self.y, self.x))
+        return terms(fields, dy, dx)[name]
 
 
 class Preview:

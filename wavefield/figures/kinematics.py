@@ -26,15 +26,13 @@ _COHERENCES = {"w": "z_t with w", "nl": "z_t with −u·∇z", "tot": "z_t with 
 _TERMS = {"nonlinear": "nonlinear term u·∇z", "residual": "residual z_t − w + u·∇z"}
 
 
-def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figure:
+def kinematics_maps(snapshot: xr.Dataset) -> Figure:
     """Elevation, vertical velocity, nonlinear term and residual at one moment.
 
     Parameters
     ----------
     snapshot : Dataset, (y, x)
         One step of a cube with z (m) and z_t, u, v, w (m s-1).
-    cube : Dataset, (time, y, x), optional
-        As `wavefield.waves.kinematics_at` takes it.
 
     Returns
     -------
@@ -51,7 +49,7 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     title = f"elevation, {moment_title(snapshot)}"
     draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=title)
     draw_map(axes[0, 1], snapshot.w, "w (cm s⁻¹)", factor=100, title="vertical velocity")
-    terms = kinematics_at(snapshot, cube)
+    terms = kinematics_at(snapshot)
     half = 100 * limit(terms.nonlinear)
     for ax, (name, title) in zip(axes[1], _TERMS.items(), strict=True):
         draw_map(ax, terms[name], "cm s⁻¹", factor=100, scale=(-half, half), title=title)

@@ -91,11 +91,11 @@ def spectra(run: Run) -> ReportSection:
     return section
 
 
-def kinematics_picture(snap: xr.Dataset, cube: xr.Dataset) -> Picture:
+def kinematics_picture(snap: xr.Dataset) -> Picture:
     """The terms of the kinematic condition at one step (y, x) of a cube, beside z and w."""
-    terms = kinematics_at(snap, cube)
+    terms = kinematics_at(snap)
     return Picture(
-        figures.kinematics_maps(snap, cube),
+        figures.kinematics_maps(snap),
         "Elevation, vertical velocity, the nonlinear term u·∇z, and the residual z_t − w + u·∇z, at one "
         "moment; the last two share one colour scale.",
         f"Four maps. Rms of w {100 * rms_of(snap.w):.3g} cm/s, of the nonlinear term "
@@ -130,7 +130,7 @@ def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
 
 def nonlinearity(run: Run) -> ReportSection:
     """The kinematic condition."""
-    maps = kinematics_picture(snapshot(run.cube), run.cube)
+    maps = kinematics_picture(snapshot(run.cube))
     section = ReportSection("Nonlinear term and coherence", [maps], folded=True)
     coherence, kinematics = run.wave_group("coherence"), run.wave_group("kinematics")
     if coherence is not None:

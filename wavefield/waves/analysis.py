@@ -122,9 +122,8 @@ class _Chain:
             out.survey_sums, moments.sums_of(surveyed, self.scale, record.dy, record.dx)
         )
         out.balance_rows += [
-            {"step": float(start + i)}
-            | motion.balance(fields, i, record.dt, record.dy, record.dx, welch.frames, welch.current)
-            for i in range(1, fields["z"].shape[0] - 1)
+            {"step": float(start + i)} | motion.balance(fields, i, record.dy, record.dx, welch.current)
+            for i in range(fields["z"].shape[0])
             if (start + i) % self.every == 0
         ]
         apart = [max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx)]

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
-from wavefield.variables import INSTANTANEOUS, annotate, validate
+from wavefield.variables import annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.current import delayed_current
 from wavefield.waves.dof import (
@@ -23,8 +23,7 @@ from wavefield.waves.dof import (
     ring_freedom,
     with_interval,
 )
-from wavefield.waves.gains import correction, from_moving_frame, with_directions
-from wavefield.waves.gains import to_frame_time as frame_time_factor
+from wavefield.waves.gains import correction, to_frame_time, with_directions
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
@@ -48,7 +47,7 @@ Array = NDArray[Any]
 
 # fields of the cube that each spectral name is made of
 SOURCES = {
-    "z": ("z", "z_t"),
+    "z": ("z",),
     "z_t": ("z_t",),
     "rise": ("z", "z_t", "u", "v"),
     "u": ("u",),
@@ -80,8 +79,6 @@ class _Advection:
     def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
         self.name = name
         record = welch.record
-        # velocities along paths are those at mid-time, as z is; a displacement goes with its frames' mean
-        slope = record.dt / 16 if welch.frames == 2 else 0.0
         self.fields = [np.ascontiguousarray(fields[name]) for name in ("z", "z_t", "u", "v")]
         self.shape, self.dtype = self.fields[0].shape, self.fields[0].dtype
         real = self.dtype.type
@@ -89,15 +86,15 @@ class _Advection:
             velocity = self.fields[i]
             self.fields[i] = velocity - real(mean) if name == "nl" else np.full_like(velocity, mean)
         self.points = np.empty((NODES_PER_AXIS**2, self.shape[0]), self.dtype)
-        self.distances = real(slope), real(record.dt / 2), record.dy, record.dx
+        self.distances = record.dy, record.dx
 
     def __getitem__(self, steps: slice) -> Array:
         first, end, _ = steps.indices(self.shape[0])
         out = np.empty((end - first, *self.shape[1:]), self.dtype)
-        arguments = *self.fields, first, *self.distances, out
-        kernels.advection(*arguments)
+        z, z_t, u, v = self.fields
+        kernels.advection(z, u, v, first, *self.distances, out)
         if self.name == "rise":
-            out += self.fields[1][first:end]
+            out += z_t[first:end]
         self.points[:, first:end] = some_nodes(out)
         return out
 
@@ -110,7 +107,7 @@ def transforms(
 ) -> dict[str, Array]:
     """Spatial transforms, (cells, steps), of half a segment of fields (steps, ny, nx); the fields are
     released.
-    z is still at mid-time. ``memory`` holds earlier transforms, which are overwritten.
+    ``memory`` holds earlier transforms, which are overwritten.
     """
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
@@ -118,10 +115,9 @@ def transforms(
         advection = _Advection(fields, welch, name)
         out[name] = transform_space(advection, memory.get(name))
         out[f"points {name}"] = advection.points
-    requested = {*names} - {*advected} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)
-        if name in requested:
+        if name in names:
             out[f"points {name}"] = some_nodes(block)
             out[name] = transform_space(block, memory.get(name))
     return out
@@ -151,27 +147,19 @@ def add_segment(
     table, dt, names = welch.table, welch.record.dt, requested.names
     cells, half = first[names[0]].shape
     dtype = first[names[0]].dtype
-    transform = TimeTransform(half, dtype, len(names) + 1)
+    transform = TimeTransform(half, dtype, len(names))
     powers = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
     before = {f"{a}*{b}": sums[f"{a}*{b}"].copy() for a, b in requested.pairs if "nl" in (a, b)}
     omega = 2 * np.pi * np.fft.fftfreq(2 * half, dt)  # signed
-    to_frame_time = frame_time_factor(omega, dt, welch.frames, welch.z_frames).astype(dtype)
     k = half_plane(*welch.record.shape, welch.record.dy, welch.record.dx)
     quadrature = [factor.astype(first[names[0]].real.dtype) for factor in _quadrature(omega * dt / 2)]
     for slab in slabs(cells):
         start = table.start[slab.start : slab.stop + 1]
         lines = {}
         for i, name in enumerate(names):
-            halves = first[name][slab], second[name][slab]
-            if name == "z" and welch.frames == 2:
-                halves = _at_frame_times(first, second, slab, dt)
-            lines[name] = transform(*halves, i)
-            if name == "z" and welch.frames == INSTANTANEOUS:
-                lines[name] *= np.exp(-0.5j * omega * dt).astype(dtype)
-            elif name == "z" and welch.moving:
-                lines[name] *= from_moving_frame(k[slab, None], omega, dt)
-            elif name == "z" and welch.frames != 2:
-                lines[name] += to_frame_time * transform(first["z_t"][slab], second["z_t"][slab], len(names))
+            lines[name] = transform(first[name][slab], second[name][slab], i)
+            if name == "z":
+                lines[name] *= to_frame_time(k[slab, None], omega, dt, welch.frames)
             kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, powers[name])
             if name in requested.planes:
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
@@ -206,19 +194,6 @@ def _quadrature(b: Array) -> tuple[Array, Array]:
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
     return -np.sin(np.abs(b)), imaginary
-
-
-def _at_frame_times(
-    first: Mapping[str, Array], second: Mapping[str, Array], slab: slice, dt: float
-) -> tuple[Array, Array]:
-    """z of both halves of a segment at frame times, exactly, from z and z_t at mid-time."""
-    dtype, steps = first["z"].dtype, first["z"].shape[1]
-    real = dtype.type(0).real.dtype
-    halves = [part[name].T.view(real) for name in ("z", "z_t") for part in (first, second)]
-    starts = [np.empty((steps, slab.stop - slab.start), dtype) for _ in range(2)]
-    arguments = *halves, real.type(dt), 2 * slab.start, *(part.view(real) for part in starts)
-    kernels.frames(*arguments)
-    return starts[0].T, starts[1].T
 
 
 _MEASURED = {"z_t": "z"}  # the response to differences of elevations is that to elevations

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from wavefield.errors import StoreError
-from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
+from wavefield.variables import AROUND, INSTANTANEOUS, PATH_WEIGHTS, annotate
 from wavefield.water import dispersion
 from wavefield.waves.welch import (
     k_coords,
@@ -90,26 +90,16 @@ def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
     return factor
 
 
-def to_frame_time(omega: Array, dt: float, frames: int, z_frames: int = 4) -> Array:
-    """Factor T such that z + T z_t is the elevation at the step's first frame, for exp(+i omega t).
-    T is in seconds, omega in rad/s.
+def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
+    """Factor from z at mid-time to z at the step's first frame; ``frames`` is the cube's `path_frames`.
+    Measured z are interpolated from six frames, in a frame moving with the mean flow, in which a free wave
+    turns by sigma(k) dt per frame: their gain is undone up to a factor 2.
     """
-    # with d differences over dt the mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) of four frames,
-    # z + (dt / 256) [22 (d(k+1) - d(k-1)) - 3 (d(k+2) - d(k-2))] of six
-    if z_frames == 6:
-        mean = dt / 128 * 1j * (22 * np.sin(omega * dt) - 3 * np.sin(2 * omega * dt))
-    else:
-        mean = dt / 8 * 1j * np.sin(omega * dt)
-    return np.asarray((mean - dt / 2) / path_factor(omega, dt, frames))
-
-
-def from_moving_frame(k: Array, omega: Array, dt: float) -> Array:
-    """Factor from z at mid-time, in a frame moving with the mean flow, to z at the step's first frame.
-    In the moving frame a free wave turns by sigma(k) dt per frame; the gain of six frames is undone up to a
-    factor 2.
-    """
-    amplitude = np.sqrt(gain_frame_mean(dispersion(np.asarray(k, float)), dt, 6))
-    return np.asarray(np.exp(-0.5j * omega * dt) / np.maximum(amplitude, MIN_AMPLITUDE))
+    start = np.exp(-0.5j * omega * dt)
+    if frames <= 2:  # fields of another program
+        return np.asarray(start)
+    amplitude = np.sqrt(gain_frame_mean(dispersion(np.asarray(k, float)), dt, 2 * AROUND + 2))
+    return np.asarray(start / np.maximum(amplitude, MIN_AMPLITUDE))
 
 
 def gain_displacement(omega: Values, dt: float, frames: int = 2) -> Values:

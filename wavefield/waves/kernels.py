@@ -69,41 +69,6 @@ def join(first: Array, second: Array, window: Array, out: Array) -> None:
 
 
 @_loose
-def frames(
-    z_first: Array,
-    z_second: Array,
-    rate_first: Array,
-    rate_second: Array,
-    dt: float,
-    begin: int,
-    first: Array,
-    second: Array,
-) -> None:
-    """Elevation at the first frame of each step of a segment, from mid-time elevation and rate of rise.
-
-    z_0 = z + (dt / 16)(z_t after - z_t before) - (dt / 2) z_t, exact for z = (9 (z_0 + z_1) - z_-1 - z_2) /
-    16. The first and last step follow from their neighbour by z_t alone: nothing outside the segment is
-    needed, and the mid-time z at the ends of a record, which had no fourth frame, is not used. All (n / 2,
-    columns).
-    """
-    half, columns = first.shape
-    end = begin + columns
-    slope = dt / 16
-    rise = dt / 2
-    for i in range(1, 2 * half - 1):
-        z = (z_first[i] if i < half else z_second[i - half])[begin:end]
-        before = (rate_first[i - 1] if i <= half else rate_second[i - half - 1])[begin:end]
-        rate = (rate_first[i] if i < half else rate_second[i - half])[begin:end]
-        after = (rate_first[i + 1] if i < half - 1 else rate_second[i + 1 - half])[begin:end]
-        out = first[i] if i < half else second[i - half]
-        for c in range(columns):
-            out[c] = z[c] + slope * (after[c] - before[c]) - rise * rate[c]
-    for c in range(columns):
-        first[0, c] = first[1, c] - dt * rate_first[0, begin + c]
-        second[half - 1, c] = second[half - 2, c] + dt * rate_second[half - 2, begin + c]
-
-
-@_loose
 def _add_row(row: Array, factor: float, out: Array) -> None:
     for j in range(row.size):
         out[j] += factor * row[j]
@@ -265,47 +230,22 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 
 
 @_fast
-def two_frame_mean(z: Array, z_t: Array, t: int, slope: float, rise: float, out: Array) -> None:
-    """Mean elevation (y, x) of the two frames of a step, from z and z_t as in `frames`."""
-    last = z.shape[0] - 1
-    if last < 2:
-        out[:] = z[t]
-        return
-    i = min(max(t, 1), last - 1)
-    for r in range(z.shape[1]):
-        here, before, now, after, to = z[i, r], z_t[i - 1, r], z_t[i, r], z_t[i + 1, r], out[r]
-        for c in range(here.size):
-            to[c] = here[c] + slope * (after[c] - before[c])
-        if t == 0:
-            for c in range(here.size):
-                to[c] -= rise * (before[c] + now[c])
-        elif t == last:
-            for c in range(here.size):
-                to[c] += rise * (now[c] + after[c])
-
-
-@_fast
 def advection(
     z: Array,
-    z_t: Array,
     u: Array,
     v: Array,
     first: int,
-    slope: float,
-    rise: float,
     dy: float,
     dx: float,
     out: Array,
 ) -> None:
     """Nonlinear term u . grad z of the steps (y, x) from ``first`` on, the gradient that of `gradient`."""
-    mean = np.empty(z.shape[1:], z.dtype)
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
     for t in range(out.shape[0]):
-        two_frame_mean(z, z_t, first + t, slope, rise, mean)
         for i in range(z.shape[1]):
-            _along(mean[i], 1 / dx, z_x)
-            _across(mean, i, 1 / dy, z_y)
+            _along(z[first + t, i], 1 / dx, z_x)
+            _across(z[first + t], i, 1 / dy, z_y)
             a = u[first + t, i]
             b = v[first + t, i]
             to = out[t, i]

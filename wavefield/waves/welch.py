@@ -347,8 +347,6 @@ class Welch:
     # Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle
     dk: float | None = None
     frames: int = 2  # `path_frames` of velocities and z_t (`transfer.path_factor`)
-    z_frames: int = 4  # Frames that z comes from (`transfer.to_frame_time`)
-    moving: bool = False  # Whether z is interpolated in time in a frame that moves with the mean flow
     # Mean current along x and y that nonlinear quantities are relative to, m/s
     current: tuple[float, float] = (0.0, 0.0)
     depth: float = np.inf  # of the water, m: with it, how fast waves cross the rectangle
@@ -364,8 +362,7 @@ class Welch:
         """Lay segments over fields, with rings of width dk, rad/m."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
-        frames = frames_of(fields), frames_of_z(fields), moves_with_flow(fields)
-        return cls(record, length, dk, *frames, depth=water_of(fields.attrs)[0])
+        return cls(record, length, dk, frames_of(fields), depth=water_of(fields.attrs)[0])
 
     @cached_property
     def count(self) -> int:
@@ -543,23 +540,6 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
             f" {frames_of_path(frames_of(cube))} frames: leave velocity out"
         )
     return cube.assign_coords(path_frames=np.uint8(frames)), ""
-
-
-def along_paths(fields: xr.DataArray | xr.Dataset) -> bool:
-    """Whether the velocities of a cube are those at mid-time; of a lazy one nothing is computed."""
-    return "path_frames" in with_stated(fields).coords or frames_of(fields) != 2
-
-
-def frames_of_z(fields: xr.DataArray | xr.Dataset) -> int:
-    """Frames that the elevations of a cube come from: 6, or 4 where it does not state it."""
-    if not hasattr(fields, "data_vars"):
-        return int(fields.attrs.get("frames", 4)) if fields.name == "z" else 4
-    return int(fields["z"].attrs.get("frames", 4)) if "z" in fields else 4
-
-
-def moves_with_flow(fields: xr.DataArray | xr.Dataset) -> bool:
-    """Whether the elevations of a cube are interpolated in time in a frame that moves with the mean flow."""
-    return hasattr(fields, "data_vars") and "z" in fields and bool(fields["z"].attrs.get("moving", 0))
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
