@@ -37,7 +37,7 @@ def test_products_record_the_current_that_they_used():
     sea = Sea(current=(0.1, 0.05), depth=0.7, shape=(360, 40, 48), dx=0.03, seed=5)
     waves = analysed(sea, fit={"highest": 4.0})
     fit = waves["dispersion"]
-    for group in ("fusion", "direction", "directional"):
+    for group in ("fusion", "direction"):
         attrs = waves[group].attrs
         assert attrs["current_source"] == "fit"
         assert attrs["current"] == [float(fit["current_x"]), float(fit["current_y"])]

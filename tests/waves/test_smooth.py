@@ -115,22 +115,15 @@ def test_gaps_and_lost_steps_keep_the_cubes_own_values_and_mislead_no_neighbours
         assert two > 0.9, name
 
 
-@pytest.mark.slow
-def test_steps_beyond_a_jump_of_time_do_not_mislead():
-    truth = exact(0, steps=71, rate=100.0).drop_isel(time=52)  # windows have ten steps on either side
-    truth["time"] = np.arange(70) / 100.0
-    cube = measured(truth, 0)
-    status = xr.DataArray(np.ones(70, np.uint8), dims="time")
-    status[50:55] = FrameStatus.DISCONTINUOUS
+def test_steps_beside_a_jump_of_time_keep_the_cubes_own_values():
+    cube = measured(exact(0, steps=14), 0)
+    status = xr.DataArray(np.full(14, FrameStatus.DONE, np.uint8), dims="time")
+    status[9] = FrameStatus.DISCONTINUOUS
     there = status == FrameStatus.DONE
     cube = cube.where(there).assign(quality=cube.quality.where(there, 0), frame_status=status)
-    beside = {"time": slice(42, 63)}
-    for name, (ratio, one, two) in judge(
-        wf.smooth(cube).isel(beside), cube.isel(beside), truth.isel(beside)
-    ).items():
-        assert ratio < 0.3, name  # 0.7 with the steps beyond
-        assert one > 0.65, name
-        assert two > 0.95, name
+    same = (wf.smooth(cube).u == cube.u.astype(np.float32)).all(("y", "x")).values
+    assert same[[7, 8, 10, 11]].all()
+    assert not same[2:7].any()
 
 
 def test_results_do_not_depend_on_chunks():

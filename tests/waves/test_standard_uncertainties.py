@@ -48,21 +48,6 @@ def test_errors_are_those_that_are_stated(seas, name):
     assert 0.5 < (np.abs(together) < 1).mean() < 0.86
 
 
-def test_the_slope_of_waves_of_three_nodes_is_that_of_the_sea():
-    sea = Sea(lowest=1.2, highest=4.15, slope=2.5, shape=(64, 60, 60), dx=0.03, waves=400)
-    kx, ky, a = sea.components()
-    k = np.hypot(kx, ky)
-    assert 3.0 < 2 * np.pi / k.max() / sea.dx < 3.3
-    true = 0.0  # exact slopes of the same waves at the same nodes
-    x = np.arange(60) * sea.dx
-    for part in (kx, ky):
-        turned = 1j * part * a * np.exp(-1j * np.outer(np.arange(64) * sea.dt, still_frequency(k, sea.depth)))
-        ey, ex = np.exp(1j * np.outer(x, ky)), np.exp(1j * np.outer(kx, x))
-        true += (np.stack([((ey * t) @ ex).real for t in turned]) ** 2).mean()
-    found = wf.statistics(sea.cube(("z",)))
-    assert float(found.mean_square_slope) == pytest.approx(true, rel=0.02)
-
-
 def test_a_peak_lies_between_lines_and_is_as_certain_as_its_neighbours_differ():
     omega, every, dof = np.arange(60) * 0.4, np.ones(60, bool), np.full(60, 60.0)
     sharp, broad = (np.exp(-(((omega - 9.31) / width) ** 2)) for width in (0.5, 3.0))

@@ -248,12 +248,13 @@ def directions(direction: xr.Dataset) -> Figure:
     Figure
     """
     figure, [[left, right]] = panels(2)
-    densities = zip(direction.omega_map.values / (2 * np.pi), direction.D.transpose("omega_map", "theta"))
-    curves = {f"{frequency:.2f} Hz": D.values for frequency, D in densities}
+    known = direction.D.dropna("frequency").transpose("frequency", "theta")
+    chosen = known[np.unique(np.linspace(0, len(known) - 1, 4).astype(int))] if len(known) else known
+    curves = {f"{float(one.frequency):.2f} Hz": one.values for one in chosen}
     draw_curves(left, np.degrees(direction.theta.values), curves, LINES[1:])
     left.axhline(1 / (2 * np.pi), color="0.3", linewidth=0.8)
     finish(left, "direction of travel (degrees from x)", "density (rad⁻¹)", ylim=(0, None))
-    right.plot(hertz(direction), direction.isotropy.values, **LINES[1])
+    right.plot(direction.frequency.values, direction.isotropy.values, **LINES[1])
     finish(right, HERTZ, "isotropy (1: no direction is preferred)", ylim=(0, 1.05))
     return figure
 

@@ -199,9 +199,7 @@ GROUPS = {
     "statistics": "Distributions and moments of z and of the displacements over one step.",
     "dispersion": "Only the theory where the dispersion relation could not be fitted.",
     "fusion": "Noise of stereo and of the integrated w, and their best combination.",
-    "direction": "On the ridge. `isotropy` has its own omega.",
-    "directional": "E(f, theta) of the elevation for wavespectra:"
-    " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Missing where the dispersion"
-    " relation could not be fitted.",
+    "direction": "On the ridge, at all frequencies that segment and grid resolve; NaN below the noise."
+    " wavespectra reads it: `xarray.open_dataset(store, engine='zarr', group='direction').spec`.",
     "higher_order": "Missing where the record holds fewer than four segments.",
 }

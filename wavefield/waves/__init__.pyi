@@ -1,7 +1,7 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.analysis import analyze
-from wavefield.waves.bicoherence import HigherOrderSettings, higher_order
+from wavefield.waves.bicoherence import higher_order
 from wavefield.waves.crests import crest_statistics
 from wavefield.waves.cross import coherence, cross_spectra, plane_coherence
 from wavefield.waves.direction import directions
@@ -10,7 +10,6 @@ from wavefield.waves.dispersion_points import FitSettings
 from wavefield.waves.elevation import fused_spectra
 from wavefield.waves.gains import (
     elevation_from_w,
-    gain_displacement,
     gain_frame_mean,
     read_gain,
 )
@@ -33,7 +32,6 @@ __all__ = [
     "E_k",
     "E_omega",
     "FitSettings",
-    "HigherOrderSettings",
     "Record",
     "analyze",
     "coherence",
@@ -46,7 +44,6 @@ __all__ = [
     "find_record",
     "fit_dispersion",
     "fused_spectra",
-    "gain_displacement",
     "gain_frame_mean",
     "group_velocity",
     "higher_order",

@@ -3,8 +3,6 @@
 Kernels take Fourier lines Z (frequencies, samples), samples being segments times points.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import xarray as xr
 from scipy import fft, special
@@ -95,49 +93,29 @@ def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.n
     return np.asarray(z * np.repeat(phase, points, axis=1))
 
 
-@dataclass(frozen=True)
-class HigherOrderSettings:
-    """Band, number of lines and surrogates of the higher-order spectra.
-
-    Parameters
-    ----------
-    highest : float
-        Highest frequency, Hz.
-    lines : int
-        At most so many Fourier lines: the segment is shortened to that.
-    surrogates : int
-        Number of surrogates for the significance.
-    chance : float
-        Share of surrogates above the level.
-    samples : int
-        At most so many segments times points: of more points every second, third ... is taken.
-    """
-
-    highest: float = 5.0
-    lines: int = 48
-    surrogates: int = 12
-    chance: float = 0.05
-    samples: int = 4000
+HIGHEST_HZ = 5.0  # waves of 6 cm: shorter ones are mostly noise
+LINES = 48  # Fourier lines at most, as the work grows with their cube: the segment is shortened to that
+SURROGATES = 12  # their mean and scale, widened as Student's distribution is, give levels of 5 % chance
+CHANCE = 0.05  # share of surrogates above the level
+SAMPLES = 4000  # segments times points at most: of more points every second, third ... is taken
 
 
-def _level_of_one(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
+def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
     """Level of a coherence whose square without coupling has the mean 1 / N (`significance_level`)."""
     mean = np.mean(np.square(surrogates), axis=0)
-    return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), chance)))
+    return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), CHANCE)))
 
 
-def _level_of_largest(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
+def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
     """Level of the largest of many coherences, which follows Gumbel's distribution."""
-    quantile, count = -np.log(-np.log(1 - chance)), len(surrogates)
+    quantile, count = -np.log(-np.log(1 - CHANCE)), len(surrogates)
     # mean and scale of few surrogates are uncertain: wider as Student's distribution is
-    wider = special.stdtrit(count - 1, 1 - chance) / special.ndtri(1 - chance) * np.sqrt(1 + 1 / count)
+    wider = special.stdtrit(count - 1, 1 - CHANCE) / special.ndtri(1 - CHANCE) * np.sqrt(1 + 1 / count)
     scale = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi * wider
     return np.asarray(np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * scale, 1.0))
 
 
-def higher_order(
-    series: np.ndarray, dt: float, segment: int, settings: HigherOrderSettings | None = None
-) -> xr.Dataset:
+def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
     """Bicoherence and tricoherence of time series at some points, with their significance.
 
     Parameters
@@ -148,8 +126,6 @@ def higher_order(
         Time step, s.
     segment : int
         Steps of a segment.
-    settings : HigherOrderSettings, optional
-        Band and surrogates.
 
     Returns
     -------
@@ -168,18 +144,17 @@ def higher_order(
     surrogates keep the correlation in space, which makes the number of independent samples less than segments
     times points.
     """
-    settings = settings or HigherOrderSettings()
-    count = min(segment // 2 + 1, int(settings.highest * segment * dt) + 1)
-    if count > settings.lines:
-        segment = max(int(segment * settings.lines / count) // 2 * 2, 16)
-        count = min(segment // 2 + 1, int(settings.highest * segment * dt) + 1)
+    count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
+    if count > LINES:
+        segment = max(int(segment * LINES / count) // 2 * 2, 16)
+        count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if segment_count(series.shape[0], segment) < 2:
         raise CubeError("higher-order spectra need two segments at least: choose a shorter segment")
-    allowed = max(settings.samples // segment_count(series.shape[0], segment), 1)
+    allowed = max(SAMPLES // segment_count(series.shape[0], segment), 1)
     series = series[:, :: -(-series.shape[1] // allowed)]
     z = fourier_lines(series, segment, count)
     rng = np.random.default_rng(0)
-    surrogates = [shuffle_phases(z, series.shape[1], rng) for _ in range(settings.surrogates)]
+    surrogates = [shuffle_phases(z, series.shape[1], rng) for _ in range(SURROGATES)]
     bi = [bicoherence_of(surrogate) for surrogate in surrogates]
     # lines beyond the ends of a sea hold what the window spreads of the same strong waves
     chance = np.mean([correlations_of(surrogate) for surrogate in surrogates], axis=0)
@@ -191,16 +166,16 @@ def higher_order(
     dims = ("omega1", "omega2")
     pairs = {
         "bicoherence": bicoherence_of(z),
-        "bicoherence_level": _level_of_one(bi, settings.chance),
+        "bicoherence_level": _level_of_one(bi),
         "tricoherence": tricoherence,
-        "tricoherence_level": _level_of_largest(tri, settings.chance),
+        "tricoherence_level": _level_of_largest(tri),
         "tricoherence_omega3": np.where(partner >= 0, omega[np.maximum(partner, 0)], np.nan),
     }
     out = xr.Dataset(
         {name: (dims, array) for name, array in pairs.items()}, {name: (name, omega) for name in dims}
     )
     out["bicoherence_samples"] = ((), z.shape[1])
-    out.attrs = {"segment": segment, "surrogates": settings.surrogates}
+    out.attrs = {"segment": segment, "surrogates": SURROGATES}
     return annotate(out, "higher_order")
 
 

@@ -100,16 +100,4 @@ def _current(dispersion: xr.Dataset, fit_settings: tuple[object, tuple[float, fl
     return current_used(dispersion, fit_settings[1])
 
 
-def _fitted_or_given(current: CurrentUsed) -> CurrentUsed | None:
-    return None if current.source == NO_CURRENT else current
-
-
-def _fitted(current: CurrentUsed) -> CurrentUsed | None:
-    return current if current.source == FITTED else None
-
-
-register(
-    WaveProduct("current", ("dispersion_fit", "fit_settings"), _current),
-    WaveProduct("fitted_or_given_current", ("current",), _fitted_or_given),
-    WaveProduct("fitted_current", ("current",), _fitted),
-)
+register(WaveProduct("current", ("dispersion_fit", "fit_settings"), _current))

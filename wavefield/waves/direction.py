@@ -12,13 +12,13 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import rings
-from wavefield.waves.current import CurrentUsed
+from wavefield.waves.current import NO_CURRENT, CurrentUsed
 from wavefield.waves.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_points import HALF_WIDTH, MIN_HALF_WIDTH, SHORTEST_WAVES, PlaneSpectrum
 from wavefield.waves.dof import correlation_at, expected_segment_correlation
 from wavefield.waves.gains import elevation_from_w
 from wavefield.waves.inputs import is_cube
-from wavefield.waves.products import WaveProduct, register
+from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.spectra import plane_of
 from wavefield.waves.welch import Welch, frames_of, interval
 
@@ -130,7 +130,7 @@ def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[floa
 
 
 BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
-SECTORS = 36  # of the group `directional`: ten degrees, as wave models have them
+SECTORS = 36  # of the group `direction`: ten degrees, as wave models have them
 BANDWIDTH_HZ = 0.2
 STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
 LOWEST_HZ = 0.5  # the integrated w holds little but drift below
@@ -288,18 +288,34 @@ def directions(
     if frequency is None:
         frequency, step = resolved_frequencies(plane, depth, gamma)
         bandwidth = step * (1 - 1e-9) if bandwidth is None else bandwidth  # a line at either end counts once
+    bandwidth = BANDWIDTH_HZ if bandwidth is None else bandwidth
+    return _directions(plane, frequency, (depth, gamma), current, sectors, dof, bandwidth)
+
+
+def _directions(
+    plane: xr.DataArray,
+    frequency: Sequence[float] | Array,
+    water: tuple[float, float],
+    current: tuple[float, float],
+    sectors: int,
+    dof: float | None,
+    bandwidth: float,
+) -> xr.Dataset:
+    """As `directions`, of E(omega, ky, kx)."""
     found = sector_spectrum(
         plane,
         frequency,
-        depth,
+        water[0],
         current=current,
         sectors=sectors,
         dof=dof,
-        gamma=gamma,
-        bandwidth=BANDWIDTH_HZ if bandwidth is None else bandwidth,
+        gamma=water[1],
+        bandwidth=bandwidth,
     )
-    clear = above_noise(plane, found, (depth, gamma), current)
-    return only_at(found, clear).assign(oceanographic(found)[["efth"]])
+    clear = xr.DataArray(above_noise(plane, found, water, current), dims="frequency")
+    # energies are kept
+    known = {name: found[name].where(clear) for name in found if name != "energy"}
+    return found.assign(known).assign(efth=oceanographic(found))
 
 
 def elevation_density(density: xr.DataArray, current: tuple[float, float], frames: int) -> xr.DataArray:
@@ -349,32 +365,16 @@ def above_noise(
     return np.asarray(out)
 
 
-def only_at(found: xr.Dataset, there: NDArray[np.bool_]) -> xr.Dataset:
-    """Directions and spreads at the selected frequencies, NaN at the others; energies are kept."""
-    known = xr.DataArray(there, dims="frequency")
-    return found.assign({name: found[name].where(known) for name in found if name != "energy"})
-
-
-def oceanographic(found: xr.Dataset) -> xr.Dataset:
-    """Directional spectrum and its moments as oceanographers write them: degrees, where waves come from."""
+def oceanographic(found: xr.Dataset) -> xr.DataArray:
+    """Directional spectrum as oceanographers write it: over degrees where waves come from."""
     compass = (270 - np.degrees(found["theta"].values)) % 360
     order = np.argsort(compass)
     energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
-    out = xr.Dataset(
-        {
-            "efth": (("freq", "dir"), energy),
-            "dof": (("freq", "dir"), found["dof"].values[:, order]),
-            "mean_direction": ("freq", (270 - np.degrees(found["direction"].values)) % 360),
-            "directional_spread": ("freq", np.degrees(found["spread"].values)),
-            "r1": ("freq", found["r1"].values),
-            "r2": ("freq", found["r2"].values),
-        },
-        {"freq": ("freq", found["frequency"].values), "dir": ("dir", compass[order])},
-    )
-    out = annotate(out, "directional")
-    out["efth"].attrs["comment"] = (
+    coords = {"freq": found["frequency"].values, "dir": compass[order]}
+    out = annotate(xr.Dataset({"efth": (("freq", "dir"), energy)}, coords), "direction")["efth"]
+    out.attrs["comment"] = (
         "as blurred by the windows: a spread computed from it, such as dspr of wavespectra, is too large;"
-        " directional_spread has the blur taken off"
+        " spread has the blur taken off"
     )
     return out
 
@@ -476,81 +476,29 @@ def _label(
     return annotate(out, "direction")
 
 
-def _with_error_of_current(
-    found: xr.Dataset, density: xr.DataArray, used: CurrentUsed, water: tuple[float, float]
-) -> xr.Dataset:
-    """Add to directions and spreads the uncertainty that follows from that of the current."""
-    out = found.copy()
-    for i, std in enumerate(used.std):
-        if not std > 0:
-            continue
-        moved = list(used.velocity)
-        moved[i] += std
-        other = sector_spectrum(
-            density, found["frequency"].values, water[0], current=(moved[0], moved[1]), gamma=water[1]
-        )
-        for name in ("direction", "spread"):
-            apart = np.angle(np.exp(1j * (other[name].values - found[name].values)))
-            out[f"{name}_std"] = np.hypot(out[f"{name}_std"], apart).clip(max=UNIFORM_STD)
-    return out
-
-
 def direction_group(
-    density: xr.DataArray, chosen: list[int], used: CurrentUsed, depth: float, gamma: float, welch: Welch
-) -> xr.Dataset:
-    """Group `direction`: directions at the frequencies of the maps, isotropy at all frequencies."""
-    current, dof = used.velocity, welch.dof
-    lines = density["omega"].values / (2 * np.pi)
-    out = sector_spectrum(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
-    clear = above_noise(density, out, (depth, gamma), current)
-    out = only_at(_with_error_of_current(out, density, used, (depth, gamma)), clear)
-    out = out[["D", "dof", "low", "high", "direction", "direction_std", "spread", "spread_std"]]
-    out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")})
-    out = out.assign_coords(frequency=2 * np.pi * out["frequency"]).rename(frequency="omega_map")
-    highest = min(0.9 * lines[-1], dispersion(0.7 * float(density["kx"].max()), depth, gamma) / (2 * np.pi))
-    frequencies = np.arange(max(0.5, 2 * lines[1]), highest, 0.25)
-    if frequencies.size:
-        isotropy = sector_spectrum(density, frequencies, depth, current=current, gamma=gamma)[
-            "isotropy"
-        ].values
-        out = out.assign_coords(omega=2 * np.pi * frequencies).assign(isotropy=("omega", isotropy))
-    return annotate(out, "direction").assign_attrs(used.attrs)
-
-
-def directional_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
-) -> xr.Dataset:
-    """Group `directional`: E(f, theta) of the elevation in the form of wavespectra."""
+) -> xr.Dataset | Noted:
+    """Group `direction`: as `directions`, at all frequencies that segment and grid resolve."""
     elevation = elevation_density(density, used.velocity, welch.frames)
     frequency, step = resolved_frequencies(density, depth, gamma)
-    found = sector_spectrum(
-        elevation,
-        frequency,
-        depth,
-        current=used.velocity,
-        sectors=SECTORS,
-        dof=welch.dof,
-        gamma=gamma,
-        bandwidth=step * (1 - 1e-9),  # a line at either end counts once
-    )
-    current = {f"current_{axis}": speed for axis, speed in zip("xy", used.velocity)}
-    return oceanographic(found).assign_attrs(current | used.attrs)
+    bandwidth = step * (1 - 1e-9)  # a line at either end counts once
+    out = _directions(elevation, frequency, (depth, gamma), used.velocity, SECTORS, welch.dof, bandwidth)
+    out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")}).assign_attrs(used.attrs)
+    out["energy"].attrs["units"] = "m2 Hz-1"
+    if used.source == NO_CURRENT:
+        notes = ["No directional spectrum of wave heights (efth): the current is not known."]
+        return Noted(out.drop_dims(["freq", "dir"]), notes)
+    return out
 
 
 register(
     WaveProduct(
-        "directional",
-        ("density_w", "depth", "gamma", "fitted_or_given_current", "welch"),
-        directional_group,
-        group="directional",
-        without="No directional spectrum",
-        cost=3,
-    ),
-    WaveProduct(
         "direction",
-        ("density_w", "map_lines", "current", "depth", "gamma", "welch"),
+        ("density_w", "depth", "gamma", "current", "welch"),
         direction_group,
         group="direction",
-        cost=1,
+        without="No directions",
+        cost=3,
     ),
 )

@@ -15,13 +15,12 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of
 from wavefield.waves import rings
 from wavefield.waves.cross import Requested, door, label, lazy_sums
-from wavefield.waves.current import NO_CURRENT, CurrentUsed
-from wavefield.waves.dispersion_fit import fit_dispersion
+from wavefield.waves.current import CurrentUsed, current_used
+from wavefield.waves.dispersion_fit import dispersion_group
 from wavefield.waves.dof import with_interval
 from wavefield.waves.gains import (
     MIN_POWER_GAIN,
@@ -79,25 +78,6 @@ class SpectraOnCurrent:
     w: xr.DataArray  # (omega, ky, kx): spectrum of w
     # (omega, ky, kx): Re(i exp(i omega dt / 2) S), S the cross spectrum of z at frame times with w
     zw: xr.DataArray
-
-    @classmethod
-    def of(
-        cls, sums: dict[str, Array], welch: Welch, water: Water, current: tuple[float, float] | None
-    ) -> "SpectraOnCurrent | None":
-        """From the sums of cross spectra; the current is fitted if not given. None in still water."""
-        w, zw = (
-            plane_density(
-                xr.Variable(("omega", "ky", "kx"), density(sums[f"map {name}"], welch)), "", "1", welch
-            )["E"]
-            for name in ("w", "z*w")
-        )
-        if current is None:
-            try:
-                fit = fit_dispersion(w, water[0], gamma=water[1])
-            except CubeError:
-                return None
-            current = float(fit["current_x"]), float(fit["current_y"])
-        return cls(current, w, zw) if any(current) else None
 
     def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
         """Integrals over angle, each (omega, k): the spectrum of the elevation from w, its cross spectrum
@@ -512,11 +492,10 @@ def fused_spectra(
     cube = door(cube, NAMES)
     welch = Welch.of(cube, segment, record)
     (sums,) = dask.compute(lazy_sums(cube, Requested(NAMES, PAIRS, ("w", *PLANES)), welch))
-    moving = SpectraOnCurrent.of(sums, welch, water, current)
-    if gain is not None:
-        of_w = xr.DataArray(density(sums["map w"], welch), welch.plane, ("omega", "ky", "kx"))
-        gain = with_directions(gain, of_w.sum("omega"))
-    return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
+    w = plane_density(xr.Variable(("omega", "ky", "kx"), density(sums["map w"], welch)), "", "1", welch)["E"]
+    fit = xr.Dataset() if current else dispersion_group(w, welch.table.k, *water)
+    used = current_used(fit, current)
+    return _fused(label(sums, NAMES, PAIRS, welch), sums, welch, w, used, gain, *water)
 
 
 def _fused(
@@ -531,7 +510,7 @@ def _fused(
 ) -> xr.Dataset:
     cross = ring_sums.pop("map z*w")  # large, and of no further use
     moving = None
-    if used.source != NO_CURRENT:
+    if any(used.velocity):
         zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
         moving = SpectraOnCurrent(used.velocity, density_w, zw)
     if gain is not None:

@@ -102,28 +102,6 @@ def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
     return np.asarray(start / np.maximum(amplitude, MIN_AMPLITUDE))
 
 
-def gain_displacement(omega: Values, dt: float, frames: int = 2) -> Values:
-    """Gain of a velocity taken from the displacement over dt, (sin b / b)^2, or along a path.
-
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s.
-    dt : float
-        Time between frames, s.
-    frames : int
-        The cube's `path_frames`: 2 of a displacement, 4, 6 or 7 along a path, 1 of an instantaneous velocity.
-
-    Returns
-    -------
-    array_like
-        Gain of power, 0 to 1.
-    """
-    sinc: Any = np.sinc(omega * dt / (2 * np.pi))
-    gain: Values = (sinc * path_factor(omega, dt, frames)) ** 2
-    return gain
-
-
 def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
     """Factor from the spectrum of w to that of the elevation, (dt / 2)^2 / sin^2 b; infinite at omega = 0.
 

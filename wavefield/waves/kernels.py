@@ -21,7 +21,6 @@ _loose = compiled(fastmath={"reassoc", "contract", "nsz"})
 # and products are rounded before they are subtracted, so that conj(f) f is real
 _rounded = compiled(fastmath={"reassoc", "nsz"})
 _TILE = 8  # steps turned around at once: a line of the cache
-_BATCH = 1024  # values sorted into bins at once
 
 
 @_loose
@@ -253,49 +252,9 @@ def advection(
                 to[j] = a[j] * z_x[j] + b[j] * z_y[j]
 
 
-@_fast
-def slope_square(z: Array, dy: float, dx: float) -> float:
-    """Sum of |grad z|^2 over all nodes and steps, with the gradient of `gradient`."""
-    z_y = np.empty(z.shape[2], z.dtype)
-    z_x = np.empty(z.shape[2], z.dtype)
-    total = 0.0
-    for t in range(z.shape[0]):
-        for i in range(z.shape[1]):
-            _along(z[t, i], 1 / dx, z_x)
-            _across(z[t], i, 1 / dy, z_y)
-            for j in range(z_x.size):
-                total += np.float64(z_x[j]) ** 2 + np.float64(z_y[j]) ** 2
-    return total
-
-
-@_fast
-def histogram(values: Array, mean: float, std: float, reach: float, counts: Array) -> None:
-    """Count values in equal bins of (value - mean) / std from -reach to reach; the rest is left out."""
-    bins = counts.size
-    scale = bins / (2.0 * reach * std)
-    origin = mean - reach * std
-    place = np.empty(_BATCH, np.int32)
-    # neighbours often share a bin: two tables avoid waiting for each other; the last bin is the rest
-    even = np.zeros(bins + 1, np.int64)
-    odd = np.zeros(bins + 1, np.int64)
-    for begin in range(0, values.size, _BATCH):
-        some = values[begin : begin + _BATCH]
-        for i in range(some.size):
-            where = (some[i] - origin) * scale
-            inside = (where >= 0.0) & (where < bins)
-            place[i] = np.int32(where if inside else np.float64(bins))
-        for i in range(some.size // 2):
-            even[np.uint32(place[2 * i])] += 1
-            odd[np.uint32(place[2 * i + 1])] += 1
-        if some.size % 2:
-            even[place[some.size - 1]] += 1
-    for j in range(bins):
-        counts[j] += even[j] + odd[j]
-
-
 @_loose
 def node_powers(values: Array, mean: float, sums: Array) -> None:
-    """Add the first three powers of (value - mean), (steps, nodes), at every node to ``sums`` (3, nodes)."""
+    """Add the first four powers of (value - mean), (steps, nodes), at every node to ``sums`` (4, nodes)."""
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
             d = np.float64(values[r, i]) - mean
@@ -303,29 +262,7 @@ def node_powers(values: Array, mean: float, sums: Array) -> None:
             sums[0, i] += d
             sums[1, i] += q
             sums[2, i] += q * d
-
-
-@_loose
-def moments(values: Array, mean: float, sums: Array) -> None:
-    """Add count and first four powers of (value - mean), row by row for precision, to ``sums`` (5,)."""
-    for r in range(values.shape[0]):
-        row = values[r]
-        s1 = 0.0
-        s2 = 0.0
-        s3 = 0.0
-        s4 = 0.0
-        for i in range(row.size):
-            d = row[i] - mean
-            q = d * d
-            s1 += d
-            s2 += q
-            s3 += q * d
-            s4 += q * q
-        sums[0] += values.shape[1]
-        sums[1] += s1
-        sums[2] += s2
-        sums[3] += s3
-        sums[4] += s4
+            sums[3, i] += q * q
 
 
 @_loose

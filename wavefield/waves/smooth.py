@@ -320,14 +320,6 @@ JUMP_OF_TIME = -1.0  # in place of the quality of a step where time jumps
 VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is computed
 
 
-def beyond_jumps(quality: Array) -> Array:
-    """Steps of a window that a discontinuous step separates from the middle; quality (times, ny, nx)."""
-    jump = (quality == JUMP_OF_TIME).any(axis=(1, 2))
-    middle = jump.size // 2
-    before = np.logical_or.accumulate(jump[middle::-1])[::-1]
-    return np.concatenate([before, np.logical_or.accumulate(jump[middle + 1 :])])
-
-
 class _Smoother:
     """What all steps of a record share."""
 
@@ -406,9 +398,10 @@ class _Smoother:
     def smoothed(self, window: Array) -> Array:
         """z, u, v, w and their standard uncertainties (8, ny, nx) at the middle of a window."""
         own = window[:8, self.steps]
+        if (window[8] == JUMP_OF_TIME).any():
+            return own.astype(np.float32)
         total, weights = np.zeros(own.shape), np.zeros(own.shape[1:])
         fields, variance, there = self.parts(window)
-        there[beyond_jumps(window[8])] = False
         for number, at in enumerate(self.tiles):
             if self.mask[at].any():
                 part = (slice(None), slice(None), *at)
@@ -491,8 +484,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
 
     Notes
     -----
-    Windows hold the steps within 0.1 s, two on either side at least, none beyond a discontinuous step: time
-    jumps there. Unknowns are the amplitudes a of free
+    Windows hold the steps within 0.1 s, two on either side at least. Where time jumps within a window (a
+    discontinuous step), values are the cube's own. Unknowns are the amplitudes a of free
     waves of all directions, of eddies (a stream function that the current carries) and constants,
 
         z = sum a e, u = sum (k / |k|) (sigma / tanh |k| h) a e, w - u . grad z = sum -i omega a e,
