@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from wavefield.pipeline.checking import check_probes
 from wavefield.pipeline.opened_run import image_names, labels
-from wavefield.quality.remarks import remark_on_probes
+from wavefield.quality.remarks import remark_on_probe_file, remark_on_probes
 from wavefield.series import Experiment
 from wavefield.store.read import open_cube
 
@@ -30,18 +29,16 @@ def table(times, heights):
 
 
 def test_probes_that_cannot_be_read_are_a_remark(tmp_path):
-    remarks, line = check_probes(experiment(tmp_path, "nothing\n"), SPAN)
-    assert [one.code for one in remarks] == ["probe"]
-    assert "probes.csv" in remarks[0].found
-    assert line == ""
+    (remark,) = remark_on_probe_file(experiment(tmp_path, "nothing\n"), SPAN)
+    assert remark.code == "probe"
+    assert "probes.csv" in remark.found
 
 
 def test_probes_that_share_no_time_with_the_frames_are_a_remark(tmp_path):
     times = 3600 + np.arange(50) / 10
-    remarks, line = check_probes(experiment(tmp_path, table(times, np.sin(times))), SPAN)
-    assert [one.code for one in remarks] == ["probe"]
-    assert "from 3600 to 3604.9 s; frames from 0 to 5 s" in line
-    assert check_probes(experiment(tmp_path, table(times, np.sin(times)), ", clock: -3600"), SPAN)[0] == []
+    (remark,) = remark_on_probe_file(experiment(tmp_path, table(times, np.sin(times))), SPAN)
+    assert "from 3600 to 3604.9 s, the frames from 0 to 5 s" in remark.found
+    assert not list(remark_on_probe_file(experiment(tmp_path, table(times, times), ", clock: -3600"), SPAN))
 
 
 @pytest.fixture

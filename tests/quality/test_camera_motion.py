@@ -1,18 +1,21 @@
 """Cameras that are knocked, shake or are late: dated, measured, named; steady ones raise nothing."""
 
+import re
+
 import numpy as np
 import pytest
+import yaml
+from cube_cases import HERE
 from test_time_and_motion import sea
 
-from wavefield.grid import Grid
-from wavefield.measurement import GridGeometry, Settings
+from benchmarks.faults import write_experiment
+from wavefield.pipeline import check
 from wavefield.quality.camera_motion import (
     SIGNIFICANCE,
     Delay,
     Sample,
     Synchrony,
     camera_motion,
-    delays,
     is_determined,
     jump,
     knocks,
@@ -22,9 +25,8 @@ from wavefield.quality.camera_motion import (
     remarks_on_clocks,
     shaking,
 )
-from wavefield.quality.cameras import PatchMatcher, rms_over_field
+from wavefield.quality.cameras import rms_over_field
 from wavefield.store.read import open_cube
-from wavefield.tank import Scene, Tank
 
 
 @pytest.fixture
@@ -133,38 +135,30 @@ def test_a_delay_that_matters_is_a_remark_and_a_small_one_a_note():
     assert "earlier" in str(remark)
 
 
-def test_a_delay_is_seen_in_images_by_check_without_bias():
-    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.5}, faults={"cam2": {"delay": 2e-3}}))
-    drawn = [tank.render(k) for k in range(8)]
-    grid = Grid((-0.3, 0.3), (-0.25, 0.25), 0.01)
-    matcher = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
-    found = delays(
-        GridGeometry(tank.rig, grid, Settings()), None, matcher, (2, 3, 4, 5), tank.scene.frame_rate
-    )
-    late = found.delays["cam2"]
-    assert late.seconds == pytest.approx(2e-3, abs=3 * late.std)
-    assert late.std < 2e-4
-    assert [remark.subject for remark in remarks_on_clocks(found)] == ["cam2"], "and no rolling shutter"
+def test_a_delay_is_seen_in_images_by_check(tmp_path):
+    found = check(write_experiment(tmp_path / "late", faults={"cam2": {"delay": 2e-3}}), workflow=HERE)
+    (late,) = [one for one in found.verdict.remarks if one.weight != "note"]
+    assert (late.subject, late.kind) == ("cam2", "delayed")
+    assert late.values["delay"] == pytest.approx(2e-3, abs=3 * late.values["std"])
+    assert late.values["std"] < 4e-4
+    assert re.search(r"cam2 is [12]\.\d+ \+- .* ms later", found.clocks)
 
 
 @pytest.mark.slow
-def test_a_rolling_shutter_is_seen_in_images_unless_it_is_stated():
-    scene = Scene.load("demo").with_(rig={"crop": 0.5})
-    rows = max(camera.size[1] for camera in Tank(scene).rig.cameras.values())
-    fault = {"row_time": 10e-3 / rows}
-    tank = Tank(scene.with_(faults=dict.fromkeys(("cam1", "cam2", "cam3"), fault)))
-    drawn = [tank.render(k) for k in range(8)]
-    grid, rate = Grid((-0.3, 0.3), (-0.25, 0.25), 0.01), tank.scene.frame_rate
-    matcher = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
-    stated = tuple((name, fault["row_time"] * rate) for name in tank.rig)
-    for settings, kinds in ((Settings(), ["rolling shutter"]), (Settings(row_delays=stated), [])):
-        found = delays(GridGeometry(tank.rig, grid, settings), None, matcher, (2, 3, 4, 5), rate)
-        assert [remark.kind for remark in remarks_on_clocks(found) if remark.weight == "remark"] == kinds, (
-            found
-        )
-        left = 0.0 if settings.row_delays else fault["row_time"]
-        assert found.row_time.seconds == pytest.approx(left, abs=3.5 * found.row_time.std)
-        assert found.row_time.std < 0.2 * fault["row_time"]
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_rolling_shutter_is_seen_in_images_unless_it_is_stated(stated, tmp_path):
+    row_time = 2e-5
+    faults = {name: {"row_time": row_time} for name in ("cam1", "cam2", "cam3")}
+    path = write_experiment(tmp_path / "rolling", rig={"crop": 0.5}, faults=faults)
+    data = yaml.safe_load(path.read_text()) | {"grid": "auto"}
+    if stated:
+        for camera in data["cameras"].values():
+            camera["row_time"] = row_time
+    path.write_text(yaml.safe_dump(data))
+    found = [one for one in check(path, workflow=HERE).verdict.remarks if one.weight != "note"]
+    assert [one.kind for one in found] == ([] if stated else ["rolling shutter"])
+    for one in found:
+        assert one.values["row_time"] == pytest.approx(row_time, abs=3.5 * one.values["std"])
 
 
 def test_a_mean_level_that_moves_faster_than_waves_is_vibration():

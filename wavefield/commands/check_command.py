@@ -117,14 +117,9 @@ def _report(
 ) -> None:
     click.echo(str(found))
     if pairs and not found.problems:
-        from wavefield.pipeline.assess import synchrony_of
         from wavefield.pipeline.prepare import prepare
-        from wavefield.quality.camera_motion import spell_delays
 
-        prepared = prepare(experiment, rig, workflow)
-        click.echo(_pairs_table(prepared))
-        delays = spell_delays(synchrony_of(prepared).delays, 1 / prepared.experiment.frame_rate)
-        click.echo(f"  clocks, by more instants: {delays}")
+        click.echo(_pairs_table(prepare(experiment, rig, workflow)))
 
 
 def _pairs_table(prepared: PreparedRun) -> str:

@@ -1,8 +1,9 @@
 """How good a cube is: its verdict, the errors of its pairs of cameras, the terms of its uncertainties."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
@@ -20,13 +21,13 @@ from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_from, learn_record, samples
 from wavefield.pipeline.prepare import PreparedRun, expected_coverage, prepare
 from wavefield.quality.camera_motion import (
+    Instant,
     Synchrony,
     delays,
     level_motion,
     remark_on_level,
     remarks_on_clocks,
     remarks_on_mounts,
-    spell_delays,
 )
 from wavefield.quality.cameras import INCONSISTENT, CameraFaults, PatchMatcher, find_camera_faults
 from wavefield.quality.record import (
@@ -70,7 +71,6 @@ class RunLimits:
 
     instants: int = 4  # of a record, compared before a run and after it
     instants_for_delays: int = 24  # of a record, by which delays of cameras are measured after its run
-    instants_for_first_delays: int = 4  # the same before it
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
     measured_by_all: float = 0.5  # of the nodes: 0.0 with a wrong camera, 0.9 in sound records
@@ -114,21 +114,24 @@ def _not_compared(depth: float) -> Remark:
     )
 
 
-def synchrony_of(prepared: PreparedRun, instants: int = LIMITS.instants_for_delays) -> Synchrony:
-    """Whether the cameras take their frames at the same moment."""
-    count = prepared.steps + 1
-    frames = sorted({min(max(k, 2), count - 3) for k in evenly_spaced(count, instants)}) if count >= 5 else []
-    matcher, rate = _patch_matcher(prepared), prepared.experiment.frame_rate
-    threads = threads_here(prepared.workflow)
+def synchrony_of(prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0) -> Synchrony:
+    """Whether the cameras take some frames at the same moment; ``first`` is the first step of the cube."""
+    rate = prepared.experiment.frame_rate
+
+    def images(k: int) -> Mapping[str, NDArray[np.generic] | None]:
+        return {name: prepared.series[name].read_uncovered(k) for name in prepared.geometry.surface_cameras}
+
+    def displacement(k: int) -> NDArray[np.floating]:
+        around = cube[["u", "v", "w", "quality"]].isel(time=slice(k - 1 - first, k + 1 - first)).load()
+        measured = (around.quality & int(Quality.MEASURED)) != 0
+        moved = around[["u", "v", "w"]].where(measured).mean("time", skipna=False) / rate
+        return np.asarray(moved.to_dataarray().values)
+
+    if prepared.record is None:
+        return Synchrony({})
+    instants = [Instant(partial(images, k), partial(displacement, k)) for k in frames]
     with one_thread():  # each of them
-        return delays(prepared.geometry, prepared.record, matcher, frames, rate, threads)
-
-
-def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
-    """First estimate of the delays between cameras, at a few instants."""
-    found = synchrony_of(prepared, LIMITS.instants_for_first_delays)
-    words = spell_delays(found.delays, 1 / prepared.experiment.frame_rate)
-    return words, list(remarks_on_clocks(found))
+        return delays(prepared.geometry, prepared.record, instants, rate, threads_here(prepared.workflow))
 
 
 def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
@@ -201,7 +204,8 @@ def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Rema
     """Remarks on delays and motion of cameras, from the epipolar errors."""
     # of a short record, not most of its cost
     instants = min(LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6))
-    yield from remarks_on_clocks(synchrony_of(prepared, instants))
+    frames = [1 + k for k in evenly_spaced(prepared.steps - 1, instants)]
+    yield from remarks_on_clocks(synchrony_of(prepared, cube, frames))
     yield from remarks_on_mounts(cube)
 
 

@@ -3,12 +3,13 @@
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numcodecs
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
@@ -16,8 +17,8 @@ from wavefield.execution.cluster import count_workers
 from wavefield.execution.process import one_thread, peak_memory
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
-from wavefield.pipeline.assess import clocks, compare_cameras, fraction_measured, record_span
-from wavefield.pipeline.chunk import Measured, make_chunk, measure_chunk
+from wavefield.pipeline.assess import compare_cameras, fraction_measured, record_span, synchrony_of
+from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import (
     PreparedRun,
@@ -28,6 +29,7 @@ from wavefield.pipeline.prepare import (
     remark_on_lengths,
     remark_on_speed,
 )
+from wavefield.quality.camera_motion import Synchrony, remarks_on_clocks, spell_delays
 from wavefield.quality.record import (
     FrameInspection,
     complete_steps,
@@ -44,13 +46,14 @@ from wavefield.quality.remarks import (
     remark_on_rest,
 )
 from wavefield.rig import Rig
-from wavefield.series import Experiment, Frame, FrameSeries
+from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import COMPRESSION
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import short_path, spell_ranges, spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus
 
 MIN_FREE_SHARE = 1.1  # of what a run writes
+TRIAL_STEPS = 4  # that are measured
 
 
 @dataclass(frozen=True)
@@ -75,54 +78,42 @@ class Cost:
         return text
 
 
-def measure_cost(prepared: PreparedRun) -> tuple[Cost, Mapping[str, np.ndarray]]:
-    """Measure a few steps in the middle of the run, and extrapolate to all of it; also their fields."""
+@dataclass(frozen=True)
+class Trial:
+    """A few steps in the middle of a record, measured."""
+
+    prepared: PreparedRun  # With what was learned of these steps
+    start: int  # The first of them
+    fields: Mapping[str, NDArray[Any]]  # (n, ny, nx): What a chunk gives
+    cost: Cost  # Of the whole run
+
+
+def measure_some(prepared: PreparedRun) -> Trial:
+    """Measure a few steps in the middle of the run, and extrapolate the cost to all of it."""
     start = whole_step(prepared.series)
-    stop = min(start + 3, prepared.steps)
+    stop = min(start + TRIAL_STEPS, prepared.steps)
     learned = learn_from(samples(prepared.series, [start]), prepared.geometry, prepared.experiment.frame_rate)
     prepared = prepared.with_prior(learned)  # as a run learns; and compiles
-    one, step = _measured(prepared, start, stop)
-    if (one.frame_status == FrameStatus.FAILED).all() and not one.fields["quality"].any():
+    chunk = make_chunk(prepared.series, start, stop, prepared.departures)
+    since = time.perf_counter()
+    found = measure_chunk(chunk, prepared.geometry, prepared.experiment.frame_rate, prepared.model)
+    seconds = (time.perf_counter() - since) / (chunk.steps + 2 * AROUND + 1)  # per frame, all cameras
+    if (found.frame_status == FrameStatus.FAILED).all() and not found.fields["quality"].any():
         raise ExperimentError(
             f"the step of frame {prepared.first_frame + start} could not be measured; check its images, the "
             "rig and the grid"
         )
     workers = count_workers(prepared.workflow)
-    frames_measured = prepared.steps * (1 + 5 / prepared.chunk_steps)
+    frames_measured = prepared.steps * (1 + (2 * AROUND + 1) / prepared.chunk_steps)
     cost = Cost(
-        step_seconds=step,
+        step_seconds=seconds,
         workers=workers,
-        seconds=step * frames_measured / workers,
+        seconds=seconds * frames_measured / workers,
         memory=peak_memory() + 3 * prepared.chunk_steps * prepared.step_bytes,
-        disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
+        disk=int(_stored_bytes(found.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
     )
-    return cost, one.fields
-
-
-@dataclass(frozen=True)
-class _Clocked(FrameSeries):
-    """Frames of one camera, with the times at which each was requested."""
-
-    requested: list[float] = field(default_factory=list)
-
-    def read(self, index: int) -> Frame:
-        self.requested.append(time.perf_counter())
-        return super().read(index)
-
-
-def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, float]:
-    """Measure a chunk, and the seconds per step after the first frames were read."""
-    series = {name: _Clocked(**vars(one)) for name, one in prepared.series.items()}
-    chunk = make_chunk(series, start, stop, prepared.departures)
-    since = time.perf_counter()
-    measured = measure_chunk(chunk, prepared.geometry, prepared.experiment.frame_rate, prepared.model)
-    whole = time.perf_counter() - since
-    frames = chunk.steps + 2 * AROUND + 1
-    gaps = np.diff(next(iter(series.values())).requested[-frames:])
-    # each frame is requested when all is done with those before: the first have no step to give yet
-    whole_steps = gaps[2 * AROUND + 1 :]
-    return measured, float(whole_steps.mean()) if whole_steps.size else whole / frames
+    return Trial(prepared, start, found.fields, cost)
 
 
 def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
@@ -145,31 +136,10 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
     return int(steps[np.argmin(np.abs(steps - len(complete) // 2))])
 
 
-def check_probes(experiment: Experiment, span: tuple[float, float]) -> tuple[list[Remark], str]:
-    """Remarks on the probes, and a line on them; ``span`` is the time of the first and last frame, s."""
-    remarks = list(remark_on_probe_file(experiment, span))
-    if experiment.probes is None or any(not one.values for one in remarks):  # they cannot be read
-        return remarks, ""
-    probes = experiment.read_probes()
-    clock = probes["time"].values
-    sentence = (
-        f"{', '.join(map(str, probes['probe'].values))}, from {clock[0]:g} to {clock[-1]:g} s; frames from "
-        f"{span[0]:g} to {span[1]:g} s"
-    )
-    if not np.isfinite(probes["probe_x"].values).all():
-        sentence += "; state where they are (`places: {name: [x, y]}` in `probes:`) to compare them with z"
-    return remarks, sentence
-
-
-MIN_SIZE_DEVIATION = 0.005  # of the median size of a camera's files
-MIN_SIZE_DEVIATIONS = 8.0  # median deviations from it
-MAX_UNUSUAL_FILES = 24  # files of a camera
-
-
 @dataclass(frozen=True)
 class CameraCheck:
     """Frames of one camera.
-    Of a record of more than 40 frames only a sample is read, and files of unusual sizes.
+    Of a record of more than 40 frames only a sample is read.
     """
 
     name: str  # The camera
@@ -238,9 +208,9 @@ class Check:
         What prevents a run.
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
-    motion, heights, clocks, probes : str
-        Sentences on the motion of the water from frame to frame, the elevations that it reaches, the delays
-        between cameras, and the times of the probes; empty if unknown.
+    motion, heights, clocks : str
+        Sentences on the motion of the water from frame to frame, the elevations that it reaches, and the
+        delays between cameras; empty if unknown.
     """
 
     experiment: str
@@ -258,7 +228,6 @@ class Check:
     motion: str = ""
     heights: str = ""
     clocks: str = ""
-    probes: str = ""
 
     @property
     def exit_status(self) -> int:
@@ -324,7 +293,6 @@ class Check:
         elif self.verdict and len(self.rig) > 1 and self.coverage is not None:
             lines.append("  patches matched: none, the cameras have too small a part of the water in common")
         lines += [f"  clocks: {self.clocks}"] if self.clocks else []
-        lines += [f"  probes: {self.probes}"] if self.probes else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
@@ -368,40 +336,40 @@ def check(
     measuring = {name: series[name] for name in experiment.measuring_cameras}
     sample = sample_frames(measuring)
     inspections = {
-        name: inspect_frames(one, tuple(sorted({*sample, *_unusual_files(one), 0, len(one) - 1})))
-        for name, one in series.items()
+        name: inspect_frames(one, tuple(sorted({*sample, 0, len(one) - 1}))) for name, one in series.items()
     }
     cameras = tuple(
         _summary(one, inspections[name], experiment.cameras[name].offset) for name, one in series.items()
     )
-    prepared, cost, faults, problem = None, None, None, ""
-    fields: Mapping[str, NDArray[Any]] = {}
+    prepared, trial, faults, problem = None, None, None, ""
     try:
         prepared = prepare(experiment, rig, workflow)
         refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         if experiment.rest:
             experiment.at_rest().open_frames()  # are they there?
         with one_thread():
-            cost, fields = measure_cost(prepared)
-        faults = compare_cameras(prepared, fields["quality"])
+            trial = measure_some(prepared)
+        faults = compare_cameras(prepared, trial.fields["quality"])
     except (RigError, ExperimentError) as error:
         problem = str(error)
     coverage = expected_coverage(prepared.rig, prepared.grid) if prepared else None
-    remarks = [*remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample)]
-    if cost and cost.free < MIN_FREE_SHARE * cost.disk:
-        remarks.append(_remark_on_disk(cost))
+    remarks = [
+        *remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample),
+        *remark_on_recordings(experiment, series),
+        *remark_on_probe_file(experiment, record_span(experiment, series)),
+    ]
+    if trial and trial.cost.free < MIN_FREE_SHARE * trial.cost.disk:
+        remarks.append(_remark_on_disk(trial.cost))
     delays = ""
-    if prepared and faults:
+    if trial and faults:
         remarks += faults.remarks
         if not any(one.weight == "grave" for one in faults.remarks):
-            delays, late = clocks(prepared)
-            remarks += late
-    remarks += remark_on_recordings(experiment, series)
-    of_probes, probes = check_probes(experiment, record_span(experiment, series))
-    remarks += of_probes
+            found = _synchrony(trial)
+            delays = spell_delays(found.delays, 1 / experiment.frame_rate)
+            remarks += remarks_on_clocks(found)
     if prepared:
         wrong = _grave_cameras(prepared, faults.remarks if faults else ())
-        remarks += _remarks_on_trial(prepared, coverage or 0.0, fields, wrong)
+        remarks += _remarks_on_trial(prepared, coverage or 0.0, trial.fields if trial else {}, wrong)
     verdict = Verdict.of(remarks) if remarks else None
     if faults:
         verdict = Verdict.of(remarks, faults.pairs, faults.frames)
@@ -414,15 +382,21 @@ def check(
         rig=tuple(prepared.rig) if prepared else (),
         grid=prepared.grid if prepared else None,
         coverage=coverage,
-        measured=fraction_measured(fields["quality"]) if fields else None,
-        cost=cost,
+        measured=fraction_measured(trial.fields["quality"]) if trial else None,
+        cost=trial.cost if trial else None,
         problems=(problem,) if problem else (),
         verdict=verdict,
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
         clocks=delays,
-        probes=probes,
     )
+
+
+def _synchrony(trial: Trial) -> Synchrony:
+    """First estimate of the delays between cameras, at the frames between the steps that were tried."""
+    fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
+    cube, first = xr.Dataset(fields), trial.start
+    return synchrony_of(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
 
 
 def _remarks_on_trial(
@@ -458,29 +432,6 @@ def _remark_on_disk(cost: Cost) -> Remark:
         "Free some space or write elsewhere with -o",
         {"bytes": cost.disk, "free": cost.free},
     )
-
-
-def _unusual_files(series: FrameSeries) -> list[int]:
-    """Frames whose files are less than half as large as most, and those whose sizes differ most."""
-    entries = [(index, entry) for index, entry in enumerate(series.entries) if entry is not None]
-    sizes = {index: _file_size(entry.path) for index, entry in entries if entry.kind == "file"}
-    if not sizes:
-        return []
-    size = np.array(list(sizes.values()))
-    usual = float(np.median(size))
-    apart = np.abs(size - usual)
-    unusual = apart > max(MIN_SIZE_DEVIATION * usual, MIN_SIZE_DEVIATIONS * float(np.median(apart)))
-    largest_first = sorted(np.flatnonzero(unusual), key=lambda k: -apart[k])[:MAX_UNUSUAL_FILES]
-    chosen = {*largest_first, *np.flatnonzero(size < usual / 2)}
-    return [index for k, index in enumerate(sizes) if k in chosen]
-
-
-def _file_size(path: str) -> int:
-    """Bytes of a file; 0 if it is not there."""
-    try:
-        return Path(path).stat().st_size
-    except OSError:
-        return 0
 
 
 def _summary(series: FrameSeries, found: FrameInspection, offset: int) -> CameraCheck:

@@ -10,11 +10,12 @@ the sight lines, patch by patch: one regression over some instants gives tau. Th
 every instant has of its own, is taken out before. The rows of a rolling shutter are read one after the
 other: the delay then grows with the difference between the rows in which two cameras show a place.
 
-Both sides of the regression must have one resolution, or tau is too large: they are means over one patch,
-and the velocity is that of five frames (of three it is 7 % low for 2 Hz waves at 20 frames per second).
+Both sides of the regression must have one resolution, or tau is too large: they are means over one patch.
+The velocity is the mean of the steps before and after the frame, which is 5 % low for 2 Hz waves at 20 frames
+per second; so much is added to the uncertainty.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -25,14 +26,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.quality.cameras import (
-    MIN_CORRELATION,
-    REACH,
     SIDE,
     Array,
-    Comparison,
     Pair,
-    PatchMatcher,
-    compare,
     rms_over_field,
     scaled,
 )
@@ -47,8 +43,7 @@ if TYPE_CHECKING:
     from wavefield.rig import Camera
 
 MIN_PATCHES = 12  # of an instant
-MIN_BLOCKS = 4  # matched ones of a patch
-NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
+BIAS = 0.05  # of a delay, because water turns between the steps whose velocity is taken
 _CELLS = 3  # along either side: parts of the field whose errors are independent
 SIGNIFICANCE = 4.0  # standard deviations
 MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
@@ -72,8 +67,15 @@ class Sample:
     miss: Array  # (m,): Mean eps_y, px on the water
     velocity: Array  # (m,): Of the beads across the sight lines, px per frame
     low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
-    speed: float = 0.0  # Of the beads in all directions, rms, px per frame
+    speed: float = 0.0  # Of the beads in all directions, px per frame
     rows: Array | None = None  # (m,): By how many rows from the middle the second camera shows it lower
+
+
+class Instant(NamedTuple):
+    """A frame, its images and how the water moves; both are read on demand."""
+
+    images: Callable[[], Mapping[str, NDArray[Any] | None]]  # By camera
+    displacement: Callable[[], NDArray[np.floating]]  # (3, ny, nx): Per frame, m; NaN: not measured
 
 
 class Synchrony(NamedTuple):
@@ -86,97 +88,58 @@ class Synchrony(NamedTuple):
 
 
 def sample(
-    geometry: "GridGeometry", patch_matcher: PatchMatcher, pair: Pair, frame: int, flat: Mapping[str, Any]
+    geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
-    """Mismatch and velocity in patches over the common view at an instant; None if too few are known."""
+    """Mismatch and velocity in patches at an instant; None if too few are known.
+
+    ``displacement`` (3, ny, nx): of the nodes per frame, metres, NaN where it is not measured.
+    """
     from wavefield.measurement.pair import match_pair
 
     if not all(name in flat for name in pair):
         return None
-    moved = _moved(patch_matcher, pair[1], frame, _furthest(geometry, pair[1]))
-    if moved is None:
-        return None
     match = match_pair(flat[pair[0]], flat[pair[1]], pair, geometry)
-    length = np.maximum(np.hypot(*match.parallax), 1e-12)
-    p, q = (part / length for part in match.parallax)
     x, y = np.meshgrid(geometry.lattice.x, geometry.lattice.y)
-    good = match.matched & np.isfinite(match.eps_y)
-    shown = [(v + d)[good] for v, d in zip((x, y), match.difference)]  # where the second camera shows it
-    means = _over_patches(patch_matcher, shown, [v[good] for v in (match.eps_y, p, q)])
-    known = np.isfinite(means[:, 0]) & np.isfinite(moved).all(axis=1)
-    if known.sum() < MIN_PATCHES:
-        return None
-    (miss, p, q), (dx, dy) = means[known].T, moved[known].T * patch_matcher.pixel
-    low = np.stack(
-        [np.ones(known.sum()), scaled(patch_matcher.x[known]), scaled(patch_matcher.y[known])], axis=-1
-    )
-    speed = float(np.sqrt((dx**2 + dy**2).mean())) / geometry.pixel
-    velocity = (q * dx - p * dy) / geometry.pixel
-    places = patch_matcher.x[known], patch_matcher.y[known]
-    first, second = (_rows_below_middle(geometry.rig[name], *places) for name in pair)
-    stated = dict(geometry.settings.row_delays)
-    late = stated.get(pair[1], 0.0) * second - stated.get(pair[0], 0.0) * first
-    return Sample(miss / geometry.pixel - late * velocity, velocity, low, speed, second - first)
-
-
-def _rows_below_middle(camera: "Camera", x: Array, y: Array) -> Array:
-    return np.asarray(camera.project(x, y, 0.0)[1] - 0.5 * (camera.size[1] - 1))
-
-
-def _furthest(geometry: "GridGeometry", name: str) -> int:
-    """Search range of a camera's displacements from frame to frame, raw px."""
-    ranges = (geometry.settings.piv.search_x, geometry.settings.piv.search_y)
-    ends = [abs(end) for one in ranges if one is not None for end in one]
-    return min(int(np.ceil(max(ends, default=REACH) * geometry.sights[name].binning)), REACH)
-
-
-def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) -> Array | None:
-    """Displacement per frame of each patch of one camera's image, px, (n, 2), from five frames."""
-    still = np.zeros((len(patch_matcher.x), 2), np.int64)
-    now = patch_matcher.around(name, frame, still, 0)
-
-    def find(k: int, near: Array, reach: int) -> Comparison | None:
-        known: NDArray[np.bool_] = np.isfinite(near[:, 0])
-        limit = REACH - reach
-        at = np.clip(np.rint(np.where(known[:, None], near, 0)), -limit, limit).astype(np.int64)
-        found = compare(now, patch_matcher.around(name, frame + k, at, reach), at)
-        return found and Comparison(found.moved, np.where(known, found.peak_correlation, 0.0))
-
-    after = find(1, still.astype(float), furthest)
-    if after is None:
-        return None
-    first = np.where(after.peak_correlation[:, None] > MIN_CORRELATION, after.moved, np.nan)
-    before = find(-1, -first, NARROW_REACH)
-    if before is None:
-        return None
-    last = np.where(before.peak_correlation[:, None] > MIN_CORRELATION, before.moved, np.nan)
-    # and two frames away about where a parabola goes
-    further = {k: find(k, k * (first - last) / 2 + 2 * (first + last), NARROW_REACH) for k in (-2, 2)}
-    two_before, two_after = further[-2], further[2]
-    if two_before is None or two_after is None:
-        return None
-    out = 2 / 3 * (after.moved - before.moved) - 1 / 12 * (two_after.moved - two_before.moved)
-    worst = np.min([one.peak_correlation for one in (before, after, two_before, two_after)], axis=0)
-    out = np.where(worst[:, None] > MIN_CORRELATION, out, np.nan)
-    return np.asarray(out) if np.isfinite(out).all(axis=1).sum() >= MIN_PATCHES else None
-
-
-def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequence[Array]) -> Array:
-    """Means over the middle of each patch, (n, values); NaN where little was matched."""
-    pitch = SIDE * patch_matcher.pixel  # patches are adjacent
+    first, second = (geometry.rig[name] for name in pair)
+    x, y = (v - _sight(first, axis, v) * match.height for axis, v in enumerate((x, y)))  # of the water
     column, row = (
-        np.floor((v - places.min()) / pitch + 0.5).astype(np.int64)
-        for v, places in zip(at, (patch_matcher.x, patch_matcher.y))
+        np.rint((v - side[0]) / geometry.grid.step)
+        for v, side in zip((x, y), (geometry.grid.x, geometry.grid.y))
     )
-    own_column, own_row = (
-        np.rint((v - v.min()) / pitch).astype(np.int64) for v in (patch_matcher.x, patch_matcher.y)
+    ny, nx = displacement.shape[1:]
+    good = match.matched & (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
+    x, y, eps_y = x[good], y[good], match.eps_y[good]
+    dx, dy, dz = displacement[:, row[good].astype(np.intp), column[good].astype(np.intp)]
+    dx, dy = dx + _sight(second, 0, x) * dz, dy + _sight(second, 1, y) * dz  # in the second image
+    p, q = (match.parallax / np.hypot(*match.parallax))[:, good]
+    values = np.stack([x, y, eps_y, q * dx - p * dy, np.hypot(dx, dy)])
+    x, y, miss, velocity, speed = _patch_means(
+        values[:, np.isfinite(values).all(axis=0)], SIDE * geometry.pixel
     )
-    nx, ny = int(own_column.max()) + 1, int(own_row.max()) + 1
-    inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
-    which, own = (row * nx + column)[inside], own_row * nx + own_column
-    count = np.bincount(which, minlength=nx * ny)[own]
-    means = [np.bincount(which, v[inside], nx * ny)[own] / np.maximum(count, 1) for v in values]
-    return np.where(count[:, None] >= MIN_BLOCKS, np.stack(means, axis=-1), np.nan)
+    if x.size < MIN_PATCHES:
+        return None
+    miss, velocity, speed = (v / geometry.pixel for v in (miss, velocity, speed))
+    rows = [c.project(x, y, 0.0)[1] - 0.5 * (c.size[1] - 1) for c in (first, second)]  # from the middle
+    stated = dict(geometry.settings.row_delays)
+    late = stated.get(pair[1], 0.0) * rows[1] - stated.get(pair[0], 0.0) * rows[0]
+    low = np.stack([np.ones(x.size), scaled(x), scaled(y)], axis=-1)
+    return Sample(miss - late * velocity, velocity, low, float(speed.mean()), rows[1] - rows[0])
+
+
+def _sight(camera: "Camera", axis: int, v: Array) -> Array:
+    """Horizontal displacement of sight lines along an axis per height of the water."""
+    return np.asarray((v - camera.centre[axis]) / -camera.centre[2])
+
+
+def _patch_means(values: Array, side: float) -> Array:
+    """Means over the patches that are at least half full of values (n, blocks) that begin with x and y."""
+    if not values.size:
+        return values
+    column, row = np.floor((values[:2] - values[:2].min(axis=1)[:, None]) / side).astype(np.intp)
+    which = row * (column.max() + 1) + column
+    count = np.bincount(which)
+    full = count >= 0.5 * count.max()
+    return np.stack([np.bincount(which, one)[full] / count[full] for one in values])
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
@@ -247,23 +210,10 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
     return rest[:, 0], rest[:, 1]
 
 
-def _widths(geometry: "GridGeometry", patch_matcher: PatchMatcher, frames: Sequence[int]) -> dict[str, float]:
-    """Widths of the beads of the first image that can be used."""
-    from wavefield.measurement.images import bead_width, usable
-
-    out = dict.fromkeys(geometry.surface_cameras, 0.0)
-    for name in out:
-        images = (patch_matcher.read(name, k) for k in frames)
-        one = next((image for image in images if usable(image, geometry.rig[name].size)), None)
-        out[name] = 0.0 if one is None else bead_width(one)
-    return out
-
-
 def delays(
     geometry: "GridGeometry",
-    record: "LearnedRecord | None",
-    patch_matcher: PatchMatcher,
-    frames: Sequence[int],
+    record: "LearnedRecord",
+    instants: Sequence[Instant],
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
@@ -272,15 +222,14 @@ def delays(
     late: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
-    widths = dict(record.beads) if record else _widths(geometry, patch_matcher, frames)
 
-    def sample_at(frame: int) -> list[Sample | None]:
-        images = {name: patch_matcher.read(name, frame) for name in geometry.surface_cameras}
-        flat = _prepared(images, geometry, widths)
-        return [sample(geometry, patch_matcher, pair, frame, flat) for pair in geometry.pairs]
+    def samples_at(instant: Instant) -> list[Sample | None]:
+        flat = _prepared(instant.images(), geometry, dict(record.beads))
+        displacement = instant.displacement()
+        return [sample(geometry, pair, flat, displacement) for pair in geometry.pairs]
 
     with ThreadPoolExecutor(threads) as pool:
-        found_at = list(pool.map(sample_at, frames))
+        found_at = list(pool.map(samples_at, instants))
     for pair, of_pair in zip(geometry.pairs, zip(*found_at)):
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
@@ -331,7 +280,8 @@ def _of_cameras(
     for k, name in enumerate(names):
         difference = np.eye(len(names))[k] - np.eye(len(names))[usual]
         variance = float(difference @ inverse @ difference)
-        out[name] = Delay(float(difference @ best), float(np.sqrt(max(variance, 0.0))))
+        delay = float(difference @ best)
+        out[name] = Delay(delay, float(np.sqrt(max(variance, 0.0) + (BIAS * delay) ** 2)))
     return out
 
 

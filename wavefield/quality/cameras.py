@@ -105,18 +105,7 @@ class PatchMatcher:
         image = self.read(name, frame)
         if image is not None and change:
             image = np.asarray(image)[FLIPS[change]]
-        return _sampled(image, *self._map(through or name), WHOLE)
-
-    def around(self, name: str, frame: int, near: NDArray[np.int64], reach: int) -> Image | None:
-        """Surroundings (n, SIDE + 2 reach, SIDE + 2 reach) of places `near` (n, 2), px, from the patches."""
-        image = self.read(name, frame)
-        if image is None or len(near) == 0:
-            return None
-        side = SIDE + 2 * reach
-        column, row = (part.reshape(-1, WHOLE, WHOLE) for part in self._map(name))
-        cuts = [np.s_[k, y : y + side, x : x + side] for k, (x, y) in enumerate(near + REACH - reach)]
-        column, row = (np.concatenate([part[cut] for cut in cuts]) for part in (column, row))
-        return _sampled(image, column, row, side)
+        return _sampled(image, *self._map(through or name))
 
     def contrast(self, name: str, frame: int) -> Array | None:
         """Standard deviation of each patch, grey levels."""
@@ -137,8 +126,8 @@ class PatchMatcher:
         return parallax(self.rig, pair, self.x, self.y).T
 
 
-def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image, side: int) -> Image | None:
-    """Squares (n, side, side) of an image at pixels (n side, side); NaN outside of it."""
+def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Image | None:
+    """Squares (n, WHOLE, WHOLE) of an image at pixels (n WHOLE, WHOLE); NaN outside of it."""
     if image is None:
         return None
     flat = np.ascontiguousarray(image, np.float32)
@@ -147,24 +136,20 @@ def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image, side:
     if largest > 0:
         flat = flat * np.float32(255.0 / largest)
     sampled = cv2.remap(flat, column, row, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
-    return np.asarray(sampled, np.float32).reshape(-1, side, side)
+    return np.asarray(sampled, np.float32).reshape(-1, WHOLE, WHOLE)
 
 
 def middle(patches: Image) -> Image:
     """The patches (n, SIDE, SIDE) without their surroundings."""
-    reach = (patches.shape[1] - SIDE) // 2
-    return patches[:, reach : reach + SIDE, reach : reach + SIDE]
+    return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
 
 
-def compare(
-    first: Image | None, second: Image | None, near: NDArray[np.int64] | None = None
-) -> Comparison | None:
-    """Find the middle of each patch in another, (n, SIDE + 2 reach, SIDE + 2 reach), sampled `near` px."""
+def compare(first: Image | None, second: Image | None) -> Comparison | None:
+    """Find the middle of each patch in another, (n, WHOLE, WHOLE)."""
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
     peak_correlation = np.zeros(len(first))
-    reach = (second.shape[1] - SIDE) // 2
     templates = np.ascontiguousarray(middle(first))
     usual = templates.mean(axis=(1, 2))
     sound = templates.std(axis=(1, 2)) >= 1e-3  # not where something is NaN
@@ -174,8 +159,8 @@ def compare(
         if gaps.any():
             around = np.where(gaps, usual[k], around)
         column, row, peak_correlation[k] = locate(templates[k], around)
-        moved[k] = column - reach, row - reach
-    return Comparison(moved if near is None else moved + near, peak_correlation)
+        moved[k] = column - REACH, row - REACH
+    return Comparison(moved, peak_correlation)
 
 
 @dataclass(frozen=True)
