@@ -94,10 +94,6 @@ class Browser:
             self.page.mouse.move(a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]))
         self.page.mouse.up()
 
-    def barriers(self) -> list[str]:
-        """What screen readers or weak eyes would stumble over, in words."""
-        return self.page.evaluate((Path(__file__).parent / "accessible.js").read_text())
-
     def screenshot(self, path: Path) -> None:
         """Keep what is seen."""
         self.page.screenshot(path=str(path), full_page=True)

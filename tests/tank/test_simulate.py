@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import xarray as xr
-import yaml
 
 from wavefield import variables
 from wavefield.errors import ExperimentError
@@ -80,12 +79,6 @@ def test_probes_are_true_and_keep_their_own_time(folder):
     sea = SCENE.build_sea()
     for row in data[::5]:
         assert row[1] == pytest.approx(sea.at(-0.25, 0.1, row[0], ("z",))["z"], abs=1e-6)
-
-
-def test_target_poses_are_kept_with_the_truth(folder):
-    data = yaml.safe_load((folder / "truth" / "target.yaml").read_text())
-    assert set(data["poses"]) == {"tilt_0", "tilt_1", "flat"}
-    assert data["poses"]["flat"]["origin"] == [0.0, 0.0, 0.0]
 
 
 def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):

@@ -40,17 +40,10 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
     with Progress(f"Writing {output}"), warnings.catch_warnings():
         warnings.simplefilter("ignore" if note else "default", UserWarning)  # printed below
         exports.export(store, output, _slice(steps))
-    click.echo(f"Wrote {output}; open it in {_READERS[exports.ENDINGS[output.suffix.lower()]]}.")
+    click.echo(f"Wrote {output}.")
     if note:
         click.echo(f"note: {note}", err=True)
         context.exit(3)
-
-
-_READERS = {
-    "netcdf": "xarray, Panoply, ncview or MATLAB (ncread)",
-    "matlab": "MATLAB (load)",
-    "uvmat": "UVMAT",
-}
 
 
 def _slice(words: str | None) -> slice | None:

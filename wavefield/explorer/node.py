@@ -20,7 +20,6 @@ Array = NDArray[np.floating]
 MAX_PROBE_DISTANCE_M = 0.05  # a probe farther away measures other phases of short waves
 _MAIN = ("z", "u", "v", "w")
 _SERIES_PX = 84  # height of a series
-_ZOOM_DELAY_MS = 120  # one refinement per burst of wheel turns
 LONGEST_BRIDGED_GAP = 2  # steps: as in the analysis, longer gaps split a record
 MIN_STEPS_OF_SPECTRUM = 32
 _CONFIDENCE = 0.95
@@ -95,7 +94,6 @@ class NodePanel:
         self._record = record
         self.probes: xr.Dataset | None = None  # of the experiment, when they are read
         self._node: tuple[float, float] | None = None  # the picked one, m
-        self._refining = False
         self._main = tuple(name for name in _MAIN if name in record.stored)
         self.words = parts.words_of("node_words", "Click a node of the map.", html=True)
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
@@ -123,8 +121,6 @@ class NodePanel:
             f"node_{name}_figure", height=_SERIES_PX, x_range=x_range,
             y_axis_label=display(name).label,
         )  # fmt: skip
-        if not self.figures:
-            made.x_range.on_change("start", lambda attr, old, new: self._zoomed())
         made.xaxis.visible = False
         parts.draw_band(made, source, "t", "value", line_width=1.1)
         rows = ("t", "@t{0.000} s"), (name, f"@value{{0.[000]}} {display(name).unit}")
@@ -211,32 +207,24 @@ class NodePanel:
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 
-    def _window(self) -> slice:
-        """Steps in view: all of them before anyone zooms."""
-        time, view = self._record.time, next(iter(self.figures.values())).x_range
-        first = int(np.searchsorted(time, view.start or time[0]))
-        last = int(np.searchsorted(time, view.end or time[-1], side="right"))
-        return slice(max(first - 1, 0), max(last + 1, first + 2))
-
     def _show_series(self) -> None:
-        part = self._window()
-        time = self._record.time[part]
+        time = self._record.time
         for name in self._main:
-            values = self._series(name)[part]
+            values = self._series(name)
             std = np.full_like(values, np.nan)
             if f"{name}_std" in self._record.stored:
-                std = self._series(f"{name}_std", unit_of=name)[part]
+                std = self._series(f"{name}_std", unit_of=name)
             t, value, std = parts.envelope(time, values, std)
             low, high = parts.band(value, std, thinned=t.size < time.size)
             self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
-        self._show_probe(part)
+        self._show_probe()
 
-    def _show_probe(self, part: slice) -> None:
+    def _show_probe(self) -> None:
         """Draw the elevation at the probe over that of the node."""
         data: dict[str, Array] = {"t": np.empty(0), "value": np.empty(0)}
         found = self._near()
         if found is not None:
-            time, half_step = self._record.time[part], 0.5 / self._record.frame_rate
+            time, half_step = self._record.time, 0.5 / self._record.frame_rate
             near = found.probe.sel(time=slice(time[0] - half_step, time[-1] + half_step))
             values = near.elevation.values * display("z").factor
             data = dict(zip(("t", "value"), parts.envelope(near.time.values, values)))
@@ -296,18 +284,6 @@ class NodePanel:
             self.sources["probe_spectrum"].data = {"f": found.frequency[keep], "e": found.density[keep]}
             self.spectrum.legend.visible = True
             self.spectrum.legend.items[1].label = {"value": near.words}
-
-    def _zoomed(self) -> None:
-        """Draw finer series for a narrower view."""
-        document = self.layout.document
-        fine = self._record.time.size <= parts.MOST_POINTS
-        if self._node is not None and document is not None and not (fine or self._refining):
-            self._refining = True
-            document.add_timeout_callback(self._refine, _ZOOM_DELAY_MS)
-
-    def _refine(self) -> None:
-        self._refining = False
-        self._show_series()
 
 
 def _reading(name: str, values: dict[str, float]) -> str:

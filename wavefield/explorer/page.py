@@ -98,7 +98,7 @@ class LookPage:
         record, place, low = self.session.record, self.place, {"align": "end"}
         names = parts.named(record.names)
         above = [
-            Select(name="show", title="Map of", value=place.show, options=names, width=230),
+            Select(name="show", title="Map of", value=place.show, options=names, width=175),
             Button(name="back", label="◀", width=40, **low),
             Toggle(name="play", label="Play", width=70, **low),
             Button(name="forward", label="▶", width=40, **low),

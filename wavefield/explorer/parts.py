@@ -104,7 +104,7 @@ def _parse(name: str, text: str, choices: Mapping[str, Sequence[str]]) -> Value:
 
 INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
 SKY, YELLOW = "#56B4E9", "#F0E442"
-MOST_POINTS = 1000  # points of a line: two per pixel of half a page
+MOST_POINTS = 8000  # points of a line: enough to zoom in, and drawn at once
 IMAGE = "image x y dw dh"  # columns of a source of an image
 _PALETTES = {SIGNED: palettes.RdBu11, POSITIVE: palettes.Cividis256}
 _KEYS = (

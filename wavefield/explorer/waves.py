@@ -119,7 +119,7 @@ class WavePanel:
             self.words.text = str(error)
             return
         if self._spectra is None:
-            self.words.text = f"{session.run.reason('waves')}; they appear here by themselves"
+            self.words.text = f"{session.run.reason('waves')}; this page shows them once they are there"
             return
         options = [str(name) for name in self._spectra["quantity"].values]
         self.words.text = "Click E(k, ω) to choose the frequency of the map."
@@ -131,9 +131,12 @@ class WavePanel:
             return
         energy = self._spectra["E"].sel(quantity=parts.chosen(self.variable)).transpose("omega", "k")
         hertz, cycles = energy.omega.values / (2 * np.pi), energy.k.values / (2 * np.pi)
-        self.sources["image"].data = parts.image_data(log_density(energy.values), cycles, hertz)
+        density = log_density(energy.values)
+        self.sources["image"].data = parts.image_data(density, cycles, hertz)
         shortest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
-        self.figures["spectrum"].x_range.update(start=0, end=min(float(cycles[-1]), 1.25 * shortest))
+        drawn = cycles[(density > -DECADES).any(axis=0)]  # no colours beyond
+        end = min(float(drawn[-1] if drawn.size else cycles[-1]), 1.25 * shortest)
+        self.figures["spectrum"].x_range.update(start=0, end=end)
         self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
         title = f"log₁₀ of E(k, ω) of {parts.chosen(self.variable)}, relative to its largest"
         self.figures["spectrum"].title.text = title

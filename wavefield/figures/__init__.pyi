@@ -11,7 +11,6 @@ from wavefield.figures.measurement import (
     error_distributions,
     fault_history,
     misfit_maps,
-    quality_shares,
     rest_distributions,
     uncertainty_maps,
 )
@@ -49,7 +48,6 @@ __all__ = [
     "nonlinear_ratio_curves",
     "plane_coherence_maps",
     "probe_series",
-    "quality_shares",
     "rest_distributions",
     "rig_views",
     "surface_3d",

@@ -33,22 +33,8 @@ _REASONS = {
 }
 
 
-def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
-    """Share of values with each mark.
-
-    Parameters
-    ----------
-    quality : DataArray, (time, y, x), int
-        The cube's bit mask.
-    dims : tuple of str
-        Dimensions to average over.
-
-    Returns
-    -------
-    Dataset
-        One variable in [0, 1] for each of measured, filled and the rejections; nodes outside the field of
-        view, and masked ones, count as zero.
-    """
+def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
+    """Fraction of values with each mark, averaged over some dimensions of the bit mask (time, y, x)."""
     return xr.Dataset(
         {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
     )
@@ -66,7 +52,7 @@ def coverage_map(cube: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    shares = quality_shares(cube.quality, ("time",)).compute()
+    shares = _quality_shares(cube.quality, ("time",)).compute()
     figure, axes = map_panels(cube.quality, 2)
     for ax, name in zip(axes[0], ("measured", "filled from neighbours"), strict=True):
         draw_map(
@@ -89,7 +75,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
     """
     nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # older cubes hold 8 bits
     visible = (((cube.quality & nothing) == 0) & (cube.quality != 0)).mean(("y", "x")).compute()
-    shares = quality_shares(cube.quality, ("y", "x")).compute()
+    shares = _quality_shares(cube.quality, ("y", "x")).compute()
     figure, axes = panels(1, 2, width=10.4, height=2.3)
     top, bottom = axes[:, 0]
     for style, name in zip(LINES, shares.data_vars, strict=False):

@@ -68,7 +68,8 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     ax.set_facecolor(_LOWEST_COLOUR)
     label = f"E$^{name}$(k, ω) ({_units(name)})"
     draw_cells(ax, k, frequency, values, label, norm=LogNorm(top * 1e-7, top), cmap="viridis")
-    right = edges(k)[-1]
+    shown = np.flatnonzero((values > top * 1e-7).any(axis=0))
+    right = edges(k)[1 + (shown[-1] if shown.size else -2)]
     if dispersion is not None and "omega_theory" in dispersion:
         k, omega = cycles(dispersion), dispersion.omega_theory.values
         ax.plot(k, omega / (2 * np.pi), color="white", linewidth=2.6)

@@ -19,7 +19,7 @@ from wavefield.errors import RigError
 from wavefield.figures import rig_views
 from wavefield.pipeline import Run
 from wavefield.reports import calibration_pictures as pictures
-from wavefield.reports.html import Head, Item, Picture, ReportSection, Table, Text, render
+from wavefield.reports.html import Head, Picture, ReportSection, Table, Text, render
 from wavefield.reports.numbers import number, small
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field, pixel_size
@@ -73,21 +73,11 @@ def write_calibration(
 
 
 def _predicted(calibration: Calibration) -> dict[str, Any]:
-    """The models that were compared, and the uncertainties predicted from the fit."""
+    """The camera model, and the uncertainties predicted from the fit."""
     errors = calibration.predicted
     assert errors is not None
     return {
         "model": calibration.model,
-        "models_compared": [
-            {
-                "model": c.model,
-                "parameters": c.parameters,
-                "rms_over_stated": c.rms,
-                "bic": c.bic,
-                "expected_px": c.expected,
-            }
-            for c in calibration.models
-        ],
         "predicted": {
             "reprojection_px": dict(errors.reprojection),
             "z_mm": 1e3 * errors.z_std,
@@ -174,7 +164,7 @@ def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator
     largest = max(c["max_px"] for c in content["cameras"].values())
     gist = f"every point, and the mean per cell of the image; at most {largest:.2g} px"
     yield ReportSection("Residuals", list(residuals), folded=True, gist=gist)
-    items = [*_models(content), _lens(content), Text(_CORRELATED)]
+    items = [_lens(content), Text(_CORRELATED)]
     yield ReportSection(
         "Camera model", items, folded=True, gist=f"{model_words(content['model'])}; parameters of the lenses"
     )
@@ -220,21 +210,6 @@ def _flat(content: Content) -> str:
         f"tilt {small(flat['tilt_mrad'], 'mrad')}. By the fit alone, the standard uncertainty of z is "
         f"{small(predicted['z_mm'], 'mm')}. `check` and `run` add that of the water's level (`z_level_std`)."
     )
-
-
-def _models(content: Content) -> list[Item]:
-    rows = [
-        (
-            model_words(m["model"]),
-            str(m["parameters"]),
-            f"{m['rms_over_stated']:.3f}",
-            f"{m['bic']:.0f}",
-            f"{m['expected_px']:.4f}",
-        )
-        for m in content["models_compared"]
-    ]
-    head = ("model", "parameters", "rms over stated uncertainty", "BIC", "expected error, px")
-    return [Table("Models that were compared", head, rows)] if rows else []
 
 
 def model_words(model: str) -> str:

@@ -54,7 +54,7 @@ def simulate(
     Path
         The experiment file: ``experiment.yaml`` next to ``cam1/img_00000.tif`` ..., ``calib/cam1/tilt_0.tif``
         ..., ``calib/cam1/flat.tif``, ``probes.csv`` and ``scene.yaml``; and, apart, ``truth/rig.yaml`` (exact
-        cameras), ``truth/truth.zarr`` (exact fields, one per step at mid-time) and ``truth/target.yaml``.
+        cameras) and ``truth/truth.zarr`` (exact fields, one per step at mid-time).
 
     Raises
     ------
@@ -195,7 +195,6 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
     write_text(directory / "experiment.yaml", note + _yaml(experiment, 100))
     write_text(directory / "scene.yaml", scene.to_yaml())
     tank.rig.save(directory / "truth" / "rig.yaml")
-    write_text(directory / "truth" / "target.yaml", _yaml(_target_truth(tank), 110))
     if scene.probes.positions:
         _write_probes(directory / "probes.csv", scene, tank.sea)
 
@@ -249,19 +248,3 @@ def _pairing(tank: Tank) -> dict[str, object]:
         "surface": {"pairs": [[upright, name] for name in others]},
         "velocity": {"cameras": others if len(others) > 1 else names},
     }
-
-
-def _target_truth(tank: Tank) -> dict[str, object]:
-    """Poses of the target, and the errors of its crossings."""
-    poses = {
-        name: {"rotation": pose.rotation.tolist(), "origin": [float(v) for v in pose.origin]}
-        for name, pose in tank.target_poses.items()
-    }
-    data: dict[str, object] = {
-        "meaning": "a point p of the target is at rotation p + origin, metres",
-        "poses": poses,
-    }
-    offsets = tank.target_offsets
-    if offsets is not None and np.any(offsets):
-        data["node_offsets"] = offsets.round(7).tolist()
-    return data
