@@ -74,6 +74,16 @@ def test_jitter_of_the_frame_times_is_measured(size):
     assert found.jitter() == pytest.approx(size, rel=0.4)
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_waves_that_start_are_no_jitter(seed):
+    cube, rng = sea(seed, np.arange(41.0)), np.random.default_rng(seed)
+    growth = xr.DataArray(np.clip((np.arange(40) - 9.5) / 5, 0, 1), dims="time")
+    for name in ("z", "u", "v", "w"):
+        noise = NOISE * (0.5 / RATE if name == "z" else 1.0) * rng.standard_normal(cube[name].shape)
+        cube[name] = cube[name] * growth + noise
+    assert rise_ratios(cube).jitter() == 0
+
+
 def test_water_that_rises_otherwise_than_its_surface_is_remarked_upon():
     cube = sea(1)
     assert list(remark_on_kinematics(cube)) == []

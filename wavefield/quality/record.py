@@ -389,10 +389,12 @@ class RiseRatios:
             return 0.0
         median = float(np.median(self.ratio[known]))
         change = np.diff(self.ratio)[both] / median
-        found = float(np.mean(np.square(change)))
+        # by the median: waves that start change some steps, jitter changes all
+        found = PER_MEDIAN**2 * float(np.median(np.square(change)))
         noise = 2.0 * float(np.median(self.variance[known])) / median**2
-        # a third of the differences share their steps; the variance is from all parts of the field
-        freedom = change.size * 2.0 / 3.0, change.size * (CELLS**2 - 1)
+        # a third of the differences share their steps, and a median is as good as the mean of a third; the
+        # variance is from all parts of the field
+        freedom = change.size * 2.0 / 9.0, change.size * (CELLS**2 - 1)
         by_chance = noise * float(special.fdtri(*freedom, 1.0 - CHANCE))
         if found <= max(by_chance, VARYING_TURN * (median - 1.0) ** 2):
             return 0.0
