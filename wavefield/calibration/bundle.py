@@ -219,7 +219,7 @@ def _blocks(matrices: Array) -> sparse.csr_array:
 
 
 def huber(r: Array, limit: float) -> float:
-    """Sum of squares, growing linearly beyond the limit."""
+    """Huber's loss: the sum of squares, growing linearly beyond the limit."""
     size = np.abs(r)
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 

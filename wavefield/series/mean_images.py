@@ -70,7 +70,7 @@ def with_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, FrameSeries]:
-    """Series whose frames are read less the backgrounds that an experiment file names."""
+    """Series that subtract the backgrounds named in an experiment file from their frames."""
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
