@@ -42,7 +42,6 @@ from wavefield.water import dispersion
 Float = NDArray[Any]
 
 TERMS = "noise", "prior", "frames", "ripples", "setup"
-CHANCE_MISFIT = 3.0  # of the factor by the misfit of three cameras: one node of a hundred has more by chance
 MARGIN = 1.25  # on what frames lose of velocities: a step's spectrum differs from that of the sample steps
 CHANGE_RATIO = 2.0  # error of z over its departure where waves start within 0.25 s at 20 frames/s: 1 to 4
 CHANGE_DETECTED = 2.0  # departure over that expected: 1.0 to 1.1 on beads, to 1.5 on texture; more is change
@@ -95,13 +94,12 @@ def error_budget(
 def noise(estimate: StepEstimate) -> Float:
     """Noise of the blocks, sum of F^2 A / (F^2 A + 1/S)^2 over the modes, propagated through the paths.
 
-    Where displacements of the cameras disagree by more than this (chi^2 > 1) it is multiplied by (1 + (2N -
-    3) chi^2) / (2N - 2). The noise of z is multiplied by that factor over `CHANCE_MISFIT` if more than 1.
+    Where displacements of the cameras disagree by more than this (chi^2 > 1) that of velocities is multiplied
+    by (1 + (2N - 3) chi^2) / (2N - 2).
     """
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
     chi2 = np.nan_to_num(motion.noise_factor, nan=1.0)
-    z *= np.maximum(chi2 / np.float32(CHANCE_MISFIT), np.float32(1))
     return np.concatenate([z[None], motion.noise * chi2])
 
 
