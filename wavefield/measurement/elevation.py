@@ -16,7 +16,7 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel
 from wavefield.measurement.outliers import inconsistent_pairs, inconsistent_scores
 from wavefield.measurement.pair import PairMatch, match_pair, quarter_turn
-from wavefield.measurement.regrid import blocks_below, coefficients, push_pull, read_surface
+from wavefield.measurement.regrid import blocks_below, local_coefficients, push_pull, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
@@ -313,7 +313,7 @@ def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)
-    spline, centre = coefficients(np.moveaxis(blocks.filled, 0, -1)), geometry.rig[matches[0].pair[0]].centre
+    spline, centre = local_coefficients(blocks.filled), geometry.rig[matches[0].pair[0]].centre
     z = read_surface(spline, geometry.lattice, centre, geometry.x, geometry.y)
     block, _ = blocks_below(geometry.lattice, centre, geometry.x, geometry.y, z)
     return np.where(blocks.valid.ravel()[block], z, np.float32(np.nan))

@@ -5,7 +5,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
@@ -97,17 +96,8 @@ def interpolation_gain(q: Float) -> Float:
     return np.where(np.abs(q) < np.pi, spline, 0.0)
 
 
-def coefficients(fields: Float) -> Float:
-    """Cubic-spline coefficients of fields (ny, nx, F)."""
-    stack = np.ascontiguousarray(np.moveaxis(fields, -1, 0))
-    waves = scipy.fft.dctn(stack, axes=(1, 2), norm="ortho", workers=1)
-    waves *= spline_prefilter(stack.shape[1:])
-    smooth = scipy.fft.idctn(waves, axes=(1, 2), norm="ortho", workers=1, overwrite_x=True)
-    return np.ascontiguousarray(np.moveaxis(smooth, 0, -1), dtype=np.float32)
-
-
 def local_coefficients(fields: Float) -> Float:
-    """As `coefficients` for fields (F, ny, nx), to a thousandth, from seven blocks on every side."""
+    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to a thousandth, from seven blocks."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
     reflected = {"kernelX": kernel, "kernelY": kernel, "borderType": cv2.BORDER_REFLECT}
