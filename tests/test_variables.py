@@ -7,7 +7,8 @@ import xarray as xr
 from wavefield.errors import CubeError
 from wavefield.variables import TABLE, factor, validate
 
-UNITS = sorted({row.units for row in TABLE.values() if row.units})
+# spectra of several quantities state the unit of velocities, and that of z after it
+UNITS = sorted({part for row in TABLE.values() if row.units for part in row.units.split("; z: ")})
 
 
 def field(dtype="f4", units="m", dims=("time", "y", "x")):
