@@ -118,7 +118,7 @@ def _write_knocked(folder):
     for frame in range(11):
         for name, image in tank.render(frame).items():
             write_image(folder / name / f"img_{frame:02d}.tif", image)
-    cameras = "".join(f'  {name}: "{name}/*.tif"\n' for name in tank.rig)
+    cameras = "".join(f'  {name}: "{name}/img_{{frame}}.tif"\n' for name in tank.rig)
     grid = "grid: {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}\n"
     note = f"name: lab\nframe_rate: 20\nrig: rig.yaml\ncameras:\n{cameras}{grid}"
     (folder / "experiment.yaml").write_text(note)

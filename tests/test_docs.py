@@ -243,7 +243,7 @@ def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_document
 
     accepted = keys(Experiment) | keys(Workflow) | {"preset"}
     accepted |= {field.name for kind in (Target, Settings, MatchSettings) for field in fields(kind)}
-    assert {"cylinder", "bottom", "row_time"} <= accepted
+    assert {"polygon", "row_time"} <= accepted
     assert accepted - documented == set()
 
 

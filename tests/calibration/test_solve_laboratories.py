@@ -71,7 +71,7 @@ def test_a_refused_rig_is_written_on_request_and_marked(tmp_path, capsys, undraw
             points = seen(exact[name], grid, world, rng, 3.0)
             write_points(tmp_path / f"{name}_{pose}.csv", points)
     text = "name: lab\nframe_rate: 20.0\ncameras:\n"
-    text += "".join(f'  {name}: {{images: "{name}/*.tif"}}\n' for name in exact)
+    text += "".join(f'  {name}: {{images: "{name}/{{frame}}.tif"}}\n' for name in exact)
     text += "calibration:\n  target: {kind: chessboard, mesh: 0.1, shape: [9, 6]}\n"
     text += '  tilted: "{camera}_tilt_*.csv"\n  flat: "{camera}_flat.csv"\n  model: f\n'
     (tmp_path / "experiment.yaml").write_text(text)

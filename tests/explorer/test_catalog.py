@@ -10,7 +10,7 @@ from wavefield.pipeline.catalog import catalog_add
 def catalog(tmp_path):
     for name in ("calm", "rough"):
         (tmp_path / f"{name}.yaml").write_text(
-            f'name: {name}\nframe_rate: 20\ncameras: {{cam1: "{name}/*.tif"}}\n'
+            f'name: {name}\nframe_rate: 20\ncameras: {{cam1: "{name}/{{frame}}.tif"}}\n'
         )
         catalog_add(tmp_path / "tank.yaml", tmp_path / f"{name}.yaml")
     return tmp_path / "tank.yaml"

@@ -13,7 +13,7 @@ from wavefield.commands.sources import experiment_file, find_cube
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import write_image
 
-NOTE = "name: tank\nframe_rate: 20\ncameras: {left: left/*.tif, right: right/*.tif}\n"
+NOTE = "name: tank\nframe_rate: 20\ncameras: {left: 'left/img_{frame}.tif', right: 'right/img_{frame}.tif'}\n"
 
 
 def store(path, **attributes):

@@ -7,7 +7,7 @@ from cube_cases import HERE
 from wavefield.pipeline import open_cube, run
 from wavefield.variables import Quality
 
-MASK = "mask: {water: {cylinder: {x: 0.0, y: 0.0, radius: 0.015, top: 0.01, bottom: -0.01}}}\n"
+MASK = "mask: {water: {polygon: [[-0.015, -0.015], [0.015, -0.015], [0.0, 0.015]]}}\n"
 MASKED = int(Quality.MASKED)
 
 
@@ -26,5 +26,5 @@ def test_masked_nodes_stay_empty_in_the_cube_and_the_recipe_holds_what_was_maske
     assert 0 < hidden[0].sum() < 0.5 * hidden[0].size
     for name in ("z", "z_t", "u", "v", "w"):
         np.testing.assert_array_equal(np.isnan(cube[name].values), hidden, err_msg=name)
-    assert json.loads(cube.attrs["recipe"])["mask"]["water"][0]["cylinder"]["radius"] == 0.015
+    assert json.loads(cube.attrs["recipe"])["mask"]["water"][0]["polygon"][2] == [0.0, 0.015]
     assert "masked" in cube.quality.attrs["flag_meanings"]

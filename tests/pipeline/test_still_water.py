@@ -25,7 +25,7 @@ def lab(tmp_path_factory):
         for name, image in tank.render(frame).items():
             write_image(folder / "rest" / f"{name}_{frame:02d}.tif", image)
     path = folder / "experiment.yaml"
-    cameras = "".join(f'  {name}: "{name}/*.tif"\n' for name in tank.rig)
+    cameras = "".join(f'  {name}: "{name}/{{frame}}.tif"\n' for name in tank.rig)
     grid = "grid: {x: [-0.1, 0.1], y: [-0.08, 0.08], step: 0.01}\n"
     path.write_text(f"name: lab\nframe_rate: 20\nrig: rig.yaml\n{REST}cameras:\n{cameras}{grid}")
     return path

@@ -14,7 +14,9 @@ from wavefield.series import engine, frames, listing
 def experiment(tmp_path):
     write_frames(tmp_path / "cam1", range(3, 13))
     write_frames(tmp_path / "cam2", range(3, 13), shape=(10, 12))
-    return write_experiment(tmp_path, "cam1: cam1/*.tif\ncam2: cam2/*.tif", "water: {depth: 0.5}\n")
+    return write_experiment(
+        tmp_path, "cam1: cam1/img_{frame}.tif\ncam2: cam2/img_{frame}.tif", "water: {depth: 0.5}\n"
+    )
 
 
 @pytest.fixture
@@ -101,5 +103,7 @@ def test_an_experiment_in_a_notebook_is_a_short_table(experiment):
     shown = Experiment.load(experiment)
     assert repr(shown) == "Experiment('basin', cam1, cam2, 20 Hz)"
     text = shown._repr_html_()
-    assert all(part in text for part in ("Experiment basin", "cam1/*.tif", "0.5 m", "auto", "rig.yaml"))
+    assert all(
+        part in text for part in ("Experiment basin", "cam1/img_{frame}.tif", "0.5 m", "auto", "rig.yaml")
+    )
     assert text.count("<tr>") <= 12

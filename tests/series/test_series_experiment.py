@@ -102,7 +102,7 @@ def test_a_file_may_refer_to_another(tmp_path):
 def test_rig_must_be_there_and_fit(tmp_path):
     write_frames(tmp_path / "a", range(2))
     write_frames(tmp_path / "b", range(2))
-    cameras = "cam1: a/*.tif\ncam2: b/*.tif"
+    cameras = "cam1: a/img_{frame}.tif\ncam2: b/img_{frame}.tif"
     note = Experiment.load(write_experiment(tmp_path, cameras))
     with pytest.raises(
         RigError, match=r"names no rig and there is no rig.yaml beside it; run `wavefield calibrate"
@@ -115,7 +115,9 @@ def test_rig_must_be_there_and_fit(tmp_path):
     with pytest.raises(RigError, match="cam1 of 1024 x 1024 px, but these have 8 x 6"):
         note.load_rig(series=note.open_frames())
     assert set(note.load_rig()) == {"cam1", "cam2", "cam3"}
-    note = Experiment.load(write_experiment(tmp_path, "left: a/*.tif\ncam2: b/*.tif", "rig: rig.yaml\n"))
+    note = Experiment.load(
+        write_experiment(tmp_path, "left: a/img_{frame}.tif\ncam2: b/img_{frame}.tif", "rig: rig.yaml\n")
+    )
     with pytest.raises(RigError, match="has no camera left"):
         note.load_rig()
 
@@ -123,7 +125,11 @@ def test_rig_must_be_there_and_fit(tmp_path):
 def test_water_level_moves_the_rig(tmp_path):
     paper_rig().save(tmp_path / "rig.yaml")
     note = Experiment.load(
-        write_experiment(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif", "rig: rig.yaml\nwater: {level: 0.1}\n")
+        write_experiment(
+            tmp_path,
+            "cam1: a/img_{frame}.tif\ncam2: b/img_{frame}.tif",
+            "rig: rig.yaml\nwater: {level: 0.1}\n",
+        )
     )
     before, after = paper_rig()["cam1"].centre, note.load_rig()["cam1"].centre
     assert after[2] == pytest.approx(before[2] - 0.1)
@@ -138,7 +144,7 @@ def test_a_file_of_another_kind_gets_one_sentence_and_a_block_is_not_compared_wi
     assert printed.count("known keys here") == 1
     assert printed.endswith("and 2 more: is it a file of this kind at all?")
     path.write_text(
-        'name: lab\nframe_rate: 20\ncameras: {a: "a/*.tif"}\ngrid: {x: [1, -1], y: [-1, 1], step: 0.1}\n'
+        'name: lab\nframe_rate: 20\ncameras: {a: "{frame}.tif"}\ngrid: {x: [1, -1], y: [-1, 1], step: 0.1}\n'
     )
     with pytest.raises(ExperimentError, match="less than one step") as caught:
         Experiment.load(path)

@@ -33,9 +33,7 @@ def numbers_read(series):
     return {series.first + i: int(f.image[0, 0]) for i, f in enumerate(frames) if f.image is not None}
 
 
-@pytest.mark.parametrize(
-    "images", ["img_{frame:05d}.tif", "img_{frame}.tif", "*.tif", "img_0*.tif", "img_?????.tif"]
-)
+@pytest.mark.parametrize("images", ["img_{frame:05d}.tif", "img_{frame}.tif", "*_{frame}.tif"])
 def test_a_missing_file_does_not_shift_the_rest(tmp_path, images):
     there = [3, 4, 7, 8, 12]
     write_frames(tmp_path / "cam1", there)
@@ -49,21 +47,23 @@ def test_a_missing_file_does_not_shift_the_rest(tmp_path, images):
 def test_cameras_share_one_range_of_frames(tmp_path):
     write_frames(tmp_path / "a", range(2, 7))
     write_frames(tmp_path / "b", [4, 6, 7, 8])
-    series = open_frames(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif")
+    series = open_frames(tmp_path, "cam1: a/img_{frame}.tif\ncam2: b/img_{frame}.tif")
     assert {(s.first, len(s)) for s in series.values()} == {(4, 3)}  # what all have seen
     assert [s.beyond for s in series.values()] == [(2, 0), (0, 2)]
     assert [list(s.missing) for s in series.values()] == [[], [5]]
-    stated = open_frames(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif", "frames: {first: 2, last: 8}\n")
+    stated = open_frames(
+        tmp_path, "cam1: a/img_{frame}.tif\ncam2: b/img_{frame}.tif", "frames: {first: 2, last: 8}\n"
+    )
     assert [list(s.missing) for s in stated.values()] == [[7, 8], [2, 3, 5]]
     write_frames(tmp_path / "c", range(102, 107))
     with pytest.raises(ExperimentError, match=r"share no two frames \(frames of cam1 2 to 6, cam2 102"):
-        open_frames(tmp_path, "cam1: a/*.tif\ncam2: c/*.tif")
+        open_frames(tmp_path, "cam1: a/img_{frame}.tif\ncam2: c/img_{frame}.tif")
 
 
 def test_range_and_offset(tmp_path):
     write_frames(tmp_path / "a", range(10))
     write_frames(tmp_path / "b", range(100, 110))
-    cameras = 'cam1: a/*.tif\ncam2: {images: "b/*.tif", offset: -100}'
+    cameras = 'cam1: a/img_{frame}.tif\ncam2: {images: "b/img_{frame}.tif", offset: -100}'
     series = open_frames(tmp_path, cameras, "frames: {first: 2, last: 5}\n")
     assert numbers_read(series["cam1"]) == {n: n for n in range(2, 6)}
     assert numbers_read(series["cam2"]) == {n: n + 100 for n in range(2, 6)}
@@ -72,9 +72,7 @@ def test_range_and_offset(tmp_path):
 @pytest.mark.parametrize(
     ("names", "images", "message"),
     [
-        (["a_1_1.tif", "a_2_2.tif"], "*.tif", "more than one number varies"),
-        (["a_1.tif", "b_2.tif"], "*.tif", "names of different kinds"),
-        (["a_1.tif"], "b_*.tif", "no file in .* fits 'b_\\*.tif'; the folder holds 'a_1.tif'"),
+        (["a_1.tif"], "b_{frame}.tif", "no file in .* fits 'b_{frame}.tif'; the folder holds 'a_1.tif'"),
         (["a_1.tif"], "a_{frame}_{frame}.tif", "frame}} twice|frame} twice"),
         (["a_1.tif"], "a_1.tif", "one frame only"),
     ],
@@ -91,16 +89,16 @@ def test_folders_that_cannot_be_read_are_named(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     with pytest.raises(ExperimentError, match="images of cam1: there is no folder"):
-        open_frames(tmp_path, "cam1: nowhere/*.tif")
+        open_frames(tmp_path, "cam1: nowhere/img_{frame}.tif")
     (tmp_path / "file").write_text("")
     with pytest.raises(ExperimentError, match="is not a folder"):
-        open_frames(tmp_path, "cam1: file/*.tif")
+        open_frames(tmp_path, "cam1: file/img_{frame}.tif")
     write_frames(tmp_path / "cam1", range(2))
     monkeypatch.setattr("os.listdir", deny)  # the tests may run as root, who can read everything
     with pytest.raises(
         ExperimentError, match=r"cannot be read \(Permission denied\); check its permissions"
     ) as caught:
-        open_frames(tmp_path, "cam1: cam1/*.tif")
+        open_frames(tmp_path, "cam1: cam1/img_{frame}.tif")
     assert "\n" not in str(caught.value)
 
 
@@ -161,7 +159,7 @@ def test_time_stamps_show_dropped_frames(tmp_path):
         "# clock\nimage, time\n"
         + "".join(f"{i}, {1e5 + t:.6f}\n" for i, t in enumerate(kept / 20.0 + jitter))
     )
-    series = open_frames(tmp_path, 'cam1: {images: "cam1/*.tif", times: times.txt}')["cam1"]
+    series = open_frames(tmp_path, 'cam1: {images: "cam1/img_{frame}.tif", times: times.txt}')["cam1"]
     assert numbers_read(series) == dict(zip(kept, range(6)))
 
 
@@ -178,7 +176,7 @@ def test_time_stamps_that_do_not_fit_are_refused(tmp_path, lines, message):
     write_frames(tmp_path / "cam1", range(3))
     (tmp_path / "times.txt").write_text(lines)
     with pytest.raises(ExperimentError, match=message):
-        open_frames(tmp_path, 'cam1: {images: "cam1/*.tif", times: times.txt}')
+        open_frames(tmp_path, 'cam1: {images: "cam1/img_{frame}.tif", times: times.txt}')
 
 
 def test_bad_frames_keep_their_place_and_are_distinguished(tmp_path):
@@ -189,7 +187,7 @@ def test_bad_frames_keep_their_place_and_are_distinguished(tmp_path):
     tifffile.imwrite(folder / "img_00003.tif", np.zeros((6, 8), np.uint8))
     tifffile.imwrite(folder / "img_00004.tif", number_image(4).astype(np.uint16))
     (folder / "img_00005.tif").unlink()
-    series = open_frames(tmp_path, "cam1: cam1/*.tif")["cam1"]
+    series = open_frames(tmp_path, "cam1: cam1/img_{frame}.tif")["cam1"]
     frames = [series.read(i) for i in range(7)]
     assert [f.fault for f in frames] == [
         FrameFault.NONE,
@@ -208,15 +206,15 @@ def test_bad_frames_keep_their_place_and_are_distinguished(tmp_path):
 def test_a_corrupt_first_frame_does_not_hide_the_series(tmp_path):
     write_frames(tmp_path / "cam1", range(4))
     (tmp_path / "cam1" / "img_00000.tif").write_bytes(b"II*\0")
-    series = open_frames(tmp_path, "cam1: cam1/*.tif")["cam1"]
+    series = open_frames(tmp_path, "cam1: cam1/img_{frame}.tif")["cam1"]
     assert series.shape == (6, 8)
     for n in range(4):
         (tmp_path / "cam1" / f"img_{n:05d}.tif").write_bytes(b"")
     with pytest.raises(ExperimentError, match=r"none of 4 tried can be read: .* is empty"):
-        open_frames(tmp_path, "cam1: cam1/*.tif")
+        open_frames(tmp_path, "cam1: cam1/img_{frame}.tif")
 
 
-@pytest.mark.parametrize("pattern", ["img_{frame}.tif", "img_{frame:05d}.tif", "img_*.tif"])
+@pytest.mark.parametrize("pattern", ["img_{frame}.tif", "img_{frame:05d}.tif"])
 def test_two_files_of_one_frame_number_are_refused(tmp_path, pattern):
     for name in ("img_3.tif", "img_4.tif", "img_00004.tif"):
         (tmp_path / name).touch()
@@ -224,21 +222,11 @@ def test_two_files_of_one_frame_number_are_refused(tmp_path, pattern):
         number_frames(pattern, tmp_path, "cam1")
 
 
-@pytest.mark.parametrize(
-    ("written", "meant"),
-    [
-        ("img_%05d.tif", "img_{frame:05d}.tif"),
-        ("img_%d.tif", "img_{frame}.tif"),
-        ("img_%3i.tif", "img_{frame:03d}.tif"),
-        ("img_####.tif", "img_{frame:04d}.tif"),
-        ("img_{number:05d}.tif", "img_{frame:05d}.tif"),
-        ("img_{}.tif", "img_{frame}.tif"),
-    ],
-)
-def test_frame_numbers_as_other_programs_write_them_are_refused_with_ours(tmp_path, written, meant):
+@pytest.mark.parametrize("written", ["img_%05d.tif", "img_####.tif", "img_{number:05d}.tif", "*.tif"])
+def test_patterns_without_the_number_of_the_frame_are_refused_with_ours(tmp_path, written):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "img_00001.tif").touch()
-    with pytest.raises(ExperimentError, match=re.escape(f"as in {meant}, not ")):
+    with pytest.raises(ExperimentError, match=re.escape("write {frame} where the number of the frame is")):
         number_frames(f"a/{written}", tmp_path, "cam1")
 
 
@@ -247,7 +235,6 @@ def test_names_that_look_like_the_placeholders_of_other_programs_are_read(tmp_pa
     for name in ("img_1.tif", "img_2.tif"):
         (tmp_path / "run#1 at 50%d" / name).touch()
     assert list(number_frames("run#1 at 50%d/img_{frame}.tif", tmp_path, "cam1")) == [1, 2]
-    assert list(number_frames("run#1 at 50%d/*.tif", tmp_path, "cam1")) == [1, 2]
 
 
 def test_folders_with_brackets_and_names_with_a_time_and_a_number_are_read(tmp_path):
@@ -258,7 +245,5 @@ def test_folders_with_brackets_and_names_with_a_time_and_a_number_are_read(tmp_p
     assert numbers_read(series) == {n: n for n in range(4)}
     for n in range(4):
         (folder / f"img_{n:05d}.tif").rename(folder / f"run-05032024{101138 + n // 2}-{n}.tif")
-    with pytest.raises(ExperimentError, match=r"more than one number varies.*as in run-\*-\{frame\}\.tif"):
-        open_frames(tmp_path, 'cam1: "camera 1 [top]/run-*.tif"')
     series = open_frames(tmp_path, 'cam1: "camera 1 [top]/run-*-{frame}.tif"')["cam1"]
     assert numbers_read(series) == {n: n for n in range(4)}

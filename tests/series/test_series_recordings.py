@@ -185,7 +185,7 @@ def test_cameras_recorded_at_different_rates_are_reported(tmp_path):
     with pytest.raises(ExperimentError, match="a was recorded at 2000 Hz and b at 1000: state frame_rate"):
         Experiment.load(note(tmp_path, "a: a.seq, b: b.mraw"))
     with pytest.raises(ExperimentError, match="frame_rate is missing"):
-        Experiment.load(note(tmp_path, "a: nowhere.seq, b: img_*.tif"))
+        Experiment.load(note(tmp_path, "a: nowhere.seq, b: 'img_{frame}.tif'"))
 
 
 def test_damaged_files_are_reported_in_one_sentence(recording):
@@ -241,19 +241,13 @@ def test_images_that_a_camera_dropped_leave_gaps_where_its_file_holds_times(tmp_
     taken = 1.7e9 + np.array([0, 1, 2, 5, 6]) / 2000  # two were dropped
     write(tmp_path / name, 8, times=taken)
     np.testing.assert_allclose(open_recording(tmp_path / name).times(), taken, rtol=0, atol=2e-6)
-    for times in ("", ", times: recorded"):
-        experiment = Experiment.load(note(tmp_path, f"a: {{images: {name}{times}}}"))
-        series = experiment.open_frames()
-        assert series["a"].missing.tolist() == [3, 4]
-        np.testing.assert_array_equal(series["a"].read(6).image, images(8)[4])
-        reported = [str(remark) for remark in remark_on_recordings(experiment, series)]
-        assert len(reported) == 1
-        assert reported[0].startswith(
-            "a: 2 images were dropped, by its clock, the first after frame 2 (0.001 s"
-        )
-    write(tmp_path / name, 8, times=taken[[0, 2, 1, 3, 4]])
-    with pytest.raises(ExperimentError, match=f"{name} holds no increasing times of its images"):
-        experiment.open_frames()
+    experiment = Experiment.load(note(tmp_path, f"a: {name}"))
+    series = experiment.open_frames()
+    assert series["a"].missing.tolist() == [3, 4]
+    np.testing.assert_array_equal(series["a"].read(6).image, images(8)[4])
+    reported = [str(remark) for remark in remark_on_recordings(experiment, series)]
+    assert len(reported) == 1
+    assert reported[0].startswith("a: 2 images were dropped, by its clock, the first after frame 2 (0.001 s")
     close_files()
 
 
@@ -333,7 +327,5 @@ def test_times_of_images_are_read_from_hdf5(tmp_path, attached):
     recording = open_recording(tmp_path / "a.h5")
     assert (len(recording.times()), recording.rate) == (0, None)
     recording.close()
-    with pytest.raises(ExperimentError, match="holds no increasing times of its images"):
-        Experiment.load(note(tmp_path, "a: {images: a.h5, times: recorded}", "frame_rate: 20")).open_frames()
     assert not Experiment.load(note(tmp_path, "a: a.h5", "frame_rate: 20")).open_frames()["a"].missing.size
     close_files()

@@ -230,7 +230,7 @@ def level_experiment(
     series = experiment.open_frames()
     loaded = experiment.load_rig(rig, series)
     in_images = {name: shapes for name, shapes in experiment.mask.items() if name != masks.WATER}
-    series = masks.covered_series(in_images, series, loaded, experiment.path.parent, 0.0)
+    series = masks.covered_series(in_images, series, loaded, experiment.path.parent)
     first, *others = loaded
     if distance is not None and len(others) != 1:
         raise RigError(f"a distance places the second of two cameras; this rig has {len(loaded)}")

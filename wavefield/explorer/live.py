@@ -200,7 +200,7 @@ class LiveMeasurement:
             settings, covered = make_settings(experiment, Workflow()), footprints(experiment.mask)
             geometry = GridGeometry(rig, experiment.choose_grid(rig), settings, covered)
             blank = {name: FrameSeries(name, 0, [], rig[name].size[::-1], "uint8") for name in rig}
-            series = covered_series(experiment.mask, blank, rig, experiment.path.parent, -geometry.z_range[0])
+            series = covered_series(experiment.mask, blank, rig, experiment.path.parent)
             self._masks = {name: one.mask.covered() for name, one in series.items() if one.mask is not None}
             self.learner = Learner(geometry, experiment.frame_rate)
             self.trouble = ""

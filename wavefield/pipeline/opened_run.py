@@ -24,7 +24,6 @@ from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
 from wavefield.sampling import from_first_to_last
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.formats.arrays import without_password
 from wavefield.series.frames import CameraMask
 from wavefield.series.masks import covered_series
 from wavefield.store.read import find_store, open_cube
@@ -44,8 +43,6 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
         digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
         images = f"list of {len(images)} files, {digest}"
-    if isinstance(images, str):
-        images = without_password(images)
     return [images, section.offset, section.times]
 
 
@@ -146,8 +143,6 @@ def check_images(
 
 T = TypeVar("T")
 
-DEFAULT_TROUGH_M = 0.05  # below z = 0: where a cylinder in the water ends if the settings give no z_range
-
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -237,11 +232,10 @@ class Run:
         frames: dict[str, FrameSeries] = self._try("frames", experiment.open_frames, {})
         if not frames or rig is None:
             return frames
-        trough = -(self.recipe.get("settings", {}).get("z_range") or (-DEFAULT_TROUGH_M,))[0]
         measuring = {name: one for name, one in frames.items() if name in rig.cameras}
         folder = experiment.path.parent
         masked: dict[str, FrameSeries] = self._try(
-            "masks", lambda: covered_series(experiment.mask, measuring, rig, folder, trough), {}
+            "masks", lambda: covered_series(experiment.mask, measuring, rig, folder), {}
         )
         return frames | masked
 

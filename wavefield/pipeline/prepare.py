@@ -367,8 +367,7 @@ def prepare(
     geometry = GridGeometry(rig, grid, settings, covered)
     if settings.vibration == "correct":
         refuse_unless_in_a_row(geometry)
-    bare, folder = series, experiment.path.parent
-    series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
+    series = masks.covered_series(experiment.mask, series, rig, experiment.path.parent)
     look = _SampleImages(series, geometry)
     motion, heights = None, None
     if not _states_search(experiment, workflow):
@@ -378,7 +377,6 @@ def prepare(
         settings, heights = high_enough(settings, first_heights(look.read, geometry, look.steps))
     if settings != geometry.settings:
         geometry = GridGeometry(rig, grid, settings, covered)
-        series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
     departures = frame_departures(series, experiment.frame_rate)
     recipe = make_recipe(experiment, series, geometry, workflow.packing)
     if departures is not None:

@@ -115,7 +115,8 @@ def run(
     ...         for camera, image in tank.render(number).items():
     ...             write_image(Path(folder) / camera / f"{number}.tif", image)
     ...     file = Path(folder) / "experiment.yaml"
-    ...     _ = file.write_text(note + ", cameras: {cam1: cam1/*.tif, cam2: cam2/*.tif, cam3: cam3/*.tif}}")
+    ...     cameras = ", ".join(f"{name}: '{name}/{{frame}}.tif'" for name in tank.rig)
+    ...     _ = file.write_text(f"{note}, cameras: {{{cameras}}}}}")
     ...     found = run(file, workflow=Workflow(cluster="none"))
     ...     shape = open_cube(file.with_name("cube.zarr")).z.shape
     >>> found.complete, shape

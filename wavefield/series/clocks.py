@@ -17,7 +17,6 @@ from wavefield.series.probes import numbered_lines
 Times = NDArray[np.float64]
 Images = str | Sequence[str | None]
 
-RECORDED = "recorded"  # in place of a file of times: those in the recording
 MIN_INTERVALS = 3  # fewer do not show a rate
 SIGNIFICANCE = 4.0  # standard deviations
 MAX_OFFSET = 0.25  # intervals between an image's time and its place
@@ -25,8 +24,6 @@ RATE_ERROR = 1e-3  # by which the rates of clocks differ
 MAX_PLACES_PER_IMAGE = 10  # more: several records in one file
 RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
 RATE_DISAGREEMENT = 0.01  # of a rate: clocks differ by less, and by as much a velocity would be wrong
-SMALL_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # per second
-UNIT_TOLERANCE = 0.05  # of a rate that the experiment file rounds
 _EVEN = 2e-4  # intervals: smaller departures change nothing
 _RATE_ERROR = 1e-4  # of a quartz
 _DECIMALS = 7  # of departures in intervals
@@ -81,29 +78,8 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     frames = interval * frame_rate  # per interval
     if abs(frames - 1.0) > max(RATE_DISAGREEMENT, SIGNIFICANCE * scatter / interval):
         rate = float(f"{1.0 / interval:.4g}")
-        unit = next(
-            (name for name, per in SMALL_UNITS.items() if abs(frames / per - 1.0) < UNIT_TOLERANCE), ""
-        )
-        remedy = (
-            f"these look like {unit}; write seconds"
-            if unit
-            else f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"
-        )
+        remedy = f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"
         raise ExperimentError(f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: {remedy}")
-
-
-def recorded_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times:
-    """As `own_times`, but refuse recordings without increasing times."""
-    if not recordings_of(images, camera, folder):
-        raise ExperimentError(
-            f"{camera}: `times: {RECORDED}` needs images in a recording; otherwise name a file of times"
-        )
-    times = own_times(images, camera, folder, frame_rate)
-    if times is None or np.any(np.diff(times) <= 0):
-        raise ExperimentError(
-            f"{images} holds no increasing times of its images: leave `times` out, or name a file of them"
-        )
-    return times
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
@@ -251,12 +227,6 @@ def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, flo
 def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
     """Playback rates of cameras whose images are videos; those of high-speed cameras are not frame rates."""
     return _rates(cameras, folder, videos=True)
-
-
-def video_rotations(cameras: Mapping[str, object], folder: Path) -> dict[str, int]:
-    """Degrees by which videos state that they are to be turned, by camera; frames are read as stored."""
-    turned = {name: one.rotation for name, one in _recordings(cameras, folder) if isinstance(one, Video)}
-    return {name: degrees for name, degrees in turned.items() if degrees}
 
 
 def _rates(cameras: Mapping[str, object], folder: Path, videos: bool) -> dict[str, float]:

@@ -29,7 +29,6 @@ from wavefield.series.experiment_parts import (
     VelocitySection,
     WaterSection,
 )
-from wavefield.series.formats.arrays import without_password
 from wavefield.series.frames import FrameSeries
 from wavefield.series.mean_images import with_backgrounds
 from wavefield.series.probes import read_probes
@@ -52,7 +51,7 @@ class Experiment(RecordSection):
     >>> _ = path.write_text('''
     ... name: basin
     ... frame_rate: 20.0
-    ... cameras: {cam1: "cam1/*.tif", cam2: "cam2/*.tif"}
+    ... cameras: {cam1: "cam1/{frame:05d}.tif", cam2: "cam2/{frame:05d}.tif"}
     ... velocity: {cameras: [cam1, cam2]}
     ... ''')
     >>> Experiment.load(path).frame_rate
@@ -83,7 +82,7 @@ class Experiment(RecordSection):
     )
     mask: dict[str, list[masks.MaskSection]] = Field(
         default_factory=dict,
-        examples=["{cam1: masks/cam1.png, water: {cylinder: {x: 0.2, y: -0.1, radius: 0.1}}}"],
+        examples=["{cam1: masks/cam1.png, water: {polygon: [[-0.1, 0], [0.1, 0], [0, 0.1]]}}"],
         description="what is not water; see Masks",
     )
     probes: ProbesSection | None = Field(default=None, examples=["probes.csv"])
@@ -105,7 +104,7 @@ class Experiment(RecordSection):
         rows: list[tuple[str, object]] = [
             ("file", self._path),
             ("frame rate", f"{self.frame_rate:g} Hz"),
-            *((name, without_password(str(one.images))) for name, one in self.cameras.items()),
+            *((name, str(one.images)) for name, one in self.cameras.items()),
             ("rig", ", ".join(path.name for path in self.rig_paths)),
             ("grid", grid),
             ("water depth", "not given: deep water" if depth is None else f"{depth:g} m"),

@@ -6,6 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from wavefield.config_files import ConfigSection, Name, PathText, safe_name
 from wavefield.grid import Grid
+from wavefield.series.formats.arrays import refuse_password
 from wavefield.water import tension_over_density
 
 _RANGE = "first and last frame number to use, both included, as in `--frames FIRST:LAST`"
@@ -17,13 +18,12 @@ class CameraSection(ConfigSection):
 
     images: PathText | list[PathText | None] = Field(
         examples=['"cam1/img_{frame:05d}.tif"'],
-        description="pattern with the frame number, glob, list, multi-page TIFF, video, Zarr array",
+        description="pattern with the frame number, list, multi-page TIFF, recording, video, Zarr array",
     )
     offset: int = Field(default=0, description="added to this camera's frame numbers")
     times: PathText | None = Field(
         default=None,
-        description="file of time stamps, s, one per image (one per line, or a CSV with a column `time`); "
-        "or `recorded`",
+        description="file of time stamps, s, one per image (one per line, or a CSV with a column `time`)",
     )
     row_time: float = Field(
         default=0.0,
@@ -37,6 +37,13 @@ class CameraSection(ConfigSection):
     @classmethod
     def _shorthand(cls, data: object) -> object:
         return {"images": data} if isinstance(data, str | list) else data
+
+    @field_validator("images")
+    @classmethod
+    def _without_password(cls, value: str | list[str | None]) -> str | list[str | None]:
+        for name in [value] if isinstance(value, str) else value:
+            refuse_password(name or "")
+        return value
 
 
 class FramesSection(ConfigSection):
@@ -57,7 +64,7 @@ class RecordSection(ConfigSection):
     folder: PathText | None = Field(
         default=None, description="folder of the images, if not that of this file"
     )
-    cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
+    cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/{frame}.tif"}}'])
     frames: FramesSection = FramesSection()
 
     @field_validator("name", mode="before")

@@ -4,7 +4,6 @@ A frame's place comes from its number (in its name, in its file, or from its tim
 rank in a listing: a missing file must not shift the rest.
 """
 
-import fnmatch
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.file_access import accessing
-from wavefield.series.formats.arrays import hiding_password, is_remote, without_password
+from wavefield.series.formats.arrays import is_remote
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
 
@@ -23,16 +22,10 @@ Numbered = dict[int, FrameEntry]
 Images = str | Sequence[str | None]  # as in the experiment file
 
 SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
-_OTHER_PLACEHOLDER = re.compile(r"%\d*[diu]|##+|\{\w*(:\d*d?)?\}")  # of other programs
 MAX_TRIED = 20  # frames, for one that can be read
 MAX_FRAMES = 5_000_000  # of a record
 MAX_NUMBERS_PER_FRAME = 1000  # of the range of a record
-_FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
-
-
-def has_pattern(name: str) -> bool:
-    """Whether a name contains ``{frame}`` or wildcards."""
-    return bool(_FRAME.search(name)) or any(c in name for c in "*?[")
+FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
 def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
@@ -40,37 +33,24 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
-    _refuse_other_placeholders(without_password(name), folder, camera)
     path = folder / name
-    if is_remote(name):
-        if has_pattern(without_password(name)):
+    if FRAME.search(name):
+        if is_remote(name):
             raise ExperimentError(
-                f"images of {camera}: {without_password(name)}: image files are read from disks; mount the "
-                "store, copy them, or put them into one Zarr array"
+                f"images of {camera}: {name}: image files are read from disks; mount the store, copy them, "
+                "or put them into one Zarr array"
             )
-    elif has_pattern(path.name) or _FRAME.search(name):
         prefix = str(path.parent) + os.sep
         names = _names(path, camera)
         return {number: FrameEntry("file", prefix + name) for number, name in sorted(names.items())}
+    if re.search(r"[*?%#{]", path.name) and not path.exists():
+        raise ExperimentError(
+            f"images of {camera}: {name}: write {{frame}} where the number of the frame is, as in "
+            f"img_{{frame:05d}}{path.suffix}"
+        )
     source = name if is_remote(name) else str(path)  # a path would lose one slash of an address
-    with hiding_password(source):
-        kind, count = _count_images(source, camera)
+    kind, count = _count_images(source, camera)
     return {i: FrameEntry(kind, source, i) for i in range(count)}
-
-
-def _refuse_other_placeholders(name: str, folder: Path, camera: str) -> None:
-    """Refuse placeholders of other programs, ``img_%05d.tif`` or ``img_#####.tif``, and state ours."""
-    file = name.rpartition("/")[2]
-    found = _OTHER_PLACEHOLDER.search(file)
-    if found is None or has_pattern(name) or (folder / name).exists():
-        return
-    digits = re.search(r"\d+", found[0])
-    width = int(digits[0]) if digits else found[0].count("#")
-    frame = f"{{frame:0{width}d}}" if width > 1 else "{frame}"
-    raise ExperimentError(
-        f"images of {camera}: {name}: write the number of the frame as in {file.replace(found[0], frame)}, "
-        f"not {found[0]}"
-    )
 
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
@@ -121,22 +101,17 @@ def list_folder(folder: Path, camera: str) -> list[str]:
 
 def _names(path: Path, camera: str) -> dict[int, str]:
     """Names of the files in a folder that fit a pattern, by frame number."""
-    if re.search(r"[*?]|\{frame", str(path.parent)):
+    folder, pattern = path.parent, path.name
+    if re.search(r"[*?]|\{frame", str(folder)):
         raise ExperimentError(
             f"images of {camera}: {path} has a pattern in its folder; only the file may vary"
         )
-    return _numbered(list_folder(path.parent, camera), path.name, path.parent, camera)
-
-
-def _numbered(names: Sequence[str], pattern: str, folder: Path, camera: str) -> dict[int, str]:
-    if len(_FRAME.findall(pattern)) > 1:
+    if len(FRAME.findall(pattern)) > 1:
         raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
-    if not _FRAME.search(pattern):
-        numbered = _numbers_by_glob(fnmatch.filter(names, pattern), pattern, camera)
-    else:
-        numbered = _numbers_by_mark(names, pattern, camera)
+    names = list_folder(folder, camera)
+    numbered = _numbers_by_mark(names, pattern, camera)
     if not numbered:
-        alike = sorted(name for name in names if name.endswith(Path(pattern).suffix)) or sorted(names)
+        alike = sorted(name for name in names if name.endswith(path.suffix)) or sorted(names)
         hint = f"the folder holds {alike[0]!r} and others" if alike else f"{folder} is empty"
         raise ExperimentError(f"images of {camera}: no file in {folder} fits {pattern!r}; {hint}")
     return numbered
@@ -156,55 +131,13 @@ def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[in
     out: dict[int, str] = {}
     for name in names:
         if match := form.fullmatch(name):
-            _place(out, int(match[1]), name, camera)
+            first, second = sorted((name, out.setdefault(int(match[1]), name)))
+            if first != second:
+                raise ExperimentError(
+                    f"images of {camera}: {first!r} and {second!r} are both frame {int(match[1])}; remove or "
+                    "rename one"
+                )
     return out
-
-
-def _place(out: dict[int, str], number: int, name: str, camera: str) -> None:
-    """Enter a file under its frame number; an error if the number is taken."""
-    other = out.setdefault(number, name)
-    if other != name:
-        first, second = sorted((name, other))
-        raise ExperimentError(
-            f"images of {camera}: {first!r} and {second!r} are both frame {number}; remove or rename one"
-        )
-
-
-def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
-    """The one group of digits that varies from name to name is the frame number."""
-    parts = [re.split(r"(\d+)", name) for name in names]
-    if not parts:
-        return {}
-    if len({tuple(p[::2]) for p in parts}) > 1:
-        kinds = sorted({"#".join(p[::2]) for p in parts})
-        raise ExperimentError(
-            f"images of {camera}: {pattern!r} fits names of different kinds ({', '.join(kinds[:3])}, # for "
-            "digits); mark the frame number, as in img_{frame:05d}.tif"
-        )
-    digits = [[int(d) for d in p[1::2]] for p in parts]
-    values = [len({d[k] for d in digits}) for k in range(len(digits[0]))]
-    varying = [k for k, count in enumerate(values) if count > 1]
-    if len(names) == 1 and values:
-        varying = [len(values) - 1]
-    if len(varying) != 1:
-        problem = "more than one number varies" if varying else "no number varies"
-        raise ExperimentError(
-            f"images of {camera}: {problem} among the names that fit {pattern!r}; mark the frame number, as "
-            f"in {_marked(parts[0], varying, values) or 'img_{frame:05d}.tif'}"
-        )
-    out: dict[int, str] = {}
-    for numbers, name in zip(digits, names):
-        _place(out, numbers[varying[0]], name, camera)
-    return out
-
-
-def _marked(parts: Sequence[str], varying: Sequence[int], values: Sequence[int]) -> str:
-    """A name with ``{frame}`` for the number that varies most, and a star for the others that vary."""
-    if not varying:
-        return ""
-    frame = max(varying, key=lambda k: (values[k], k))
-    marks = {2 * k + 1: "{frame}" if k == frame else "*" for k in varying}
-    return "".join(marks.get(k, part) for k, part in enumerate(parts))
 
 
 def make_series(

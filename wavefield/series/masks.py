@@ -5,7 +5,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
@@ -18,29 +17,8 @@ from wavefield.series.readers import FrameEntry
 
 WATER = "water"  # the key of masks on the water, not in one camera's image
 MAX_CORNERS = 2000  # of a polygon; what is finer is an image
-CIRCLE_CORNERS = 64  # of a circle's outline
 POINTS_PER_SIDE = 16  # of an edge on the water: it is no straight line in an image
-CYLINDER_LEVELS = 5  # heights at which a cylinder is projected
-TOP_SHARE = 0.9  # of the camera's height: top of a cylinder that is not given
 MAX_OUTSIDE = 16.0  # image sizes: only the direction of a corner further away matters
-
-
-class CylinderSection(ConfigSection):
-    """An upright cylinder that pierces the surface, metres."""
-
-    x: float = Field(examples=["0.2"])
-    y: float = Field(examples=["-0.1"])
-    radius: float = Field(gt=0, examples=["0.1"])
-    top: float | None = Field(default=None, description="z of its top; as high as the cameras if left out")
-    bottom: float | None = Field(
-        default=None, description="z down to which it is visible; the lowest water searched if left out"
-    )
-
-    @model_validator(mode="after")
-    def _upright(self) -> "CylinderSection":
-        if self.top is not None and self.bottom is not None and self.top <= self.bottom:
-            raise ValueError(f"its top ({self.top:g} m) must be above its bottom ({self.bottom:g} m)")
-        return self
 
 
 class MaskSection(ConfigSection):
@@ -53,9 +31,6 @@ class MaskSection(ConfigSection):
     )
     image: str | None = Field(
         default=None, examples=['"masks/cam1.png"'], description="what is not black in it is covered"
-    )
-    cylinder: CylinderSection | None = Field(
-        default=None, examples=["{x: 0.2, y: -0.1, radius: 0.1}"], description="only on the water"
     )
 
     @field_validator("polygon")
@@ -80,7 +55,7 @@ class MaskSection(ConfigSection):
     def _one(self) -> "MaskSection":
         given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
-            raise ValueError(f"give one of polygon, image, cylinder, not {' and '.join(given) or 'none'}")
+            raise ValueError(f"give a polygon or an image, not {' and '.join(given) or 'none'}")
         return self
 
 
@@ -118,26 +93,16 @@ def normalized(masks: object, cameras: Collection[str]) -> object:
 
 
 def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
-    """Refuse images on the water and cylinders in an image."""
+    """Refuse images on the water."""
     for name, shapes in masks.items():
         for shape in shapes:
             if name == WATER and shape.image:
-                raise ValueError(
-                    "mask: an image belongs to a camera; on the water give a polygon or a cylinder"
-                )
-            if name != WATER and shape.cylinder:
-                raise ValueError(f"mask: the cylinder is under {name}; put it under `water`, in metres")
+                raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
 
 
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:
     """Outlines on the water, (x, y), m, of masked nodes."""
-    out: list[Outline] = []
-    for shape in masks.get(WATER, ()):
-        if shape.cylinder is not None:
-            out.append(tuple(map(tuple, _circle(shape.cylinder).tolist())))
-        elif shape.polygon is not None:
-            out.append(tuple(shape.polygon))
-    return tuple(out)
+    return tuple(tuple(shape.polygon) for shape in masks.get(WATER, ()) if shape.polygon is not None)
 
 
 def covered_series(
@@ -145,14 +110,13 @@ def covered_series(
     series: Mapping[str, FrameSeries],
     rig: Rig,
     folder: Path,
-    reach: float,
 ) -> dict[str, FrameSeries]:
-    """Frames with their masks; those on the water as each camera sees them, down to -reach, m."""
+    """Frames with their masks; those on the water as each camera sees them."""
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())
         drawn = [_in_image(name, shape.polygon, frames.shape) for shape in own if shape.polygon]
-        projected = [outline_in_image(shape, rig[name], reach) for shape in on_water]
+        projected = [outline_in_image(shape, rig[name]) for shape in on_water]
         mask = CameraMask(
             frames.shape,
             (*drawn, *(outline for outline in projected if outline)),
@@ -197,15 +161,12 @@ def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int
     return tuple(polygon)
 
 
-def outline_in_image(shape: MaskSection, camera: Camera, reach: float) -> Outline:
+def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
     """Outline in an image, px, of a shape on the water; empty where the camera does not see it."""
-    if shape.cylinder is not None:
-        corners = _silhouette(shape.cylinder, camera, reach)
-    else:
-        p = np.array(shape.polygon)
-        t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
-        edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
-        corners = np.stack(camera.project(edge[:, 0], edge[:, 1], 0.0), axis=-1)
+    p = np.array(shape.polygon)
+    t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
+    edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
+    corners = np.stack(camera.project(edge[:, 0], edge[:, 1], 0.0), axis=-1)
     if not np.isfinite(corners).all():
         return ()
     w, h = camera.size
@@ -213,26 +174,6 @@ def outline_in_image(shape: MaskSection, camera: Camera, reach: float) -> Outlin
         return ()
     limit = MAX_OUTSIDE * max(w, h)
     return tuple((float(x), float(y)) for x, y in np.clip(corners, -limit, limit))
-
-
-def _circle(cylinder: CylinderSection) -> NDArray[np.float64]:
-    """Corners, (n, 2), m, of a polygon around the circle of a cylinder."""
-    angle = 2 * np.pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
-    radius = cylinder.radius / np.cos(np.pi / CIRCLE_CORNERS)
-    return np.stack([cylinder.x + radius * np.cos(angle), cylinder.y + radius * np.sin(angle)], axis=-1)
-
-
-def _silhouette(cylinder: CylinderSection, camera: Camera, reach: float) -> NDArray[np.float64]:
-    """Corners, (n, 2), px, of the outline of a cylinder in an image; NaN where it is not visible."""
-    ring = _circle(cylinder)
-    bottom = -reach if cylinder.bottom is None else cylinder.bottom
-    top = TOP_SHARE * float(camera.centre[2]) if cylinder.top is None else cylinder.top
-    heights = np.linspace(bottom, top, CYLINDER_LEVELS)
-    points = np.concatenate([np.stack(camera.project(ring[:, 0], ring[:, 1], z), axis=-1) for z in heights])
-    points = points[np.isfinite(points).all(axis=1)]
-    if not len(points):
-        return np.full((1, 2), np.nan)
-    return np.asarray(cv2.convexHull(points.astype(np.float32))[:, 0], np.float64)
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:

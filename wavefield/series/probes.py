@@ -18,7 +18,6 @@ if TYPE_CHECKING:  # half a second to import
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 SLOWEST = 2.0  # s between samples: slower ones do not resolve waves; times in ms have steps of 10 and more
 LARGEST = 40.0  # m from the lowest to the highest value: no wave is higher
-SENTINEL_DEVIATIONS = 4.0  # times the 95 % range of the values
 
 
 def read_probes(
@@ -75,7 +74,7 @@ def read_probes(
     table = _table(path, names, lines[1:])
     _check_times(path, table[:, 0], [number for number, _ in lines[1:]])
     for name, values in zip(names[1:], table[:, 1:].T):
-        _check_elevation(path, name, values * UNITS[unit] * factor, values)
+        _check_elevation(path, name, values * UNITS[unit] * factor)
     unknown = [name for name in places or {} if name not in names[1:]]
     if unknown:
         raise ExperimentError(
@@ -170,24 +169,11 @@ def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> 
         )
 
 
-def _check_elevation(
-    path: Path, name: str, elevation: NDArray[np.float64], stored: NDArray[np.float64]
-) -> None:
-    """Refuse what cannot be the elevation of a surface: marks of missing values, constants, other units."""
+def _check_elevation(path: Path, name: str, elevation: NDArray[np.float64]) -> None:
+    """Refuse what cannot be the elevation of a surface: another unit, or marks of missing values."""
     known = elevation[np.isfinite(elevation)]
-    if not known.size:
-        return
-    deviation = np.abs(elevation - np.median(known))
-    usual = float(np.quantile(deviation[np.isfinite(deviation)], 0.95))
-    for value in np.unique(stored[deviation > SENTINEL_DEVIATIONS * usual]):
-        digits = f"{abs(value):g}".replace(".", "")
-        if len(digits) > 2 and set(digits) == {"9"}:
-            raise ExperimentError(
-                f"{path}: {name} is {value:g} where it has no value; leave these cells empty"
-            )
-    if known.size > 2 and np.ptp(known) == 0 and known[0] != 0:
-        raise ExperimentError(f"{path}: {name} is {known[0]:g} m throughout, not a wave probe; remove it")
-    if np.ptp(known) > LARGEST:
+    if known.size and np.ptp(known) > LARGEST:
         raise ExperimentError(
-            f"{path}: {name} varies by {np.ptp(known):.3g} m, more than any wave; state `unit:` in `probes:`"
+            f"{path}: {name} varies by {np.ptp(known):.3g} m, more than any wave; state `unit:` in "
+            "`probes:`, and leave cells without a value empty"
         )

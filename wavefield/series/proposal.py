@@ -17,11 +17,6 @@ _NO_WAVES = re.compile(
     re.IGNORECASE,
 )
 IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
-_OF_A_CAMERA = re.compile(r"(cam|camera|kamera|caméra|view)[_\-. ]?$", re.IGNORECASE)  # before a number
-_OF_A_FRAME = re.compile(r"frame[_\-. ]?$", re.IGNORECASE)
-_FRAME = re.compile(r"\{frame[^}]*\}")
-_BETWEEN_WORDS = re.compile(r"(?<!cam)(?<!camera)(?<!kamera)(?<!view)[_\-. ]", re.IGNORECASE)
-_YAML_WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 
 
 _NOTE = """\
@@ -95,57 +90,24 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
             parts[-1] += dot + ending
             alike[tuple(parts[::2])].append(parts)
     numbers: dict[str, list[int]] = defaultdict(list)
-    for texts, names in alike.items():
-        k = _frame_column(texts, names)
+    for names in alike.values():
+        k = max(range(1, len(names[0]), 2), key=lambda k: (len({parts[k] for parts in names}), k))
         zeros = any(len(parts[k]) > 1 and parts[k].startswith("0") for parts in names)
         width = min(len(parts[k]) for parts in names)
         frame = f"{{frame:0{width}d}}" if zeros else "{frame}"
         unique = len({parts[k] for parts in names}) == len(names) > 1
-        others = [
-            j
-            for j in range(1, len(names[0]), 2)
-            if j != k and len({parts[j] for parts in names}) > 1 and not _OF_A_CAMERA.search(texts[j // 2])
-        ]
+        others = [j for j in range(1, len(names[0]), 2) if j != k and len({parts[j] for parts in names}) > 1]
         for parts in names:
             shown = ["*" if unique and j in others else part for j, part in enumerate(parts)]
             numbers["".join([*shown[:k], frame, *shown[k + 1 :]])].append(int(parts[k]))
     return [NumberedImages(pattern, tuple(sorted(found))) for pattern, found in sorted(numbers.items())]
 
 
-def _frame_column(texts: Sequence[str], names: Sequence[Sequence[str]]) -> int:
-    """Which part of names that differ in numbers alone is the number of the frame."""
-
-    def rank(k: int) -> tuple[bool, bool, int, int]:
-        values, before = len({parts[k] for parts in names}), texts[k // 2]
-        # one that follows the word frame comes before others, one that follows a word for a camera after them
-        return not _OF_A_CAMERA.search(before), values > 1 and bool(_OF_A_FRAME.search(before)), values, k
-
-    return max(range(1, len(names[0]), 2), key=rank)
-
-
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Names of cameras: the words in which the patterns of their images differ, else cam1, cam2, ..."""
-    paths = [_FRAME.sub("", pattern.rpartition(".")[0]) for pattern in patterns]
-    usual = [f"cam{k}" for k in range(1, len(patterns) + 1)]
-    folders = [path.split("/")[:-1] for path in paths]
-    words = [_BETWEEN_WORDS.split(path.rpartition("/")[2]) for path in paths]
-    apart: list[tuple[str, ...]] = []
-    different: list[tuple[str, ...]] = []
-    for rows in (folders, words, [a + b for a, b in zip(folders, words)]):
-        if not apart and len({len(row) for row in rows}) == 1:
-            different = [column for column in zip(*rows, strict=True) if len(set(column)) > 1]
-            apart = [column for column in different if len(set(column)) == len(patterns)]
-    apart = apart[:1] or different
-    names = [_as_name("-".join(row)) for row in zip(*apart, strict=True)]
-    return names if len(set(names)) == len(patterns) and all(names) else usual
-
-
-def _as_name(words: str) -> str:
-    """A name that is safe in YAML and in paths; empty if none is left."""
-    name = re.sub(r"[^A-Za-z0-9_-]+", "-", words).strip("-")
-    if name.isdecimal():
-        return f"cam{name}"
-    return f"cam-{name}" if name.lower() in _YAML_WORDS or re.match(r"[0-9_]", name) else name
+    """Names of cameras: the folders of their images if these are words that differ, else cam1, cam2, ..."""
+    folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
+    words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
+    return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]
 
 
 def propose(folder: str | Path) -> str:

@@ -14,7 +14,7 @@ from wavefield.images import grey, read_image
 from wavefield.images.tiff import ENDINGS as TIFF_ENDINGS
 from wavefield.images.tiff import TiffImages
 from wavefield.series.formats import file_of, open_recording
-from wavefield.series.formats.arrays import ZarrImages, hiding_password, is_remote, without_password
+from wavefield.series.formats.arrays import ZarrImages, is_remote
 
 MAX_OPEN_FILES = 8  # per process; files with many frames stay open between reads
 
@@ -38,8 +38,7 @@ class FrameEntry(NamedTuple):
     image: int = 0
 
     def __str__(self) -> str:
-        path = without_password(self.path)
-        return f"{path}, image {self.image}" if self.kind == "images" else path
+        return f"{self.path}, image {self.image}" if self.kind == "images" else self.path
 
 
 def read_entry(entry: FrameEntry) -> np.ndarray:
@@ -47,7 +46,7 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
     if entry.kind == "file":
         return read_image(entry.path)
     # open files keep a position, which threads must not share
-    with hiding_password(entry.path), accessing(entry.path, FrameError), _lock:
+    with accessing(entry.path, FrameError), _lock:
         return grey(_kept_open(entry.path).read(entry.image))
 
 

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
 from wavefield.series.clocks import (
-    RECORDED,
     own_times,
     place_by_intervals,
     place_by_time,
     read_time_stamps,
-    recorded_times,
 )
 from wavefield.series.experiment_parts import CameraSection, RecordSection
 from wavefield.series.frames import FrameSeries
@@ -79,7 +77,7 @@ def _place_by_clocks(
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
     """Frames renumbered by the cameras' clocks, and the times of cameras that have a clock."""
     stamped = {
-        name: _time_stamps(name, section, path, folder, record.frame_rate)
+        name: _time_stamps(name, section, path, folder)
         for name, section in record.cameras.items()
         if section.times is not None
     }
@@ -103,12 +101,7 @@ def _place_by_clocks(
     return placed, {name: times for name, (_, times) in stamped.items()}
 
 
-def _time_stamps(
-    name: str, section: CameraSection, path: Path, folder: Path, frame_rate: float
-) -> tuple[Path, Times]:
+def _time_stamps(name: str, section: CameraSection, path: Path, folder: Path) -> tuple[Path, Times]:
     """The file that holds a camera's time stamps, and its times, s."""
-    if section.times == RECORDED:
-        times = recorded_times(section.images, name, folder, frame_rate)
-        return folder / str(section.images).replace("{camera}", name), times
     source = path.parent / str(section.times).replace("{folder}", str(folder))
     return source, read_time_stamps(source, name)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote
 
 import numpy as np
 
-from wavefield.errors import FrameError, WavefieldError
+from wavefield.errors import FrameError
 from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_index, usual_interval
 from wavefield.text import one_line
 
@@ -22,8 +19,7 @@ if TYPE_CHECKING:
 _METADATA = ("zarr.json", ".zarray", ".zgroup", ".zmetadata")  # of a Zarr array or group
 _ENDINGS = (".h5", ".hdf5", ".nc")
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
-_USER, _QUERY = re.compile(r"(://)[^/]*@"), re.compile(r"\?[^/]*=.*$")  # parts of an address that give access
-_SHORTEST = 4  # characters of a password or token that is looked for by itself
+_SECRET = re.compile(r"://[^/]*@|\?.*=")  # a user before the host, or a query after the path
 _SECONDS = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
@@ -188,31 +184,16 @@ def is_remote(name: str) -> bool:
     return bool(_ADDRESS.match(name))
 
 
-def without_password(address: str) -> str:
-    """An address without what gives access to it: user and password before the host, the query after it.
+def refuse_password(address: str) -> None:
+    """Refuse an address that gives access by itself; the message does not repeat it.
 
     Examples
     --------
-    >>> without_password("https://me:secret@host/cam1/{frame}.tif?token=abc")
-    'https://host/cam1/{frame}.tif'
+    >>> refuse_password("https://host/cam1.zarr?token=abc")
+    Traceback (most recent call last):
+    ValueError: the address contains a password or token: leave it to the environment (fsspec's configuration)
     """
-    if not is_remote(address):
-        return address
-    return _USER.sub(r"\1", _QUERY.sub("", address))
-
-
-@contextmanager
-def hiding_password(address: str) -> Iterator[None]:
-    """Keep what gives access to an address out of the errors of reading it, also as libraries decode it."""
-    try:
-        yield
-    except WavefieldError as error:
-        text = str(error)
-        if is_remote(address):
-            text = text.replace(address, without_password(address))
-            secrets = [found.group() for found in (_USER.search(address), _QUERY.search(address)) if found]
-            parts = [part for secret in secrets for part in re.split(r"[:/@?&=]", secret)]
-            secrets += [part for part in parts if len(part) >= _SHORTEST]
-            for secret in sorted({*secrets, *map(unquote, secrets)}, key=len, reverse=True):
-                text = text.replace(secret, "...")
-        raise type(error)(text) from None
+    if is_remote(address) and _SECRET.search(address):
+        raise ValueError(
+            "the address contains a password or token: leave it to the environment (fsspec's configuration)"
+        )
