@@ -78,8 +78,6 @@ def analyze(
         ``velocity`` : {"instantaneous", "displacement"}
             What the velocities of a cube that does not state it are (`wavefield.cube`); by default
             displacements over one step.
-        ``pixel_size`` : float
-            Size of a pixel on the water, m; by default the attribute ``pixel_size`` of the cube.
         ``gain`` : path, Dataset or False
             Response of the measurement to waves, undone in the spectra where it is half or more; shorter
             waves are not valid. By default that stored with the cube; False leaves the spectra as they were

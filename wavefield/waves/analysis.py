@@ -193,7 +193,6 @@ class AnalysisOptions(TypedDict, total=False):
     segment: int | None
     depth: float | None
     velocity: Literal["instantaneous", "displacement"] | None
-    pixel_size: float | None
     gain: str | Path | xr.Dataset | Literal[False] | None
     fit: object
     maps: Sequence[float]
@@ -250,7 +249,6 @@ def analyze(
             "each": each,
             "depth": depth,
             "gamma": gamma,
-            "pixel_size": options.get("pixel_size") or complete.attrs.get("pixel_size"),
             "gain": gain_of(complete, gain),
             "probes": options.get("probes"),
             "fit": options.get("fit"),

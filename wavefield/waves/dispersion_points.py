@@ -373,10 +373,17 @@ def centroids(
         middle, reach = np.where(known, centres, 0.0), np.where(known, reach, 0.0)
         first = np.searchsorted(sector.k, middle - reach, "right")
         last = np.searchsorted(sector.k, middle + reach, "left")
-        sums = np.empty((8, omega.size))
-        kernels.windowed_sums(
-            spectrum.energy, spectrum.noise, sector.cells, sector.k, sector.heading, first, last, sums
+        place = np.arange(sector.k.size)
+        inside = (place >= first[:, None]) & (place < last[:, None])
+        energy, noise = (
+            np.where(inside, part[:, sector.cells].astype(float), 0.0)
+            for part in (spectrum.energy, spectrum.noise)
         )
+        by = np.array([np.ones(place.size), sector.k, *sector.heading])
+        # not a matrix product: that of BLAS may depend on the number of threads in the last bit
+        above = np.einsum("lc,ic->il", energy - noise, by)
+        squares = np.einsum("lc,ic->il", energy**2, np.array([by[0], sector.k, sector.k**2]))
+        sums = np.concatenate([above, squares, noise.sum(axis=1)[None]])
         usable = (last - first >= MIN_CELLS) & (sums[0] > MIN_SIGNAL_TO_NOISE * sums[7]) & (sums[0] > 0)
         usable &= centres < largest_k
         weight, weight_k, cosine, sine, square, square_k, square_k2, noise = sums[:, usable]

@@ -25,7 +25,6 @@ from wavefield.waves.dof import with_interval
 from wavefield.waves.gains import (
     MIN_POWER_GAIN,
     MIN_SIGNAL_TO_NOISE,
-    elevation_from_w,
     is_predicted,
     noise_of_displacement,
     path_factor,
@@ -221,27 +220,15 @@ class _Elevations:
         return np.asarray(array.sum(axis=1) * self.step)
 
 
-def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None) -> _Elevations:
+def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _Elevations:
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
-    of_z, measured_w = (ring["E"].sel(quantity=name).values for name in NAMES)
+    of_z, of_w = (ring["E"].sel(quantity=name).values for name in NAMES)
     given = omega, ring["k"].values, dt, of_z
-    resolved = _resolved_lines(measured_w.sum(axis=1))
-    if moving is not None:
-        of_w, cross, shape = moving.elevations(water, dt, frames)
-        speed = float(np.hypot(*moving.current))
-    else:
-        b, speed = omega * dt / 2, 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # z is half a step early: exp(i b) brings it to mid-time
-            path = path_factor(omega, dt, frames)
-            to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b) * path)
-            factor_w = elevation_from_w(omega, dt, frames)
-        to_elevation[0], factor_w[0] = 0, 0
-        of_w = measured_w * factor_w[:, None]
-        cross = (ring["S"].sel(pair="z*w").values * to_elevation[:, None]).real
-        shape = np.broadcast_to(noise_of_displacement(omega, dt, frames)[:, None], cross.shape)
-    return _Elevations(*given, of_w, cross, shape, resolved, speed)
+    speed = float(np.hypot(*planes.current))
+    return _Elevations(
+        *given, *planes.elevations(water, dt, frames), _resolved_lines(of_w.sum(axis=1)), speed
+    )
 
 
 @dataclass(frozen=True)
@@ -334,11 +321,11 @@ def _by_method(
 
 
 def from_spectra(
-    ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: SpectraOnCurrent | None = None
+    ring: xr.Dataset, water: Water, gain: xr.Dataset | None, planes: SpectraOnCurrent
 ) -> xr.Dataset:
     """Elevation spectra and noise from the power and cross spectra of z and w."""
     ring = ring.compute()
-    spectra = _elevations(ring, water, moving)
+    spectra = _elevations(ring, water, planes)
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
     noise = _noise(spectra, water, gains)
@@ -384,7 +371,7 @@ def from_spectra(
         out[name] = ((), sigma if noise.known else np.nan)
     out["range_frequency"] = ("source", [r[0] for r in reach])
     out["range_decades"] = ("source", [r[1] for r in reach])
-    still: dict[str, Any] = {"current": [0.0, 0.0] if moving is None else list(moving.current)}
+    still: dict[str, Any] = {"current": list(planes.current)}
     depth, gamma = water
     still |= {"water_depth": depth if np.isfinite(depth) else "deep", "surface_tension_over_density": gamma}
     return annotate(out.assign_attrs(ring.attrs | still), "fusion")
@@ -509,13 +496,12 @@ def _fused(
     gamma: float,
 ) -> xr.Dataset:
     cross = ring_sums.pop("map z*w")  # large, and of no further use
-    moving = None
-    if any(used.velocity):
-        zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
-        moving = SpectraOnCurrent(used.velocity, density_w, zw)
+    zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
     if gain is not None:
         gain = with_directions(gain, density_w.sum("omega"))
-    out = from_spectra(ring, (depth, gamma), gain, moving).assign_attrs(used.attrs)
+    out = from_spectra(
+        ring, (depth, gamma), gain, SpectraOnCurrent(used.velocity, density_w, zw)
+    ).assign_attrs(used.attrs)
     out["Ez"].attrs |= used.attrs
     return out
 

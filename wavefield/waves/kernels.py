@@ -266,29 +266,6 @@ def node_powers(values: Array, mean: float, sums: Array) -> None:
 
 
 @_loose
-def windowed_sums(
-    energy: Array, noise: Array, cells: Array, k: Array, heading: Array, first: Array, last: Array, out: Array
-) -> None:
-    """Sums (8, lines) over a range of cells of a spectrum (lines, cells).
-    Of energy less noise: itself, times k, times the two heading components; of its square: times 1, k, k^2;
-    the noise.
-    """
-    for i in range(first.size):
-        out[:, i] = 0.0
-        for c in range(first[i], last[i]):
-            whole, level = np.float64(energy[i, cells[c]]), np.float64(noise[i, cells[c]])
-            part = whole - level
-            out[0, i] += part
-            out[1, i] += part * k[c]
-            out[2, i] += part * heading[0, c]
-            out[3, i] += part * heading[1, c]
-            out[4, i] += whole * whole
-            out[5, i] += whole * whole * k[c]
-            out[6, i] += whole * whole * k[c] * k[c]
-            out[7, i] += level
-
-
-@_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add waves to a spectrum (lines, ny, nx), each over neighbouring cells.
     Cells start at ``first`` (3, waves); weights (3, waves, near) are per axis.

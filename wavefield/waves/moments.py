@@ -217,7 +217,7 @@ def _bin_centres() -> Array:
     return (edges[1:] + edges[:-1]) / 2
 
 
-def label(sums: Mapping[str, Array], scales: Scales, dt: float, pixel_size: float | None) -> xr.Dataset:
+def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
     """Labelled statistics from sums over a record."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
@@ -233,8 +233,6 @@ def label(sums: Mapping[str, Array], scales: Scales, dt: float, pixel_size: floa
     out: dict[str, Any] = {key: ("quantity", np.array(row)) for key, row in rows.items() if key != "pdf"}
     out["pdf"] = (("quantity", "bin"), np.array(rows["pdf"]))
     out["gaussian"] = ("bin", np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi))
-    if pixel_size:
-        out["std_px"] = ("quantity", out["std"][1] / pixel_size)
     if "z" in fields:
         out["significant_height"] = ((), 4 * rows["std"][list(fields).index("z")])
     if "slopes" in sums:
@@ -246,9 +244,7 @@ def label(sums: Mapping[str, Array], scales: Scales, dt: float, pixel_size: floa
 
 
 @takes(a_cube)
-def statistics(
-    cube: xr.Dataset, *, record: Record | None = None, pixel_size: float | None = None
-) -> xr.Dataset:
+def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     """Distributions and moments of the elevation and of the displacements over one time step.
 
     Parameters
@@ -257,14 +253,12 @@ def statistics(
         z and, where present, u, v, w over (time, y, x), m and m/s.
     record : Record, optional
         Rectangle and runs; found from the cube if not given.
-    pixel_size : float, optional
-        Size of a pixel on the water, m; the attribute ``pixel_size`` of the cube if not given.
 
     Returns
     -------
     Dataset
         ``pdf`` (quantity, bin) and ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis``
-        (excess), ``count`` (quantity); ``std_px`` where the pixel size is given; ``significant_height``,
+        (excess), ``count`` (quantity); ``significant_height``,
         ``mean_square_slope``, ``slope_rms``, ``peak_frequency`` (Hz) and their ``_std``, standard
         uncertainties, NaN where the record is shorter than a segment, or than ten periods for the peak.
         Computed at once.
@@ -300,7 +294,7 @@ def statistics(
     for run in record.runs:
         for blocks in read.blocks(run, STEPS_AT_A_TIME):
             sums = add_sums(sums, sums_of(dict(zip(names, blocks)), scales, record.dy, record.dx))
-    out = label(sums, scales, record.dt, pixel_size or cube.attrs.get("pixel_size"))
+    out = label(sums, scales, record.dt)
     stds, peak = of_elevation(cube["z"], record)
     out["peak_frequency"], out["peak_frequency_std"] = (((), value / (2 * np.pi)) for value in peak)
     return annotate(with_stds(out, stds), "statistics")
@@ -317,8 +311,8 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
     return annotate(steepness_std(statistics.assign(peaks), std, depth, gamma), "statistics")
 
 
-def _moments(sums: Mapping[str, Array], scales: Scales, welch: Welch, pixel_size: float | None) -> xr.Dataset:
-    return label(sums, scales, welch.record.dt, pixel_size)
+def _moments(sums: Mapping[str, Array], scales: Scales, welch: Welch) -> xr.Dataset:
+    return label(sums, scales, welch.record.dt)
 
 
 def _statistics_group(
@@ -345,7 +339,7 @@ def _statistics_group(
 
 
 register(
-    WaveProduct("moments", ("survey_sums", "scale", "welch", "pixel_size"), _moments),
+    WaveProduct("moments", ("survey_sums", "scale", "welch"), _moments),
     WaveProduct(
         "statistics",
         ("moments", "fused", "spectra", "welch", "depth", "gamma"),

@@ -26,7 +26,6 @@ GIVEN = {
     "each": "what does work on workers, or None",
     "depth": "of the water, m",
     "gamma": "surface tension over density, m3/s2",
-    "pixel_size": "on the water, m, or None",
     "gain": "of the matching windows, or None",
     "probes": "wave probes, or None",
     "filled": "what filled nodes add to E(omega) of z and w at most, by name",
