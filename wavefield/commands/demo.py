@@ -109,7 +109,6 @@ def demo(directory: Path, scene: str) -> None:
 Scenes:
   demo            middle of the paper's tank, a random sea, 43 frames
   two_cameras     the same seen by two cameras, calibrated with a chessboard
-  four_cameras    the same seen by four cameras
   full            the paper's tank, full-size cameras, a random sea of 1.4 cm rms
   half            the same with images of half the size
   rest            still water

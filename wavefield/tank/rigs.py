@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import view_on_water
-from wavefield.rig.lens import rotation_about
 
 Array = NDArray[np.float64]
 
@@ -93,18 +92,6 @@ def platform_rig(height: float, baseline: float, pitch: float, focal: float, siz
         centre = np.array([0.5 * side * baseline, 0.0, height])
         made[name] = _camera(focal, rotation, -rotation @ centre, size, k1, 0.0)
     return Rig(made, {"source": f"exact cameras on a platform, {height:g} m above the sea"})
-
-
-def swayed(rig: Rig, pitch: float, roll: float) -> Rig:
-    """The cameras of a platform that is turned about their middle, degrees about x and y."""
-    turn = rotation_about(np.radians([pitch, roll, 0.0]))
-    middle = np.mean([rig[name].centre for name in rig], axis=0)
-    out = {}
-    for name in rig:
-        rotation = rig[name].R @ turn.T
-        centre = middle + turn @ (rig[name].centre - middle)
-        out[name] = replace(rig[name], rotation=rotation, translation=-rotation @ centre)
-    return Rig(out)
 
 
 def _camera(

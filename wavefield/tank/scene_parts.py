@@ -82,9 +82,6 @@ class PlatformRig(Part):
     )
     focal: Positive = Field(default=750.0, description="focal length, px")
     size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
-    sway: NotNegative = Field(
-        default=0.0, description="amplitude of its roll and of its pitch about the cameras' middle, degrees"
-    )
 
     def build(self) -> Rig:
         """Make the rig."""

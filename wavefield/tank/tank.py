@@ -17,7 +17,7 @@ from wavefield.tank import rigs, sensor, targets, texture
 from wavefield.tank.beads import BeadField, FrameHistory, Population, carry
 from wavefield.tank.light_sheet_scene import Particles
 from wavefield.tank.scene import Scene
-from wavefield.tank.scene_parts import Fault, PlatformRig, SeaSurface, Sheet, Strings, Texture
+from wavefield.tank.scene_parts import Fault, SeaSurface, Sheet, Strings, Texture
 from wavefield.tank.sea import Basin, Sea
 from wavefield.tank.truth import Truth, truth
 
@@ -29,7 +29,6 @@ MARGIN = 0.05  # m, around what the cameras see
 SHEET_MARGIN = 0.01
 DRIFT_STEP = 0.01  # m: lattice on which painted water is followed back, at least
 MAX_DRIFT_STEPS = 300  # along x
-SWAY_PERIODS = np.array([5.7, 8.3])  # s: of pitch and roll
 
 _NO_FAULT = Fault()
 
@@ -59,11 +58,7 @@ class Tank:
         self.sea: Sea = scene.build_sea()
         reach = max(self.sea.reach, MIN_REACH)
         margin = SHEET_MARGIN if isinstance(scene.surface, Sheet) else MARGIN
-        self._sway = scene.rig.sway if isinstance(scene.rig, PlatformRig) else 0.0
-        s = self._sway
-        ends = [rigs.swayed(self.rig, p, r) for p in (-s, s) for r in (-s, s)] if s else [self.rig]
-        limits = [rigs.bounds(rig, -reach, reach, margin) for rig in ends]
-        self.x, self.y = ((min(v[k][0] for v in limits), max(v[k][1] for v in limits)) for k in (0, 1))
+        self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin)
         # what moves between two frames must stay inside the basin
         air = 0.15 + 2.0 * np.hypot(*self.sea.current) / scene.frame_rate
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
@@ -196,7 +191,7 @@ class Tank:
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
         """Light of the open sea and of the sky on the pixels of a camera."""
-        camera = self.rig_at(frame)[name]
+        camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
         seen = texture.meet(camera, snapshot, self.sea.reach)
         moved = self._drift_since_start(frame)
@@ -207,13 +202,6 @@ class Tank:
         )
         image = texture.light(camera, seen, settings, foam, ripples)
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
-
-    def rig_at(self, frame: int) -> Rig:
-        """The cameras at a frame: those of a platform that sways are turned."""
-        if not self._sway:
-            return self.rig
-        pitch, roll = self._sway * np.sin(2 * np.pi * self.frame_time(frame) / SWAY_PERIODS + [0.4, 1.3])
-        return rigs.swayed(self.rig, pitch, roll)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
         """Position at the first frame minus that at a frame, along x and y, followed from frame to frame."""
