@@ -483,6 +483,13 @@ def bead_blocks(image: Array, out: Array) -> None:
             if out[y, x] == y * w + x:
                 out[y, x] = -1 - (y // BLOCK * (w // BLOCK) + x // BLOCK)
     to = out.ravel()
+    # two sweeps without branches leave few ways to go: processors mispredict loops of unknown length
+    for k in range(len(to)):
+        at, further = to[k], to[max(to[k], 0)]
+        to[k] = at if at < 0 else further
+    for k in range(len(to) - 1, -1, -1):
+        at, further = to[k], to[max(to[k], 0)]
+        to[k] = at if at < 0 else further
     for start in range(len(to)):
         top = to[start]
         while top >= 0:
