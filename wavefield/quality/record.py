@@ -19,7 +19,8 @@ from scipy import special  # scipy.stats takes half a second to import
 from wavefield.quality.remarks import RECORD_LIMITS
 from wavefield.robust import PER_MEDIAN, robust_std
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.clocks import is_alike, recorded_rates, video_rates
+from wavefield.series.clocks import is_alike, recorded_rates, video_rates, video_rotations
+from wavefield.series.frames import is_interlaced
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import FrameFault, FrameStatus, Quality
@@ -153,6 +154,7 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
     yield from _rates(experiment, series)
     for one in series.values():
         yield from _gaps(one)
+        yield from _interlaced(one)
     yield from _drifts(series, experiment.frame_rate)
 
 
@@ -210,6 +212,14 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
             {"hours": hours},
         )
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
+    for name, degrees in video_rotations(named, experiment.image_folder).items():
+        yield Remark(
+            name,
+            "mirrored",
+            "note",
+            f"its video states a rotation of {degrees} degrees, which is not applied",
+            "Frames are as the sensor has them, and so must be the target images",
+        )
     for name, recorded in recorded_rates(named, experiment.image_folder).items():
         stamped = name in series and series[name].times is not None  # stamps were compared with the rate
         if not stamped and not is_alike(recorded, rate):
@@ -233,6 +243,18 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
             "Velocities are wrong if the camera recorded at another rate (high-speed, time lapse)",
             "State the camera's own rate as frame_rate in that case",
             values={"playback_hz": rate},
+        )
+
+
+def _interlaced(series: FrameSeries) -> Iterator[Remark]:
+    if is_interlaced(series):
+        yield Remark(
+            series.camera,
+            "frame times",
+            "grave",
+            "its images are interlaced: odd and even rows are of two moments, half a frame apart",
+            "Moving beads look like combs, which do not match",
+            "Save each field as an image of its own, with half the rows, or record progressively",
         )
 
 

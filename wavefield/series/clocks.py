@@ -24,6 +24,8 @@ RATE_ERROR = 1e-3  # by which the rates of clocks differ
 MAX_PLACES_PER_IMAGE = 10  # more: several records in one file
 RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
 RATE_DISAGREEMENT = 0.01  # of a rate: clocks differ by less, and by as much a velocity would be wrong
+SMALL_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # per second
+UNIT_TOLERANCE = 0.05  # of a rate that the experiment file rounds
 _EVEN = 2e-4  # intervals: smaller departures change nothing
 _RATE_ERROR = 1e-4  # of a quartz
 _DECIMALS = 7  # of departures in intervals
@@ -79,6 +81,9 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     if abs(frames - 1.0) > max(RATE_DISAGREEMENT, SIGNIFICANCE * scatter / interval):
         rate = float(f"{1.0 / interval:.4g}")
         remedy = f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"
+        for unit, per_second in SMALL_UNITS.items():
+            if abs(frames / per_second - 1.0) < UNIT_TOLERANCE:
+                remedy = f"these look like {unit}; write seconds"
         raise ExperimentError(f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: {remedy}")
 
 
@@ -227,6 +232,12 @@ def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, flo
 def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
     """Playback rates of cameras whose images are videos; those of high-speed cameras are not frame rates."""
     return _rates(cameras, folder, videos=True)
+
+
+def video_rotations(cameras: Mapping[str, object], folder: Path) -> dict[str, int]:
+    """Degrees by which videos state that they are to be turned, by camera; frames are read as stored."""
+    turned = {name: one.rotation for name, one in _recordings(cameras, folder) if isinstance(one, Video)}
+    return {name: degrees for name, degrees in turned.items() if degrees}
 
 
 def _rates(cameras: Mapping[str, object], folder: Path, videos: bool) -> dict[str, float]:

@@ -41,9 +41,25 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
             poses = {pose: path for pose, path in poses.items() if path not in flat}
             poses |= dict.fromkeys(["flat"], flat[0]) if flat else {}
         out[camera] = poses
+    out = _without_cameras(out)
     if section.flat and not any("flat" in poses for poses in out.values()):
         raise _no_images(experiment, "any camera", [section.flat])
     return out
+
+
+def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
+    """Views whose poses are without their camera's name, which files may repeat (left/left1.jpg)."""
+    repeated = all(
+        pose == "flat" or (pose.startswith(camera) and pose != camera and not camera.isdigit())
+        for camera, poses in views.items()
+        for pose in poses
+    )
+    shorter = {
+        camera: {pose.removeprefix(camera).lstrip("_ "): path for pose, path in poses.items()}
+        for camera, poses in views.items()
+    }
+    kept = all(len(poses) == len(views[camera]) for camera, poses in shorter.items())
+    return shorter if repeated and kept else views
 
 
 def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:

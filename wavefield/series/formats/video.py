@@ -118,6 +118,14 @@ class Video:
             return
         self._frames = self._decoded()
 
+    @property
+    def rotation(self) -> int:
+        """Degrees by which the container states that its frames are to be turned; they are not."""
+        self._rewind()
+        frame = next(iter(self._frames), None)
+        self._rewind()
+        return 0 if frame is None else int(getattr(frame, "rotation", 0))
+
     def close(self) -> None:
         """Close the file."""
         self._container.close()
