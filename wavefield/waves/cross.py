@@ -19,7 +19,6 @@ from wavefield.waves.dof import (
     accumulate,
     independent_samples,
     keep_points,
-    keep_product,
     ring_freedom,
     with_interval,
 )
@@ -149,7 +148,6 @@ def add_segment(
     dtype = first[names[0]].dtype
     transform = TimeTransform(half, dtype, len(names))
     powers = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
-    before = {f"{a}*{b}": sums[f"{a}*{b}"].copy() for a, b in requested.pairs if "nl" in (a, b)}
     omega = 2 * np.pi * np.fft.fftfreq(2 * half, dt)  # signed
     k = half_plane(*welch.record.shape, welch.record.dy, welch.record.dx)
     quadrature = [factor.astype(first[names[0]].real.dtype) for factor in _quadrature(omega * dt / 2)]
@@ -168,8 +166,6 @@ def add_segment(
     for name in names:
         accumulate(sums, name, powers[name], begin)
         keep_points(sums, name, first[f"points {name}"], second[f"points {name}"], begin)
-    for product, earlier in before.items():
-        keep_product(sums, product, sums[product] - earlier, begin)
 
 
 def _add_products(

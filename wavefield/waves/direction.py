@@ -273,7 +273,7 @@ def directions(
     >>> found.D.dims, found.efth.dims
     (('frequency', 'theta'), ('freq', 'dir'))
     """
-    plane, stated = plane_of("w", independent=True, segment=segment)(density, "directions")
+    plane, stated = plane_of("w", segment=segment)(density, "directions")
     depth = stated.get("depth", np.inf) if depth is None else depth
     gamma = stated.get("gamma", GAMMA) if gamma is None else gamma
     dof = stated.get("dof") if dof is None else dof

@@ -185,9 +185,6 @@ ENOUGH_FOR_REACH = 28, 56
 SUM_SIZE = 11  # lines, or rings, where the other axis is summed
 MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
 PRODUCTS_APART = 2, 3  # independent values among those averaged, of products of waves: of cells, of sums
-PRODUCT_RINGS = 5  # over which the variance of a cross spectrum of k with such a product is averaged
-# times stronger neighbours, after and before a line, leak more into it than it has of its own
-LEAKED = {1: 1.25, -1: 3.0}
 MAX_LAG = 2  # segments that may be correlated
 MIN_SEGMENTS_FOR_VARIANCE = 8  # of Gaussian lines
 MIN_SEGMENTS_FOR_CORRELATION = 12
@@ -239,19 +236,6 @@ def independent_nodes(lines: Array, number: Array) -> Array:
     return np.asarray(1 / alike.clip(1e-6, 1))
 
 
-def keep_product(sums: dict[str, Array], pair: str, product: Array, first: int) -> None:
-    """Keep the product (2, rings, lines) of two fields in the segment that starts at step ``first``."""
-    sums[f"{pair} from {first:012d}"] = (product[0] + 1j * product[1]).astype(np.complex64)
-
-
-def keep_lines(power: Array, first: int) -> dict[str, Array]:
-    """Keep what `cell_freedom` needs of the power (cells, n) of the segment that starts at step ``first``."""
-    total = power.sum(axis=0, dtype=float)
-    half = total.size // 2
-    folded = np.concatenate([total[:1], total[1:half] + total[:half:-1], total[half : half + 1]])
-    return {f"f from {first:012d}": folded[None]}
-
-
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
     """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of the mean.
     Expected from cells (`Welch.freedom`) and correlation (`correlation_of`), corrected by the measured
@@ -291,9 +275,7 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: boo
         expected, series = freedom_of_sums(power, independent, welch)[axis], powers.sum(axis=1 + over)
         if axis == "omega" and f"nodes from {starts[0]:012d}" in sums:
             expected, series = dof_of_all_nodes(expected, welch), _series(sums, "nodes")[1]
-        of_sum = _of_sum(series, starts, welch, expected, mean, gaussian)
-        # lines and rings beyond the ends of a sea have what leaks into them
-        out[axis] = of_leakage(series.sum(axis=0), of_sum)
+        out[axis] = _of_sum(series, starts, welch, expected, mean, gaussian)
     return limited_by_record(out, sums, name, cells, welch)
 
 
@@ -326,26 +308,6 @@ def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
     return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)
 
 
-def of_leakage(power: Array, dof: Array) -> Array:
-    """Degrees of freedom (n,) of a sum, where lines that hold mostly leakage get those of its source.
-
-    A line much weaker than its neighbour towards the strongest line, by more than a sea falls off with
-    frequency (before the strongest line: by more than chance), holds mostly what the window spreads from
-    there: the same few waves in all of its cells.
-
-    Examples
-    --------
-    >>> of_leakage(np.array([0.1, 1.0, 8.0, 6.0, 4.0, 0.2]), np.array([90.0, 80.0, 30.0, 40.0, 50.0, 20.0]))
-    array([30., 30., 30., 40., 50., 20.])
-    """
-    out, peak = dof.copy(), int(np.argmax(power))
-    for towards, lines in zip((1, -1), (range(peak - 1, -1, -1), range(peak + 1, power.size))):
-        for i in lines:
-            if LEAKED[towards] * power[i] < power[i + towards]:
-                out[i] = min(out[i], out[i + towards])
-    return np.asarray(out)
-
-
 def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
@@ -356,11 +318,8 @@ def independent_samples(
     product of the powers of a cell, 1 / (1 + gamma^2) is the product of their means. Over k half the degrees
     of freedom of both E(k), ``dof_k``, count: what correlates powers correlates products alike.
 
-    With a product of waves, which shares no ridge with them, the variance of the cross spectrum between
-    segments over what follows from the cells is undone, as an average over 5 rings and 11 lines of 28
-    segments or more (as many more cells as segments are missing), for k over 5 rings, times Student's
-    variance as in `freedom`. Such a product keeps no phase: only the overlap of half of the windows, 1 / 6,
-    correlates its segments.
+    A product of waves shares no ridge with them and keeps no phase: only the overlap of half of the windows,
+    1 / 6, correlates its segments.
     """
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
@@ -383,19 +342,6 @@ def independent_samples(
     both, of_k = welch.count * cells, apart * freedom_of_sums(power, 2 * welch.count * cells, welch)["k"] / 2
     variance = product / cells
     of_sum = (variance * correlation).sum(axis=1) / np.maximum(variance.sum(axis=1), 1e-300)
-    if welch.count >= LEAST_COUNT:
-        _, segments = _series(sums, f"{first}*{second}")
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.nan_to_num(welch.count * segments.var(axis=0, ddof=1) / squares, posinf=0.0)
-            over_k = np.nan_to_num(welch.count * segments.sum(axis=2).var(axis=0, ddof=1) / product_of_k)
-        size = _variance_size(welch.count, ENOUGH_FOR_REACH[False])
-        ratio = _about_true_mean(_smooth(ratio, size), correlation, welch.count)
-        student = _student(PRODUCTS_APART[0] * welch.count / correlation)
-        both = both / (ratio * student).clip(1 / MAX_RATIO, MAX_RATIO)
-        expected = _smooth(1 / of_k, PRODUCT_RINGS)
-        over_k = _about_true_mean(_smooth(over_k, PRODUCT_RINGS), of_sum, welch.count)
-        student = _student(PRODUCTS_APART[1] * welch.count / of_sum)
-        of_k = of_k * expected / np.maximum(over_k * student, 1e-2 * expected)
     return {"both": (both / correlation).clip(1, None), "k": (of_k / of_sum).clip(1, None)}
 
 
@@ -419,18 +365,6 @@ def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
     line = expected_segment_correlation(power, welch.count, MAX_LAG)
     crossing = white + (crossing_correlation(welch) - white).clip(0, None) * wave_share(power) ** 2
     return np.maximum(crossing, line), crossing * line / white
-
-
-def cell_freedom(name: str, sums: Mapping[str, object], welch: Welch) -> float:
-    """Degrees of freedom of a single cell of the strongest lines: twice the independent segments."""
-    if welch.count < MIN_SEGMENTS_FOR_CORRELATION:
-        return welch.dof
-    starts, powers = _series(sums, name)
-    lines = powers.sum(axis=1)
-    mean = lines.mean(axis=0)
-    strong = mean > 1e-2 * mean.max()
-    independent, actual = (variance[strong].sum() for variance in _variances(lines, starts, welch))
-    return float(np.clip(2 * welch.count * independent / actual, 2.0, welch.dof)) if actual > 0 else welch.dof
 
 
 def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:

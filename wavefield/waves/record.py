@@ -10,8 +10,7 @@ import dask
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft, ndimage, sparse
-from scipy.sparse import linalg
+from scipy import fft, ndimage
 
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
@@ -19,19 +18,12 @@ from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
 
 Array = NDArray[Any]
 
-# second differences along x, along y and across, whose squares a thin plate's bending energy sums
-_STENCILS = (
-    (((0, -1), 1.0), ((0, 0), -2.0), ((0, 1), 1.0)),
-    (((-1, 0), 1.0), ((0, 0), -2.0), ((1, 0), 1.0)),
-    (((0, 0), 2**0.5), ((0, 1), -(2**0.5)), ((1, 0), -(2**0.5)), ((1, 1), 2**0.5)),
-)
-
 _WEIGHTS = (15 / 20, -6 / 20, 1 / 20)  # of the steps at 1, 2, 3: exact for polynomials of fifth degree
 IN_TIME = len(_WEIGHTS)  # steps before and after that a missing value depends on
 FLOOR = 1e-8  # of the largest power of a ring: the range in which a noise-free field is still interpolated
 ITERATIONS = 12  # of conjugate gradients: with a fifth of the nodes missing at random more change nothing
 _LAG = 2  # nodes between the values of a fourth difference
-_PLATE_ERROR = (1.0, -4.0, 6.0, -4.0, 1.0)  # grows with k^4 as the error of the thin plate
+_FOURTH = (1.0, -4.0, 6.0, -4.0, 1.0)  # a difference that grows with k^4
 
 
 def fill_nodes(block: Array, missing: NDArray[np.bool_]) -> Array:
@@ -81,7 +73,7 @@ def _agreement(field: Array, guess: Array) -> float:
         for axis, n in enumerate(values.shape):
             if n > 4 * _LAG:
                 starts = [np.arange(i * _LAG, n - (4 - i) * _LAG) for i in range(5)]
-                moved = [weight * values.take(at, axis) for weight, at in zip(_PLATE_ERROR, starts)]
+                moved = [weight * values.take(at, axis) for weight, at in zip(_FOURTH, starts)]
                 parts.append(np.sum(moved, axis=0).ravel())
         short.append(np.concatenate(parts))
     power = float(short[1] @ short[1])
@@ -90,80 +82,52 @@ def _agreement(field: Array, guess: Array) -> float:
 
 def most_probable(field: Array, hole: NDArray[np.bool_]) -> Array:
     """Values of the missing nodes (hole.sum(),) of a field (ny, nx): conditional mean of a Gaussian process.
-    Its spectrum S is that of the field with a thin plate in the holes, averaged over rings of wavenumber.
-    With G = 1 - min(S) / S the values are the solution of x_m = G_mm x_m + G_mo x_o, by conjugate gradients.
+    Its spectrum S is that of the filled field, averaged over rings of wavenumber, with G = 1 - min(S) / S the
+    values are the solution of x_m = G_mm x_m + G_mo x_o, by conjugate gradients. Two rounds, from the mean of
+    near nodes.
     """
-    plate = smoothest(field, hole)
-    filled = np.where(hole, 0.0, field.astype(np.float64))
-    filled[hole] = plate
-    mean = filled.mean()
-    filled -= mean
+    mean = field[~hole].mean(dtype=float) if not hole.all() else 0.0
+    known = np.where(hole, 0.0, field - mean).astype(float)
+    weight = ndimage.gaussian_filter((~hole).astype(float), 1.0)
+    x = (ndimage.gaussian_filter(known, 1.0) / np.maximum(weight, 1e-9))[hole]
     ny, nx = hole.shape  # cosines of half a period and more
     distance = np.hypot(np.linspace(0, 1, ny)[:, None], np.linspace(0, 1, nx))
     ring = np.rint(distance * min(ny, nx)).astype(int)
-    total = np.bincount(ring.ravel(), (fft.dctn(filled, norm="ortho") ** 2).ravel())
-    power = total / np.maximum(np.bincount(ring.ravel()), 1)
-    least = max(power[power > 0].min(initial=np.inf), FLOOR * power.max())
-    if not np.isfinite(least) or least == power.max():
-        return plate
-    gain = (1 - least / np.maximum(power, least))[ring]
+    for _ in range(2):
+        total = np.bincount(ring.ravel(), (fft.dctn(_with(known, hole, x), norm="ortho") ** 2).ravel())
+        power = total / np.maximum(np.bincount(ring.ravel()), 1)
+        least = max(power[power > 0].min(initial=np.inf), FLOOR * power.max())
+        if not np.isfinite(least) or least == power.max():
+            break
+        x = _conditional_mean((1 - least / np.maximum(power, least))[ring], known, hole, x)
+    return np.asarray(x + mean)
 
-    def predicted(values: Array) -> Array:
-        whole = np.zeros(hole.shape)
-        whole[hole] = values
+
+def _with(known: Array, hole: NDArray[np.bool_], values: Array) -> Array:
+    whole = known.copy()
+    whole[hole] = values
+    return whole
+
+
+def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Array) -> Array:
+    """Solve x_m = G_mm x_m + G_mo x_o by conjugate gradients from x."""
+
+    def predicted(whole: Array) -> Array:
         return np.asarray(fft.idctn(gain * fft.dctn(whole, norm="ortho"), norm="ortho"))[hole]
 
-    known = np.where(hole, 0.0, filled)
-    right = fft.idctn(gain * fft.dctn(known, norm="ortho"), norm="ortho")[hole]
-    x = plate - mean
-    residual = right - (x - predicted(x))
-    direction, size = residual, residual @ residual
+    nothing = np.zeros(hole.shape)
+    direction = residual = predicted(_with(known, hole, x)) - x
+    size = residual @ residual
     for _ in range(ITERATIONS):
         if not size > 0:
             break
-        image = direction - predicted(direction)
+        image = direction - predicted(_with(nothing, hole, direction))
         step = size / (direction @ image)
         x = x + step * direction
         residual = residual - step * image
         size, before = residual @ residual, size
         direction = residual + size / before * direction
-    return np.asarray(x + mean)
-
-
-def smoothest(field: Array, hole: NDArray[np.bool_]) -> Array:
-    """Values of the missing nodes (hole.sum(),) of a field (ny, nx) with the least squared curvature.
-    A thin plate: waves of length L leave (2 pi r / L)^4 / 64 in the middle of holes of radius r.
-    """
-    number = np.full(hole.shape, -1)
-    number[hole] = np.arange(hole.sum())
-    known = np.where(hole, 0.0, field.astype(np.float64))
-    level = float(known[~hole].mean()) if not hole.all() else 0.0
-    known = np.where(hole, 0.0, known - level)
-    rows, columns, weights, right = [], [], [], []
-    count = 0
-    for stencil in _STENCILS:
-        offsets = np.array([offset for offset, _ in stencil])
-        low, high = -offsets.min(axis=0), offsets.max(axis=0)
-        ny, nx = (n - a - b for n, a, b in zip(hole.shape, low, high))
-        views = [
-            (slice(low[0] + dy, low[0] + dy + ny), slice(low[1] + dx, low[1] + dx + nx)) for dy, dx in offsets
-        ]
-        touched = np.logical_or.reduce([hole[view] for view in views])
-        equation = count + np.arange(touched.sum())
-        constant = np.zeros(equation.size)
-        for view, (_, weight) in zip(views, stencil):
-            unknown = number[view][touched]
-            inside = unknown >= 0
-            rows.append(equation[inside])
-            columns.append(unknown[inside])
-            weights.append(np.full(inside.sum(), weight))
-            constant += weight * known[view][touched]
-        right.append(-constant)
-        count += equation.size
-    entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))
-    matrix = sparse.csc_array(entries, shape=(count, int(hole.sum())))
-    normal = (matrix.T @ matrix).tocsc()
-    return np.asarray(linalg.spsolve(normal, matrix.T @ np.concatenate(right)) + level)
+    return x
 
 
 # does work for every item, on workers, and gives the results in the order of the items

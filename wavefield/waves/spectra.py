@@ -24,8 +24,6 @@ from wavefield.variables import (
 from wavefield.waves import kernels, rings
 from wavefield.waves.dof import (
     accumulate,
-    cell_freedom,
-    keep_lines,
     keep_points,
     ring_freedom,
     with_interval,
@@ -94,7 +92,6 @@ def _add_powers(
     for slab in slabs(cells):
         kernels.add_powers(transform(first["f"][slab], second["f"][slab]), power[slab])
     sums["power"] = sums["power"] + power if "power" in sums else power
-    sums |= keep_lines(power, begin)
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
@@ -112,12 +109,6 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
     out[:, :, ~right] = np.moveaxis(mirror, 2, 0)
     out[1:-1] *= 2
     return np.fft.fftshift(out, axes=(1, 2))
-
-
-def _map(total: dict[str, Array], welch: Welch) -> dict[str, Any]:
-    dof = cell_freedom("f", total, welch)
-    low, high = interval(dof)
-    return {"E": density(total["power"], welch), "dof": np.array(dof), "low": low, "high": high}
 
 
 def density(power: Array, welch: Welch) -> Array:
@@ -171,13 +162,11 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     """
     welch = Welch.of(field, segment, record)
     summed = sum_segments([field], welch.record, welch.segment, _transform, _add_powers)
-    lazy = dask.delayed(_map, pure=False)(summed, welch)
+    lazy = dask.delayed(density, pure=False)(summed["power"], welch)
     dtype = np.float32 if field.dtype == np.float32 else np.float64
     shape = (welch.omega.size, *welch.record.shape)
-    values = xr.Variable(("omega", "ky", "kx"), da.from_delayed(lazy["E"], shape, dtype))
+    values = xr.Variable(("omega", "ky", "kx"), da.from_delayed(lazy, shape, dtype))
     out = plane_density(values, _name(field), field.attrs.get("units", "1"), welch)
-    for name in ("dof", "low", "high"):
-        out[name] = xr.DataArray(da.from_delayed(lazy[name], (), np.float64), attrs=out[name].attrs)
     return finish(keep_water(out, field), field)
 
 
@@ -437,10 +426,9 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
 PLANE = {"omega", "ky", "kx"}
 
 
-def plane_of(field: str, independent: bool = False, segment: int | None = None) -> Convert:
+def plane_of(field: str, segment: int | None = None) -> Convert:
     """Converter of inputs to E(omega, ky, kx): a spectrum as given, a Dataset of `spectrum`, a field or a
     cube.
-    Degrees of freedom are those of the segments, or of independent ones.
     """
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
@@ -456,8 +444,7 @@ def plane_of(field: str, independent: bool = False, segment: int | None = None) 
         elif is_field(given):
             given = spectrum(given, segment=segment).compute()
         if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
-            dof = given.attrs.get("degrees_of_freedom") if independent else given.get("dof")
-            return given["E"], water | ({} if dof is None else {"dof": float(dof)})
+            return given["E"], water | ({"dof": float(given["dof"])} if "dof" in given else {})
         raise CubeError(
             f"{name} needs a spectrum over omega, ky and kx (`wavefield.spectrum`), a cube, or a field over"
             f" time, y and x, got {described(given)}"
