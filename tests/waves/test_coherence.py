@@ -49,7 +49,7 @@ def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predic
             over_k.append((of_term.gamma2 * of_term.samples).where(inside).mean().item())
             hits_k.append((of_term.gamma2 > of_term.level).where(inside).mean().item())
     assert np.mean(means) == pytest.approx(1, abs=0.03)  # the limit by the whole record takes 2.5 %
-    assert np.mean(hits) == pytest.approx(0.05, abs=0.004)
+    assert np.mean(hits) == pytest.approx(0.05, abs=0.006)  # that takes a twentieth
     # one number for all frequencies: 600 values where there are 50 000 above
     assert np.mean(over_k) == pytest.approx(1, abs=0.1)
     assert np.mean(hits_k) == pytest.approx(0.05, abs=0.025)

@@ -19,6 +19,7 @@ from wavefield.waves.dof import (
     accumulate,
     independent_samples,
     keep_points,
+    of_products,
     ring_freedom,
     with_interval,
 )
@@ -211,7 +212,10 @@ def _estimates(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> dict[str, Array]:
     """Spectra, degrees of freedom, cross spectra and samples with the dimensions of `_DIMS`."""
-    freedom = {name: ring_freedom(sums, name, welch, name != "nl") for name in names}
+    freedom = {name: ring_freedom(sums, name, welch) for name in names}
+    if "nl" in names:
+        waves = next(name for name in ("w", "rise", *names) if name in names)
+        freedom["nl"] = of_products(freedom["nl"], sums[waves][0].sum(axis=0), freedom[waves]["omega"])
     out = {"E": [sums[name][0] * welch.ring_density for name in names]}
     for name, axes in (("dof", "both"), ("dof_omega", "omega"), ("dof_k", "k")):
         out[name] = [freedom[of][axes] for of in names]

@@ -180,11 +180,9 @@ CORRELATION_SIZE = (
     21,
     11,
 )  # rings and lines over which the correlation is averaged: it changes from line to line
-# segments of products and of Gaussian waves: with fewer the variance is averaged over more cells
-ENOUGH_FOR_REACH = 28, 56
+ENOUGH_FOR_REACH = 56  # segments: with fewer the variance is averaged over more cells
 SUM_SIZE = 11  # lines, or rings, where the other axis is summed
 MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
-PRODUCTS_APART = 2, 3  # independent values among those averaged, of products of waves: of cells, of sums
 MAX_LAG = 2  # segments that may be correlated
 MIN_SEGMENTS_FOR_VARIANCE = 8  # of Gaussian lines
 MIN_SEGMENTS_FOR_CORRELATION = 12
@@ -236,7 +234,15 @@ def independent_nodes(lines: Array, number: Array) -> Array:
     return np.asarray(1 / alike.clip(1e-6, 1))
 
 
-def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
+def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
+    """Degrees of freedom of a nonlinear term, from its own and from the waves' E(omega), with its own.
+    Its energy goes as the square of the waves', whose relative variance it has four times over.
+    """
+    total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
+    return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
+
+
+def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
     """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of the mean.
     Expected from cells (`Welch.freedom`) and correlation (`correlation_of`), corrected by the measured
     variance.
@@ -257,15 +263,12 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: boo
             )
         correlation = correlation * np.nan_to_num(more, nan=1.0).clip(1, None)
     between = _about_true_mean(between, correlation, welch.count)
-    # the ratio is averaged over 5 rings and 11 lines, over more of both if K is small; products of waves make
-    # cells rise and fall as one: of these, two values are independent in E(k, omega), three in sums
-    ratio, near = np.ones_like(cells), _variance_size(welch.count, ENOUGH_FOR_REACH[gaussian])
-    if not gaussian:
-        ratio = _smooth(between * independent / 2, near) * _student(
-            PRODUCTS_APART[0] * welch.count / correlation
-        )
-        ratio = ratio.clip(1 / MAX_RATIO, None)
-    elif welch.count >= MIN_SEGMENTS_FOR_VARIANCE:
+    ratio = np.ones_like(cells)
+    if (
+        welch.count >= MIN_SEGMENTS_FOR_VARIANCE
+    ):  # averaged over 5 rings and 11 lines, over more if K is small
+        factor = max(1.0, np.sqrt(ENOUGH_FOR_REACH / welch.count))
+        near = tuple(2 * round(factor * reach) + 1 for reach in VARIANCE_REACH)
         ratio = _smooth(between * independent / 2, near).clip(1 / MAX_RATIO, MAX_RATIO)
     out = {"both": (independent / correlation / ratio).clip(1, None)}
     # correlation of the cells of a sum, in proportion to their share of its variance
@@ -275,7 +278,7 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: boo
         expected, series = freedom_of_sums(power, independent, welch)[axis], powers.sum(axis=1 + over)
         if axis == "omega" and f"nodes from {starts[0]:012d}" in sums:
             expected, series = dof_of_all_nodes(expected, welch), _series(sums, "nodes")[1]
-        out[axis] = _of_sum(series, starts, welch, expected, mean, gaussian)
+        out[axis] = _of_sum(series, starts, welch, expected, mean)
     return limited_by_record(out, sums, name, cells, welch)
 
 
@@ -376,34 +379,21 @@ def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
     return steps, series.astype(np.result_type(series, float))
 
 
-def _student(number: Array) -> Array:
-    """Variance of Student's distribution: of a deviation scaled by a variance from few values."""
-    number = np.maximum(number, LEAST_COUNT)
-    return np.asarray((number - 1) / (number - 3))
-
-
 def _about_true_mean(between: Array, correlation: Array, count: int) -> Array:
     """Correct the variance between segments for correlated segments."""
     return np.asarray(between * (count - 1) / np.maximum(count - correlation, 1.0))
 
 
-def _of_sum(
-    powers: Array, starts: Array, welch: Welch, expected: Array, correlation: Array, gaussian: bool
-) -> Array:
+def _of_sum(powers: Array, starts: Array, welch: Welch, expected: Array, correlation: Array) -> Array:
     """Degrees of freedom of sums (segments, n), given those for independent segments."""
     between, _ = _variances(powers, starts, welch)
     between = _about_true_mean(between, correlation, welch.count)
     ratio = _smooth(between * expected / 2, SUM_SIZE).clip(1e-9 * expected, None)
     single = expected / (welch.count * ratio)  # of one segment's sum
-    apart = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0) if gaussian else PRODUCTS_APART[1]
-    student = _student(welch.count / correlation * apart / (1 + 6 / single))
+    apart = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0)
+    number = np.maximum(welch.count / correlation * apart / (1 + 6 / single), LEAST_COUNT)
+    student = (number - 1) / (number - 3)  # variance of Student's distribution: the ratio is from few values
     return np.asarray((expected / correlation / (np.maximum(ratio, MIN_SUM_RATIO) * student)).clip(1, None))
-
-
-def _variance_size(count: int, enough: int) -> tuple[int, int]:
-    factor = max(1.0, np.sqrt(enough / count))
-    rings, lines = (2 * round(factor * reach) + 1 for reach in VARIANCE_REACH)
-    return rings, lines
 
 
 def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array]:
