@@ -1,8 +1,8 @@
-"""Variance of ring sums between segments: degrees of freedom without assumptions on the waves.
+"""Degrees of freedom of ring sums.
 
 Waves that stay in a cell longer than a segment lasts correlate segments, and a dispersion relation thinner
-than a cell correlates cells: both show in how the power of a ring varies from segment to segment, and how
-long it keeps its value.
+than a cell correlates cells. Both are expected from the spectrum and from how fast waves cross the field; the
+variance between segments and the correlation of the lines of some nodes correct them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -175,20 +175,9 @@ def wave_share(power: Array) -> Array:
     return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
 
 
-VARIANCE_REACH = 2, 5  # rings and lines to both sides over which the variance is averaged
-CORRELATION_SIZE = (
-    21,
-    11,
-)  # rings and lines over which the correlation is averaged: it changes from line to line
-ENOUGH_FOR_REACH = 56  # segments: with fewer the variance is averaged over more cells
 SUM_SIZE = 11  # lines, or rings, where the other axis is summed
 MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
 MAX_LAG = 2  # segments that may be correlated
-MIN_SEGMENTS_FOR_VARIANCE = 8  # of Gaussian lines
-MIN_SEGMENTS_FOR_CORRELATION = 12
-MAX_RATIO = (
-    4.0  # of degrees of freedom to those expected from cells and energy, or for Gaussian lines its inverse
-)
 
 
 def accumulate(sums: dict[str, Array], name: str, powers: Array, first: int) -> None:
@@ -244,8 +233,8 @@ def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dic
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
     """Degrees of freedom of E(k, omega), E(omega) and E(k): 2 mean^2 over the variance of the mean.
-    Expected from cells (`Welch.freedom`) and correlation (`correlation_of`), corrected by the measured
-    variance.
+    Expected from cells (`Welch.freedom`) and correlation (`correlation_of`); of sums corrected by the
+    measured variance; at most those of the whole record.
     """
     cells, power = welch.freedom(sums[name]), sums[name][0]
     if welch.count < LEAST_COUNT:
@@ -253,24 +242,8 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
         return limited_by_record(found, sums, name, cells, welch)
     independent = cells * (1 + (1 - 1 / welch.count) / 18)  # of segments that are
     starts, powers = _series(sums, name)
-    between, together = _variances(powers, starts, welch)
     correlation, of_sums = correlation_of(power, welch)
-    if welch.count >= MIN_SEGMENTS_FOR_CORRELATION:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            alone = _about_true_mean(between, correlation, welch.count) * correlation
-            more = _smooth(together * independent, CORRELATION_SIZE) / _smooth(
-                alone * independent, CORRELATION_SIZE
-            )
-        correlation = correlation * np.nan_to_num(more, nan=1.0).clip(1, None)
-    between = _about_true_mean(between, correlation, welch.count)
-    ratio = np.ones_like(cells)
-    if (
-        welch.count >= MIN_SEGMENTS_FOR_VARIANCE
-    ):  # averaged over 5 rings and 11 lines, over more if K is small
-        factor = max(1.0, np.sqrt(ENOUGH_FOR_REACH / welch.count))
-        near = tuple(2 * round(factor * reach) + 1 for reach in VARIANCE_REACH)
-        ratio = _smooth(between * independent / 2, near).clip(1 / MAX_RATIO, MAX_RATIO)
-    out = {"both": (independent / correlation / ratio).clip(1, None)}
+    out = {"both": (independent / correlation).clip(1, None)}
     # correlation of the cells of a sum, in proportion to their share of its variance
     variance = power**2 / independent
     for axis, over in (("omega", 0), ("k", 1)):
@@ -278,7 +251,7 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
         expected, series = freedom_of_sums(power, independent, welch)[axis], powers.sum(axis=1 + over)
         if axis == "omega" and f"nodes from {starts[0]:012d}" in sums:
             expected, series = dof_of_all_nodes(expected, welch), _series(sums, "nodes")[1]
-        out[axis] = _of_sum(series, starts, welch, expected, mean)
+        out[axis] = _of_sum(series, welch, expected, mean)
     return limited_by_record(out, sums, name, cells, welch)
 
 
@@ -379,15 +352,12 @@ def _series(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
     return steps, series.astype(np.result_type(series, float))
 
 
-def _about_true_mean(between: Array, correlation: Array, count: int) -> Array:
-    """Correct the variance between segments for correlated segments."""
-    return np.asarray(between * (count - 1) / np.maximum(count - correlation, 1.0))
-
-
-def _of_sum(powers: Array, starts: Array, welch: Welch, expected: Array, correlation: Array) -> Array:
+def _of_sum(powers: Array, welch: Welch, expected: Array, correlation: Array) -> Array:
     """Degrees of freedom of sums (segments, n), given those for independent segments."""
-    between, _ = _variances(powers, starts, welch)
-    between = _about_true_mean(between, correlation, welch.count)
+    mean = powers.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = np.where(mean > 0, powers.var(axis=0) / mean**2, 0.0) / (welch.count - 1)
+    between *= (welch.count - 1) / np.maximum(welch.count - correlation, 1.0)  # about the true mean
     ratio = _smooth(between * expected / 2, SUM_SIZE).clip(1e-9 * expected, None)
     single = expected / (welch.count * ratio)  # of one segment's sum
     apart = max(min(SUM_SIZE, expected.size) / HANN_LINES, 1.0)
@@ -396,32 +366,14 @@ def _of_sum(powers: Array, starts: Array, welch: Welch, expected: Array, correla
     return np.asarray((expected / correlation / (np.maximum(ratio, MIN_SUM_RATIO) * student)).clip(1, None))
 
 
-def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array]:
-    """Relative variance of the mean over segments: if they were independent, and as measured."""
-    count = welch.count
-    mean = powers.mean(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        deviation = np.where(mean > 0, powers / mean - 1, 0.0)
-    place = place_of(starts, welch)
-    independent = (deviation**2).mean(axis=0)
-    actual, terms = independent, 1.0
-    for lag in range(1, min(max(1, count // 4), MAX_LAG) + 1):
-        pairs = np.flatnonzero(place[lag:] - place[:-lag] == lag)
-        if pairs.size:
-            weight = 2 * (1 - lag / count)
-            actual = actual + weight * (deviation[pairs + lag] * deviation[pairs]).mean(axis=0)
-            terms += weight
-    return independent / (count - 1), actual / (count - terms)
-
-
 def place_of(starts: Array, welch: Welch) -> NDArray[np.intp]:
     """Place of each segment in the record, in halves of a segment."""
     return np.asarray((starts - starts[0]) // welch.half)
 
 
-def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
+def _smooth(values: Array, size: int) -> Array:
     """Mean of the non-zero values in a neighbourhood."""
     valid = values != 0
-    weight = ndimage.uniform_filter(valid.astype(float), size, mode="nearest")
-    mean = ndimage.uniform_filter(np.where(valid, values, 0.0), size, mode="nearest")
+    weight = ndimage.uniform_filter1d(valid.astype(float), size, mode="nearest")
+    mean = ndimage.uniform_filter1d(np.where(valid, values, 0.0), size, mode="nearest")
     return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
