@@ -1,18 +1,24 @@
 import numpy as np
 import pytest
+from scipy.ndimage import spline_filter
 
 from wavefield.measurement.paths import path_weights, read_path
-from wavefield.measurement.regrid import BlockLattice, coefficients
+from wavefield.measurement.regrid import BlockLattice
 
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (60, 60))
 MIDDLE = 150.0
+
+
+def coefficients(fields):
+    """Of cubic splines through fields (2, ny, nx), exactly, as (ny, nx, 2)."""
+    return np.stack([spline_filter(one, mode="reflect") for one in fields], axis=-1).astype(np.float32)
 
 
 def turned(angle):
     """Displacement of every block of a body that turns about the middle."""
     x, y = np.meshgrid(LATTICE.x - MIDDLE, LATTICE.y - MIDDLE)
     c, s = np.cos(angle) - 1.0, np.sin(angle)
-    return coefficients(np.stack([c * x - s * y, s * x + c * y], axis=-1).astype(np.float32))
+    return coefficients([c * x - s * y, s * x + c * y])
 
 
 def error(angle, *there):
@@ -37,7 +43,7 @@ def test_water_that_was_not_in_the_image_was_not_measured():
     rng = np.random.default_rng(3)
     at = rng.uniform(0.0, 299.0, (2, 400)).astype(np.float32)
     moved = rng.uniform(-50.0, 50.0, 2)
-    spline = coefficients(np.broadcast_to(moved, (*LATTICE.shape, 2)).astype(np.float32))
+    spline = coefficients([np.full(LATTICE.shape, one) for one in moved])
     measured = np.ones(LATTICE.shape, bool)
     _, block = read_path([spline] * 5, [measured] * 5, LATTICE, *at)
     places = at + np.multiply.outer(np.arange(-2, 3) - 0.5, moved)[..., None]  # where each step departs
