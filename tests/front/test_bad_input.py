@@ -142,7 +142,7 @@ TABLE = [
     ("a grid without step", note(", step: 0.02", ""), ["run", EXP], 1, "grid.step is missing"),
     ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
     ("a grid of one step", note("step: 0.02", "step: 5"), ["run", EXP], 1, "less than one step"),
-    ("a grid that nobody sees", note("x: [-0.6, 0.6]", "x: [90.0, 90.6]"), ["run", EXP], 1, "no camera sees the grid"),
+    ("a grid that nobody sees", note("x: [-0.6, 0.6]", "x: [90.0, 90.6]"), ["run", EXP], 1, "have 0 % of the grid in common view"),
     # -- the images
     ("no folder of images", lose("cam2"), ["run", EXP], 1, "cam2"),
     ("a broken pattern", note("cam2/img_{frame:03d}", "cam2/img_{frame"), ["run", EXP], 1, "cam2"),

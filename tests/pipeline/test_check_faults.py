@@ -16,7 +16,7 @@ FOUND = {
     "the first frame of another size": "1 of 13 frames read have another size or type than the others",
     "grid of four times the field": "of the grid's nodes in common view",
     "depth in centimetres": "water.depth of experiment.yaml is 70 m",
-    "frame rate in Hz of microseconds": "828 m/s at 50000 Hz",
+    "frame rate in Hz of microseconds": "m/s at 50000 Hz",
     "no room on the disk": "Free some space",
 }
 

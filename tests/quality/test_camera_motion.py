@@ -18,7 +18,7 @@ from wavefield.quality.camera_motion import (
     camera_motion,
     is_determined,
     jump,
-    knocks,
+    knock,
     level_motion,
     regress,
     remark_on_level,
@@ -45,17 +45,17 @@ def test_a_knock_is_dated_to_the_frame_and_measured(cube):
     steps = np.arange(16)
     add(cube, np.where(steps > 8, 0.45, np.where(steps == 8, 0.225, 0.0)))  # step 8 has one frame of each
     found = camera_motion(cube)
-    (knock,) = knocks(cube, found)
-    assert knock.frame == 9
-    assert knock.size == pytest.approx(0.45, abs=0.03)
+    one = knock(cube, found)
+    assert one.frame == 9
+    assert one.size == pytest.approx(0.45, abs=0.03)
 
 
 def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
-    still = shaking(camera_motion(cube), [])[0]
+    still = shaking(camera_motion(cube), None)[0]
     rng = np.random.default_rng(2)
     x = np.linspace(-1, 1, 9)
     add(cube, 0.2 * rng.standard_normal(16)[:, None, None] + 0.3 * rng.standard_normal((16, 1, 1)) * x)
-    rms, std = shaking(camera_motion(cube), [])
+    rms, std = shaking(camera_motion(cube), None)
     assert still < 0.05
     assert rms == pytest.approx(np.sqrt(0.2**2 + 0.3**2 / 3), rel=0.4)
     assert 0 < std < rms / 2
@@ -64,7 +64,7 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
 def test_a_steady_record_has_no_knock(cube):
     found = camera_motion(cube)
     assert len(found.steps) == 16
-    assert knocks(cube, found) == []
+    assert knock(cube, found) is None
 
 
 def test_a_slow_drift_and_waves_are_no_knock():

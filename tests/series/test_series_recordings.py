@@ -271,18 +271,6 @@ def test_a_camera_that_alone_dropped_images_stays_aligned_with_the_others(tmp_pa
     assert reported["b", "missing frames"].values == {"dropped": 3, "first": 6}
 
 
-def test_clocks_that_drift_apart_are_reported_and_their_jitter_is_not(tmp_path):
-    even, jitter = np.arange(80) / 2000, np.random.default_rng(1).uniform(-1, 1, (2, 80)) / 2000 / 10
-    reported, missing = remarks_on(tmp_path, a=9.0 + even + jitter[0], b=9.3 + even + jitter[1])
-    assert (reported, missing) == ({}, {"a": [], "b": []})
-    reported, missing = remarks_on(
-        tmp_path, a=9.0 + even, b=9.3 + 1.005 * even
-    )  # in the end by .4 of an interval
-    assert list(reported) == [("b", "frame times")]
-    assert reported["b", "frame times"].values["intervals"] == pytest.approx(0.375, abs=0.02)
-    assert missing == {"a": [], "b": []}
-
-
 def test_recordings_in_a_row_keep_the_time_between_them(tmp_path):
     write_seq(tmp_path / "a_0.seq", 8, 9.0 + np.arange(5) / 2000)
     write_seq(tmp_path / "a_1.seq", 8, 9.0 + np.arange(8, 13) / 2000)

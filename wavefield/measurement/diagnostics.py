@@ -247,6 +247,8 @@ def _moved(
     moves = flows(views[0].raw, views[1].raw, geometry.settings.piv, model)
     d_std = [float("nan")] * 3
     for cameras in dict.fromkeys((*pairs, geometry.velocity_cameras)):
+        if not set(cameras) <= set(moves):
+            continue  # a camera gives no velocity
         flows_of = {name: moves[name] for name in cameras}
         step = velocity((None, flows_of, None), middle, geometry, model.record.path_frames)
         assert step is not None  # every camera has both frames

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from wavefield.errors import WavefieldError
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_thread
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, sample_steps
+from wavefield.measurement import diagnose
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
 from wavefield.measurement.error_budget import fast_waves, level_std, ripples
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
-from wavefield.pipeline.learning import both_frames, learn_from, learn_record, samples
+from wavefield.pipeline.learning import both_frames, learn_record, samples
 from wavefield.pipeline.prepare import PreparedRun, expected_coverage, prepare
 from wavefield.quality.camera_motion import (
     Instant,
@@ -267,11 +267,9 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     units (error,): ``eps_y``, ``sigma_z``, ``eps_piv`` of pairs; ``z``, ``dx``, ``dy``, ``dz`` of one pair
     minus another; ``z_recombined``, z of a direct pair recombined from two minus z measured directly.
     """
-    if prepared.geometry.settings.sheet_thickness is not None:  # its cameras are not matched with each other
-        return None
-    geometry = _with_every_motion(prepared.geometry)
-    model = _learned(prepared, geometry)
-    if model is None:
+    geometry, model = prepared.geometry, prepared.model
+    sheet = geometry.settings.sheet_thickness is not None  # its cameras are not matched with each other
+    if sheet or model is None:
         return None
     pixel = pixel_size(prepared.rig, prepared.grid)
 
@@ -310,23 +308,6 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
         },
         {"pixel_size": pixel, "steps": list(found)},
     )
-
-
-def _with_every_motion(geometry: GridGeometry) -> GridGeometry:
-    """The same with the motion in every camera's images, not only in those that give the velocity."""
-    settings = replace(geometry.settings, velocity_cameras=geometry.cameras)
-    return GridGeometry(geometry.rig, geometry.grid, settings, geometry.covered)
-
-
-def _learned(prepared: PreparedRun, geometry: GridGeometry) -> Model | None:
-    """What one sampled step gives of the record; a run learns without cameras that give no velocity."""
-    steps = prepared.recipe.record.get("steps", sample_steps(prepared.steps))
-    for pair in samples(prepared.series, steps):
-        if record := learn_from(
-            [pair], geometry, prepared.experiment.frame_rate, threads_here(prepared.workflow)
-        ):
-            return Model(geometry, LearnedRecord.from_dict(record))
-    return None
 
 
 def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float64]]]:

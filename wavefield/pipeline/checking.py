@@ -26,7 +26,7 @@ from wavefield.pipeline.prepare import (
     load_files,
     prepare,
     refuse_small_fields,
-    remark_on_lengths,
+    remark_on_depth,
     remark_on_speed,
 )
 from wavefield.quality.camera_motion import Synchrony, remarks_on_clocks, spell_delays
@@ -405,7 +405,7 @@ def _remarks_on_trial(
     """Remarks on rig and grid, and on the fields of the step tried unless a camera is faulty."""
     yield remark_on_rest(prepared.experiment, prepared.rig)
     yield from remark_on_coverage(coverage)
-    yield from remark_on_lengths(prepared.experiment, prepared.rig, fields.get("z", np.zeros(0)))
+    yield from remark_on_depth(prepared.experiment, prepared.rig, fields.get("z", np.zeros(0)))
     if not fields or wrong:
         return
     yield from remark_on_holes(fraction_measured(fields["quality"]))

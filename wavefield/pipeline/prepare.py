@@ -6,7 +6,6 @@ Rigs, grids, depths and search ranges that cannot be in metres are refused, or a
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +28,7 @@ from wavefield.measurement.search_range import (
 from wavefield.pipeline.opened_run import image_names
 from wavefield.quality.remarks import MIN_USEFUL_COVERAGE
 from wavefield.rig import Camera, Rig
-from wavefield.rig.field import common_field, pixel_sides, pixel_size
+from wavefield.rig.field import common_field, pixel_size
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries, masks, mean_images
 from wavefield.series.clocks import frame_departures
@@ -41,23 +40,18 @@ if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings
 
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: a macro lens, and a platform at sea
-_MAX_BASELINE = 20.0  # m; cameras on ships and platforms are 2 to 10 m apart
 _MAX_DEPTH_DISTANCES = (
     10.0  # depth over the distance of the cameras; waves in view do not feel deeper bottoms
 )
 _MAX_SPEED = 30.0  # m/s, of water: faster than the crest of any breaking wave
-_MAX_LENS_ERROR = 0.5  # px
-_MAX_SENSOR_TILT = 0.8  # rad
-_MIN_WATER_SHARE = 0.1  # of an image: the rest may be above the horizon
 _MAX_NODES_TRIED = 300  # along each side of a grid, for the common view
-_MIN_STEP_PIXELS = 0.1  # between nodes: a finer grid holds no more
 _MIN_BLOCKS = 21  # along the longer side of what is matched
 _MAX_ELEVATION_SHARE = 0.5  # of the distance of the nearest camera
 _MAX_THICKNESS_SHARE = 0.05  # of that distance, for beads and light sheets
 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Refuse cameras at distances that cannot be metres, lenses that fold images, and cameras under water."""
+    """Refuse cameras at distances that cannot be metres, and cameras under water."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     low, high = _CAMERA_DISTANCES
@@ -66,13 +60,6 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
             f"{rig_file}: its cameras are {distance:.3g} m away from the water; are its lengths in metres? "
             "`wavefield rig convert FILE --unit UNIT` converts another program's"
         )
-    for name, camera in rig.cameras.items():
-        tilt = max(abs(camera.tau_x), abs(camera.tau_y))
-        if not _lens_error(camera) < _MAX_LENS_ERROR or tilt > _MAX_SENSOR_TILT:
-            raise RigError(
-                f"{rig_file}: the lens of {name} maps several pixels to the same place on the water, or to "
-                "none; check its distortion, tilt and focal length"
-            )
     level = experiment.water.level
     under = [name for name, camera in rig.cameras.items() if camera.centre[2] <= 0 < camera.centre[2] + level]
     if under:
@@ -97,17 +84,6 @@ def refuse_own_frame(rig: Rig, rig_file: str) -> None:
             )
 
 
-def _lens_error(camera: Camera) -> float:
-    """Median distance, px, between pixels and the projections of their places on the water."""
-    width, height = camera.size
-    column, row = np.meshgrid(np.linspace(0, width - 1, 7), np.linspace(0, height - 1, 7))
-    with np.errstate(all="ignore"):
-        there = camera.project(*camera.unproject(column, row), 0.0)
-        apart = np.hypot(there[0] - column, there[1] - row)
-    on_water = np.isfinite(apart)
-    return float(np.median(apart[on_water])) if on_water.mean() > _MIN_WATER_SHARE else float("inf")
-
-
 def expected_coverage(rig: Rig, grid: Grid) -> float:
     """Share of the grid's nodes, at most some hundred along each side, that every camera sees at rest."""
     x, y = (nodes[:: 1 + len(nodes) // _MAX_NODES_TRIED] for nodes in (grid.x_nodes, grid.y_nodes))
@@ -123,41 +99,17 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
     share = expected_coverage(rig, grid)
     if share >= MIN_USEFUL_COVERAGE:
         return
-    blind = [name for name in rig if not expected_coverage(replace(rig, cameras={name: rig[name]}), grid)]
-    if len(blind) == len(rig.cameras):
-        who = "no camera sees the grid"
-    elif blind:
-        who = f"{', '.join(blind)} does not see the grid"
-    else:
-        who = f"the cameras have {100 * share:.2g} % of the grid in common view"
-    raise ExperimentError(
-        f"{experiment.path}: {who} (x {grid.x[0]:g} to {grid.x[1]:g} m, y {grid.y[0]:g} to {grid.y[1]:g} m); "
-        f"{_suggested_grid(rig)}"
-    )
-
-
-def _suggested_grid(rig: Rig) -> str:
-    """What all cameras see, as a grid."""
     try:
-        field = _spelled(common_field(rig.cameras.values()))
+        seen = common_field(rig.cameras.values())
+        (x0, x1), (y0, y1) = seen.x, seen.y
+        found = f"the cameras see {{x: [{x0:g}, {x1:g}], y: [{y0:g}, {y1:g}]}}; or leave it out"
     except RigError as error:
-        return f"correct `grid`, which is in metres, or the rig: {error}"
-    return f"`grid` is in metres: the cameras see {field}; or leave it out to have it chosen"
-
-
-def _spelled(grid: Grid) -> str:
-    (x0, x1), (y0, y1) = grid.x, grid.y
-    return f"{{x: [{x0:g}, {x1:g}], y: [{y0:g}, {y1:g}], step: {grid.step:g}}}"
-
-
-def refuse_fine_grids(experiment: Experiment, rig: Rig, grid: Grid, rig_file: str) -> None:
-    """Refuse a grid whose step is far below a pixel: it or the rig is not in metres."""
-    pixel = min(_pixels(rig))
-    if experiment.grid != "auto" and grid.step < _MIN_STEP_PIXELS * pixel:
-        raise ExperimentError(
-            f"{experiment.path}: grid.step of {grid.step:g} m is far below the size of a pixel on the water, "
-            f"{pixel:.2g} m by {rig_file}; are both in metres? Four pixels are a good step"
-        )
+        found = f"correct it or the rig: {error}"
+    raise ExperimentError(
+        f"{experiment.path}: the cameras have {100 * share:.2g} % of the grid in common view "
+        f"(x {grid.x[0]:g} to {grid.x[1]:g} m, y {grid.y[0]:g} to {grid.y[1]:g} m); `grid` is in metres: "
+        f"{found}"
+    )
 
 
 def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
@@ -188,23 +140,8 @@ def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
             )
 
 
-def remark_on_lengths(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report a distance between cameras or a depth of the water that is unlikely to be metres."""
-    name = experiment.path.name
-    pairs = list(combinations(rig, 2))
-    apart = [float(np.linalg.norm(np.subtract(rig[a].centre, rig[b].centre))) for a, b in pairs]
-    baseline = max(apart, default=0.0)
-    if baseline > _MAX_BASELINE:
-        yield Remark(
-            "rig",
-            "lengths",
-            "remark",
-            f"{' and '.join(pairs[apart.index(baseline)])} are {baseline:.3g} m apart (at most "
-            f"{_MAX_BASELINE:g} m)",
-            "If the rig is not in metres, every elevation and velocity is wrong by that factor",
-            "`wavefield rig convert FILE --unit UNIT` converts another program's rig",
-            {"baseline": baseline},
-        )
+def remark_on_depth(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -> Iterator[Remark]:
+    """Report a depth of the water that is unlikely to be in metres."""
     depth = experiment.water.depth
     if depth is None:
         return
@@ -220,7 +157,7 @@ def remark_on_lengths(experiment: Experiment, rig: Rig, z: NDArray[np.floating])
         "water",
         "lengths",
         "remark",
-        f"water.depth of {name} is {depth:g} m, but {found}",
+        f"water.depth of {experiment.path.name} is {depth:g} m, but {found}",
         "Dispersion and depth correction would be wrong",
         "Is it in metres? Leave it out where the waves in view are too short to feel the bottom",
         {"depth": depth, "lowest": lowest, "distance": distance},
@@ -266,11 +203,6 @@ def _middle(camera: Camera) -> tuple[tuple[float, float], np.ndarray]:
 def _distances(rig: Rig) -> list[float]:
     """Distance of each camera from the water in the middle of its image, metres."""
     return [float(np.linalg.norm(_middle(camera)[1])) for camera in rig.cameras.values()]
-
-
-def _pixels(rig: Rig) -> list[float]:
-    """Longer side of each camera's pixel on the water in the middle of its image, metres."""
-    return [pixel_sides(camera, *_middle(camera)[0])[1] for camera in rig.cameras.values()]
 
 
 # -- the run
@@ -357,7 +289,6 @@ def prepare(
         grid = experiment.choose_grid(rig, {**experiment.settings, **workflow.settings})
     except ValueError as error:  # a step that does not fit what the cameras see
         raise ExperimentError(f"{experiment.path}: {error}") from None
-    refuse_fine_grids(experiment, rig, grid, rig_file)
     refuse_unseen_grids(experiment, rig, grid)
     refuse_high_water(
         settings, rig, str(workflow.path if "z_range" in workflow.settings else experiment.path)

@@ -18,7 +18,6 @@ per second; so much is added to the uncertainty.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -218,7 +217,6 @@ def delays(
     threads: int = 1,
 ) -> Synchrony:
     """Delay of each camera's frames relative to most cameras, and delay from row to row."""
-    names = list(geometry.surface_cameras)
     late: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
@@ -239,12 +237,12 @@ def delays(
         late[pair] = found
         if (row_time := row_time_of(samples)) is not None:
             row_times.append(row_time)
-    delays_of = _of_cameras(names, late, rate)
-    if not delays_of:
+    if len(late) < len(geometry.pairs):
         return Synchrony({})
-    height = max(geometry.rig[name].size[1] for name in names)
-    speed = rate * float(np.median(speeds))
-    return Synchrony(delays_of, speed, _mean(row_times, rate), height)
+    height = max(geometry.rig[name].size[1] for name in geometry.surface_cameras)
+    surest = min(row_times, key=lambda one: one[1], default=None)
+    readout = Delay(surest[0] / rate, surest[1] / rate) if surest else None
+    return Synchrony(_of_cameras(late, rate), rate * float(np.median(speeds)), readout, height)
 
 
 def _prepared(
@@ -262,39 +260,19 @@ def _prepared(
     return out
 
 
-def _of_cameras(
-    names: Sequence[str], found: Mapping[Pair, tuple[float, float]], rate: float
-) -> dict[str, Delay]:
-    """Delay of each camera relative to most, s, from pairwise delays and uncertainties in frames."""
-    rows = [[float(name == b) - float(name == a) for name in names] for a, b in found]
-    if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
-        return {}
-    values, spreads = (np.array(part) / rate for part in zip(*found.values()))
-    spreads = np.maximum(spreads, 1e-7 * np.max(np.abs(values), initial=1e-12))
-    # only differences are measured: the median of the cameras, or the first of two, is the reference
-    design = np.vstack([np.array(rows) / spreads[:, None], np.eye(len(names))[:1] * 1e3 / spreads.min()])
-    inverse = np.linalg.inv(design.T @ design)
-    best = inverse @ design.T @ np.append(values / spreads, 0.0)
-    usual = int(np.argsort(best)[(len(best) - 1) // 2]) if len(names) > 2 else 0
+def _of_cameras(found: Mapping[Pair, tuple[float, float]], rate: float) -> dict[str, Delay]:
+    """Delay of each camera relative to most, s, from those of pairs with the reference, in frames."""
+    late = {next(iter(found))[0]: (0.0, 0.0)} | {name: one for (_, name), one in found.items()}
+    # only differences are measured: the median of the cameras, or the reference of two, has no delay
+    usual = next(iter(late))
+    if len(late) > 2:
+        usual = sorted(late, key=lambda name: late[name][0])[len(late) // 2]
     out = {}
-    for k, name in enumerate(names):
-        difference = np.eye(len(names))[k] - np.eye(len(names))[usual]
-        variance = float(difference @ inverse @ difference)
-        delay = float(difference @ best)
-        out[name] = Delay(delay, float(np.sqrt(max(variance, 0.0) + (BIAS * delay) ** 2)))
+    for name, (delay, std) in late.items():
+        delay = delay - late[usual][0]
+        std = 0.0 if name == usual else float(np.hypot(std, late[usual][1]))
+        out[name] = Delay(delay / rate, float(np.hypot(std, BIAS * delay)) / rate)
     return out
-
-
-def _mean(row_times: Sequence[tuple[float, float]], rate: float) -> Delay | None:
-    """Weighted mean of several pairs' row times and standard uncertainties, given in frames."""
-    if not row_times:
-        return None
-    values, stds = np.array(row_times).T
-    weights = 1.0 / np.maximum(stds, 1e-12) ** 2
-    # pairs share a camera, its matches and the water's velocity: their errors do not average out
-    return Delay(
-        float(np.average(values, weights=weights)) / rate, float(np.average(stds, weights=weights)) / rate
-    )
 
 
 def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
@@ -361,7 +339,6 @@ def spell_delays(found: Mapping[str, Delay], interval: float = np.inf) -> str:
 MAX_STEPS = 600  # steps that are read, evenly over the record
 MAX_NODES = 2000  # of each
 MIN_NODES = 50  # of a step
-MAX_KNOCKS = 3
 MIN_STEPS_PER_SIDE = 3  # of a jump
 PIECE = 64  # steps in which the motion of the mean level is separated from slow waves
 MIN_FREEDOM = 3  # steps of a record more than slow waves can explain
@@ -431,36 +408,25 @@ def jump(low: Array) -> int | None:
     return int(cuts[best])
 
 
-def knocks(cube: xr.Dataset, found: CameraMotion) -> list[Knock]:
-    """Jumps of a record, each dated to a frame."""
-    pieces = [(0, len(found.steps))]
-    cuts: list[int] = []
-    while pieces and len(cuts) < MAX_KNOCKS:
-        a, b = pieces.pop(0)
-        at = jump(found.low[a:b])
-        if at is not None:
-            cuts.append(a + at)
-            pieces += [(a, a + at), (a + at, b)]
-    out = []
-    edges = [0, *sorted(cuts), len(found.steps)]
-    for a, at, b in zip(edges, edges[1:], edges[2:]):
-        before, after = (np.median(found.low[s], axis=0) for s in (slice(a, at), slice(at, b)))
-        between = range(max(int(found.steps[at - 1]) - 1, 0), int(found.steps[at]) + 1)
-        near = camera_motion(cube, list(between))
-        along = (near.low - before) @ (after - before) / float((after - before) @ (after - before))
-        # a step shows the mean of its two frames: the one in which the knock falls is half way
-        whole = near.steps[along > 0.75]
-        frame = int(whole[0]) if whole.size else int(found.steps[at])
-        out.append(Knock(frame, rms_over_field(after - before)))
-    return out
+def knock(cube: xr.Dataset, found: CameraMotion) -> Knock | None:
+    """The largest jump of a record, dated to a frame; None if it does not jump."""
+    at = jump(found.low)
+    if at is None:
+        return None
+    before, after = (np.median(part, axis=0) for part in (found.low[:at], found.low[at:]))
+    between = range(max(int(found.steps[at - 1]) - 1, 0), int(found.steps[at]) + 1)
+    near = camera_motion(cube, list(between))
+    along = (near.low - before) @ (after - before) / float((after - before) @ (after - before))
+    # a step shows the mean of its two frames: the one in which the knock falls is half way
+    whole = near.steps[along > 0.75]
+    frame = int(whole[0]) if whole.size else int(found.steps[at])
+    return Knock(frame, rms_over_field(after - before))
 
 
-def shaking(found: CameraMotion, cuts: Sequence[int]) -> tuple[float, float]:
-    """Rms shake of the cameras' pictures from step to step."""
-    edges = [0, *np.searchsorted(found.steps, cuts).tolist(), len(found.steps)]
-    parts = [found.low[a:b] - found.low[a:b].mean(axis=0) for a, b in pairwise(edges) if b - a > 1]
-    if not parts:
-        return 0.0, np.inf
+def shaking(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
+    """Rms shake of the cameras' pictures from step to step, before and after a knock, and its uncertainty."""
+    cut = np.searchsorted(found.steps, knocked.frame) if knocked else 0
+    parts = [part - part.mean(axis=0) for part in (found.low[:cut], found.low[cut:]) if len(part)]
     rest = np.concatenate(parts)
     freedom = len(rest) - len(parts)
     variance = (rest**2).sum(axis=0) / freedom - np.mean(found.std**2, axis=0)
@@ -474,8 +440,8 @@ def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
     found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return
-    jumps = knocks(cube, found)
-    for one in jumps:
+    one = knock(cube, found)
+    if one is not None:
         frame = int(cube.frame[0]) + one.frame
         yield Remark(
             "rig",
@@ -487,7 +453,7 @@ def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
             "`wavefield refine`; `check` of the second part names the camera",
             {"frame": frame, "px": one.size},
         )
-    rms, std = shaking(found, [one.frame for one in jumps])
+    rms, std = shaking(found, one)
     if rms > max(CAMERA_LIMITS.jump, 3 * std):
         yield Remark(
             "cameras",

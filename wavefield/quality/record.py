@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import special  # scipy.stats takes half a second to import
 
 from wavefield.quality.remarks import RECORD_LIMITS
-from wavefield.robust import PER_MEDIAN, robust_std
+from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.clocks import is_alike, recorded_rates, video_rates, video_rotations
 from wavefield.series.frames import is_interlaced
@@ -38,8 +38,6 @@ FAULTS = {
         "Put the frames of one setting of the camera into one record",
     ),
 }
-PIECES = 16  # of a record: over each the jitter of two clocks is averaged
-MIN_COMMON_FRAMES = 64  # frames that two cameras share: fewer are not compared
 MIN_NODES = 50  # measured nodes of a step; with fewer it is not checked
 MARGIN_NODES = 3  # from the edge of the grid, where slopes are less accurate
 CHANGING_NOISE = 0.25  # of the variance of z by noise; the rest stays with the beads from frame to frame
@@ -117,16 +115,11 @@ def remark_on_frames(
         for fault, (words, remedy) in FAULTS.items():
             # one setting of a camera gives frames of one size: a single other one is reported
             least = 0 if fault == FrameFault.WRONG_SIZE else max(1, RECORD_LIMITS.bad_frames * len(read))
-            everywhere = [index for index, (other, _) in found.faults.items() if other == fault]
-            bad = [index for index in everywhere if index in read]
-            count, those = len(read), "frames read"
-            if len(bad) <= least:  # files of unusual sizes were read beside the sample
-                bad, count, those = everywhere, len(series[name]), "frames"
-                least = max(least, 0 if fault == FrameFault.WRONG_SIZE else RECORD_LIMITS.bad_frames * count)
+            bad = [index for index, (other, _) in found.faults.items() if other == fault and index in read]
             if len(bad) > least:
                 numbers = spell_ranges([series[name].first + index for index in bad], 3)
-                what = f"{words}: frames {numbers} ({found.faults[bad[0]][1]})"
-                yield _bad_frames(name, len(bad), count, f"{those} {what}", remedy)
+                what = f"frames read {words}: frames {numbers} ({found.faults[bad[0]][1]})"
+                yield _bad_frames(name, len(bad), len(read), what, remedy)
         pairs = sum(index - 1 in read for index in read)
         if len(found.repeated) > max(1, RECORD_LIMITS.bad_frames * pairs):
             numbers = spell_ranges([series[name].first + index for index in sorted(found.repeated)], 3)
@@ -155,7 +148,6 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
     for one in series.values():
         yield from _gaps(one)
         yield from _interlaced(one)
-    yield from _drifts(series, experiment.frame_rate)
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
@@ -164,18 +156,11 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
         missing = one.missing
         if one.times is not None or len(missing) <= RECORD_LIMITS.bad_frames * len(one):
             continue
-        there = one.first + np.flatnonzero([entry is not None for entry in one.entries])
-        gap = int(np.argmax(np.diff(there))) if len(there) > 1 else 0
-        longest = (
-            f"; the longest gap is between frames {there[gap]} and {there[gap + 1]}"
-            if len(there) > 1 and there[gap + 1] - there[gap] > 1
-            else ""
-        )
         yield Remark(
             name,
             "missing frames",
             "grave" if len(missing) > RECORD_LIMITS.usable_steps * len(one) else "remark",
-            f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}{longest}",
+            f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}",
             "Their steps are measured without this camera, or not at all",
             "Copy them, or state the range of frames that is complete (`frames`)",
             {"missing": len(missing), "frames": len(one)},
@@ -197,20 +182,8 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Remark on a frame rate that the recordings, or the duration, contradict."""
+    """Remark on a frame rate that the recordings contradict."""
     file, rate = experiment.path.name, experiment.frame_rate
-    frames = max((len(one) for one in series.values()), default=0)
-    hours = frames / rate / 3600.0
-    if hours > RECORD_LIMITS.hours:
-        yield Remark(
-            "record",
-            "frame rate",
-            "remark",
-            f"{frames} frames at {rate:g} Hz last {hours:.3g} h",
-            "Velocities are proportional to the frame rate",
-            f"Is frame_rate of {file} in Hz, and are the frames numbered one by one?",
-            {"hours": hours},
-        )
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     for name, degrees in video_rotations(named, experiment.image_folder).items():
         yield Remark(
@@ -294,33 +267,6 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
             "Use an even part of the record (`frames`), or save each part as a recording of its own",
             {"uneven": int(uneven.sum()), "first": int(numbers[0])},
         )
-
-
-def _drifts(series: Mapping[str, FrameSeries], rate: float) -> Iterator[Remark]:
-    """Remark on cameras whose clocks drift relative to the first camera."""
-    timed = {name: one.times for name, one in series.items() if one.times is not None}
-    if len(timed) < 2:
-        return
-    first = next(iter(timed))
-    for name in list(timed)[1:]:
-        apart = timed[name] - timed[first]
-        apart = apart[np.isfinite(apart)]
-        if len(apart) < MIN_COMMON_FRAMES:
-            continue
-        drift = float(np.ptp([np.median(piece) for piece in np.array_split(apart, PIECES)]))
-        jitter = robust_std(np.diff(apart)) / np.sqrt(len(apart) / PIECES)
-        if drift > max(RECORD_LIMITS.clock_drift / rate, SIGNIFICANCE * jitter):
-            yield Remark(
-                name,
-                "frame times",
-                "remark",
-                f"its clock and that of {first} drift apart by {1e3 * drift:.3g} ms, {drift * rate:.2f} of a "
-                "frame interval",
-                "If one signal triggers both cameras, only their clocks differ, and nothing is wrong; else "
-                "their frames are of different moments",
-                "Trigger all cameras by one signal",
-                {"drift": drift, "intervals": drift * rate},
-            )
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:

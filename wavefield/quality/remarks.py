@@ -57,9 +57,7 @@ class RecordLimits:
 
     bad_frames: float = 0.1  # fraction of the frames of a camera
     usable_steps: float = 0.5  # fraction of the steps
-    hours: float = 24.0  # duration of a record
     uneven_interval: float = 0.5  # by which two frames may be further apart than their numbers state
-    clock_drift: float = 0.1  # intervals
     discontinuity: float = 0.3  # logarithm of a step's ratio over that of its neighbours: `time_check`
     jitter: float = 1.0  # standard uncertainties by which jitter of the frame times makes values wrong
     kinematic_misfit: float = 1.6  # sound seas have 0.1 to 1.2
