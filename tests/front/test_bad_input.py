@@ -138,7 +138,6 @@ TABLE = [
     ("a mask of a stranger", note("rig:", "mask: {cam9: m.png}\nrig:"), ["run", EXP], 1, "mask names 'cam9', but there are cam1, cam2, cam3, water"),
     ("a mask that is not there", note("rig:", "mask: {cam1: m.png}\nrig:"), ["run", EXP], 1, "mask of cam1: there is no .*m.png; correct"),
     ("a mask of another size", mask(np.zeros((9, 9), np.uint8)), ["run", EXP], 1, "mask of cam1: .*m.png is 9 x 9 px, but"),
-    ("a mask with crossed sides", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9], [9, 0], [0, 9]]}}\nrig:"), ["run", EXP], 1, "line 10: mask.cam1.* corners 1 and 3 cross"),
     ("a grid without step", note(", step: 0.02", ""), ["run", EXP], 1, "grid.step is missing"),
     ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
     ("a grid of one step", note("step: 0.02", "step: 5"), ["run", EXP], 1, "less than one step"),

@@ -102,15 +102,6 @@ def test_arrays_with_their_axes_in_another_order_are_named(tmp_path, order, sent
     close_files()
 
 
-def test_preallocated_images_at_the_end_are_not_counted(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        data = file.create_dataset("images", (1000, 6, 8), "u1", chunks=(1, 6, 8))
-        data[:STEPS] = np.random.default_rng(1).integers(0, 255, (STEPS, 6, 8))
-    series = Experiment.load(note(tmp_path, "a: a.h5", "frame_rate: 20\n")).open_frames()["a"]
-    assert len(series) == STEPS
-    close_files()
-
-
 def test_a_header_that_claims_more_images_than_anybody_records_is_refused_at_once(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         data = file.create_dataset("images", (10**12, 6, 8), "u1", chunks=(1, 6, 8))
@@ -127,14 +118,6 @@ def test_cameras_in_one_place_are_refused(tmp_path):
     experiment = Experiment.load(note(tmp_path, "a: a.h5, b: b.h5", "frame_rate: 20\n"))
     with pytest.raises(RigError, match="a and b are in one place"):
         experiment.load_rig()
-
-
-def test_a_polygon_of_many_corners_is_refused_at_once(tmp_path):
-    angle = np.linspace(0, 6, 2_001)
-    corners = np.c_[4 + 3 * np.cos(angle), 3 + 2 * np.sin(angle)].tolist()
-    path = note(tmp_path, "a: a.h5", f"frame_rate: 20\nmask: {{a: {{polygon: {corners}}}}}\n")
-    with pytest.raises(ExperimentError, match="a polygon of 2001 corners; give 2000 at most"):
-        Experiment.load(path)
 
 
 def test_names_that_no_file_system_takes_are_refused(tmp_path):

@@ -1,6 +1,6 @@
 """Errors that a fitted rig predicts in z and in pixels, and the lens model chosen by them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,23 +90,12 @@ def volume(o: Observations, result: Fit, level: bool) -> Array:
     return used
 
 
-# "paper" is that of the paper; "tilt" is equivalent to moving the principal point, and better conditioned.
-# The two together (c and tilt) have a condition number of 1e8 and more: on request only.
-MODELS: dict[str, tuple[str, ...]] = {
-    "f": ("f",),
-    "f k1": ("f", "k1"),
-    "f c": ("f", "c"),
-    "f c k1": ("f", "c", "k1"),
-    "paper": ("f", "aspect", "c", "k1"),
-    "f tilt k1": ("f", "tilt", "k1"),
-    "tilt": ("f", "aspect", "tilt", "k1"),
-    "paper k2": ("f", "aspect", "c", "k1", "k2"),
-    "paper p": ("f", "aspect", "c", "k1", "p"),
-    "paper k2 p": ("f", "aspect", "c", "k1", "k2", "p"),
-    "opencv": ("f", "aspect", "c", "k1", "k2", "p", "k3"),
-    "c and tilt": ("f", "aspect", "c", "tilt", "k1"),
-}
-CANDIDATES = ("f c k1", "f tilt k1", "paper", "paper k2 p", "opencv")
+# The third is the paper's model. A tilt is equivalent to moving the principal point, and better conditioned;
+# the two together have a condition number of 1e8 and more: on request only.
+CANDIDATES = (
+    *("f c k1", "f tilt k1", "f aspect c k1"),
+    *("f aspect c k1 k2 p", "f aspect c k1 k2 p k3"),
+)
 EQUIVALENT_RATIO = 1.05  # of expected errors: models within it count as equally good
 
 
@@ -114,7 +103,7 @@ EQUIVALENT_RATIO = 1.05  # of expected errors: models within it count as equally
 class Choice:
     """One row of the comparison."""
 
-    model: str  # Name in `MODELS`
+    model: str  # Its free terms
     parameters: int  # Free parameters of the joint fit
     rms: float  # Rms of the residuals in units of the stated uncertainty
     bic: float  # Bayes' information criterion
@@ -123,18 +112,16 @@ class Choice:
     expected: float
 
 
-def terms_of(model: str | Sequence[str]) -> tuple[str, tuple[str, ...]] | None:
-    """Name and free terms of a model given by name or as a list of terms; None for ``auto``."""
-    if isinstance(model, str):
-        if model == "auto":
-            return None
-        if model not in MODELS:
-            raise CalibrationError(f"camera model {model!r} is unknown; use auto, {', '.join(MODELS)}")
-        return model, MODELS[model]
-    unknown = [term for term in model if term not in TERMS]
-    if unknown or "f" not in model:
-        raise CalibrationError(f"camera model {list(model)} is not made of f, {', '.join(list(TERMS)[1:])}")
-    return " ".join(model), tuple(model)
+def terms_of(model: str) -> tuple[str, ...] | None:
+    """Free terms of a camera model, such as ``f tilt k1``; None for ``auto``."""
+    terms = tuple(model.split())
+    if terms == ("auto",):
+        return None
+    if "f" not in terms or not set(terms) <= set(TERMS):
+        raise CalibrationError(
+            f"camera model {model!r} is not made of {', '.join(TERMS)} (f is needed), nor auto"
+        )
+    return terms
 
 
 def choose(
@@ -152,7 +139,7 @@ def choose(
     for done, name in enumerate(CANDIDATES):
         if progress:
             progress(done, len(CANDIDATES))
-        fits[name] = result = fit_model(MODELS[name])
+        fits[name] = result = fit_model(tuple(name.split()))
         k = len(result.layout.names)
         bic[name] = float(count * np.log(max(result.chi2, 1e-300) / count) + k * np.log(count))
     if progress:

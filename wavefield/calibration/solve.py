@@ -18,7 +18,6 @@ from wavefield.calibration.bundle import Fit, covariance_to_dict, fit
 from wavefield.calibration.camera_start import PhysicalFrame, physical_frame, start_geometry
 from wavefield.calibration.model_choice import (
     CANDIDATES,
-    MODELS,
     Choice,
     PredictedErrors,
     choose,
@@ -52,7 +51,7 @@ class Calibration:
     notes : tuple of str
         What was left out, and other remarks.
     model : str
-        The camera model, a name of `wavefield.calibration.model_choice.MODELS`.
+        The camera model: its free terms.
     models : tuple of Choice
         The models that were compared.
     observations : Observations, optional
@@ -93,7 +92,7 @@ def calibrate(
     target: Target | float,
     *,
     flat: str | Sequence[str] = "flat",
-    model: str | Sequence[str] = "auto",
+    model: str = "auto",
     target_std: float = 0.0,
     camera_distance: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -111,9 +110,9 @@ def calibrate(
     flat : str or sequence of str, default "flat"
         The pose on the plane z = 0; its axes are those of the physical frame. Further names are poses
         on the same plane, turned or shifted. Empty: the first pose defines the frame, to be levelled later.
-    model : str or sequence of str, default "auto"
-        Camera model: a name of `wavefield.calibration.model_choice.MODELS`, a list of terms,
-        or ``auto``: the one that predicts best where the rig will be used (`model_choice`).
+    model : str, default "auto"
+        Camera model: its free terms, such as ``f tilt k1``, of `wavefield.calibration.bundle.TERMS`, or
+        ``auto``: the one that predicts best where the rig will be used (`model_choice`).
     target_std : float, default 0
         Uncertainty of the target's nodes per axis, metres. If given, the nodes' offsets are solved for,
         with this as prior; take the level from the water at rest afterwards.
@@ -196,14 +195,14 @@ def _fit_and_choose(
     observations: Observations,
     start: Geometry,
     frame: PhysicalFrame,
-    model: tuple[str, tuple[str, ...]] | None,
+    model: tuple[str, ...] | None,
     target_std: float,
     findings: Findings,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Observations, Fit, str, list[Choice]]:
     """Joint fit without outliers, and the choice of the model."""
     o = observations
-    name, terms = model or ("paper", MODELS["paper"])
+    terms = model or ("f", "aspect", "c", "k1")
 
     def run(terms: tuple[str, ...], begin: Geometry, scale: float | None = None) -> Fit:
         begin = _restricted(begin, terms, o)
@@ -218,7 +217,7 @@ def _fit_and_choose(
         o = o.only(inlier)
         result = run(terms, result.geometry)
     if model:
-        return o, result, name, []
+        return o, result, " ".join(model), []
     scale, begin = result.scale, result.geometry
     name, fits, table = choose(lambda terms: run(terms, begin, scale), o, frame.level, progress)
     return o, fits[name], name, table

@@ -206,7 +206,7 @@ def calibrate_experiment(
         views,
         target,
         flat="flat" if section.flat else "",
-        model=section.model or "auto",
+        model=section.model,
         target_std=section.target_std,
         camera_distance=section.camera_distance,
         progress=solving,

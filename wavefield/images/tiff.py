@@ -109,8 +109,6 @@ def refuse_page(page: Any, name: str) -> None:
         raise FrameError(f"{name} is corrupt: its header is that of no image; copy it again from the camera")
     if page.dtype is None or len(page.shape) not in (2, 3):
         raise FrameError(f"{name}: pixels of {page.bitspersample} bits are not supported; save 8 or 16 bits")
-    if page.subifds and any(inner.size > page.size for inner in page.pages):
-        raise FrameError(f"{name} has a larger image inside of another (SubIFD); save that as a plain TIFF")
 
 
 def _words(code: Any) -> str:

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from wavefield.atomic_write import Product, write_text
 from wavefield.calibration.assess import FlatSurface, numbers
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.model_choice import MODELS
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.solve import Calibration
 from wavefield.errors import RigError
@@ -166,7 +165,7 @@ def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator
     yield ReportSection("Residuals", list(residuals), folded=True, gist=gist)
     items = [_lens(content), Text(_CORRELATED)]
     yield ReportSection(
-        "Camera model", items, folded=True, gist=f"{model_words(content['model'])}; parameters of the lenses"
+        "Camera model", items, folded=True, gist=f"{content['model']}; parameters of the lenses"
     )
 
 
@@ -210,17 +209,6 @@ def _flat(content: Content) -> str:
         f"tilt {small(flat['tilt_mrad'], 'mrad')}. By the fit alone, the standard uncertainty of z is "
         f"{small(predicted['z_mm'], 'mm')}. `check` and `run` add that of the water's level (`z_level_std`)."
     )
-
-
-def model_words(model: str) -> str:
-    """The terms of a camera model.
-
-    Examples
-    --------
-    >>> model_words("paper p"), model_words("f k1")
-    ('f aspect c k1 p', 'f k1')
-    """
-    return " ".join(MODELS.get(model, (model,)))
 
 
 def with_std(value: float, std: float) -> str:

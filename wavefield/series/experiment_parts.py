@@ -93,7 +93,11 @@ class CalibrationSection(ConfigSection):
         examples=['"calib/{camera}/flat.tif"'],
         description="image of the target on the still water",
     )
-    model: str | None = Field(default=None, description="camera model in place of the default")
+    model: str = Field(
+        default="auto",
+        examples=["f tilt k1"],
+        description="free terms of the cameras; auto: those that predict best",
+    )
     target_std: float = Field(
         default=0.0,
         ge=0,

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from wavefield.config_files import ConfigSection
@@ -16,7 +15,6 @@ from wavefield.series.frames import CameraMask, FrameSeries, Outline
 from wavefield.series.readers import FrameEntry
 
 WATER = "water"  # the key of masks on the water, not in one camera's image
-MAX_CORNERS = 2000  # of a polygon; what is finer is an image
 POINTS_PER_SIDE = 16  # of an edge on the water: it is no straight line in an image
 MAX_OUTSIDE = 16.0  # image sizes: only the direction of a corner further away matters
 
@@ -40,15 +38,6 @@ class MaskSection(ConfigSection):
             return None
         if len(corners) < 3:
             raise ValueError(f"a polygon needs three corners or more, not {len(corners)}")
-        if len(corners) > MAX_CORNERS:
-            raise ValueError(
-                f"a polygon of {len(corners)} corners; give {MAX_CORNERS} at most, or draw a mask image"
-            )
-        if (crossed := crossing(corners)) is not None:
-            a, b = (number + 1 for number in crossed)
-            raise ValueError(
-                f"the sides that begin at corners {a} and {b} cross; list the corners in order around it"
-            )
         return corners
 
     @model_validator(mode="after")
@@ -57,26 +46,6 @@ class MaskSection(ConfigSection):
         if len(given) != 1:
             raise ValueError(f"give a polygon or an image, not {' and '.join(given) or 'none'}")
         return self
-
-
-def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
-    """Two sides of a polygon that cross, by the corners at which they begin, from 0; None if none do."""
-    p = np.asarray(corners, float)
-    q = np.roll(p, -1, axis=0)
-    along = q - p
-
-    def side(i: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """On which side of the line through side i points are."""
-        apart = points - p[i]
-        return np.asarray(np.sign(along[i, 0] * apart[:, 1] - along[i, 1] * apart[:, 0]))
-
-    for i in range(len(p) - 2):
-        others = np.arange(i + 2, len(p) - (i == 0))  # without its neighbours
-        straddled = side(i, p[others]) * side(i, q[others]) < 0
-        for j in others[straddled]:
-            if side(j, p[[i]])[0] * side(j, q[[i]])[0] < 0:
-                return i, int(j)
-    return None
 
 
 def normalized(masks: object, cameras: Collection[str]) -> object:

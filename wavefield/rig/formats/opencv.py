@@ -1,4 +1,4 @@
-"""OpenCV's YAML or XML, whatever the names of its nodes."""
+"""OpenCV's YAML or XML, under the names that its samples and common programs give to nodes."""
 
 import re
 from collections.abc import Mapping
@@ -27,7 +27,6 @@ DISTORTIONS = {"d", "kc", "dist", "distcoeff", "distcoeffs", "distcoefs"}
 DISTORTIONS |= {"distortion", "distortioncoefficients"}
 ROTATIONS = ("r", "rotation", "rotationmatrix", "rmat")
 TRANSLATIONS = ("t", "translation", "translationvector", "tvec")
-MIN_DETERMINANT = 100.0  # of a matrix with focal lengths in px, unlike a rotation's
 
 Nodes = list[tuple[str, Array]]  # names and values of a file
 Parts = dict[str, Array]  # of one camera: K, D, size or width and height, worldr and worldt
@@ -126,17 +125,9 @@ def _cameras(nodes: Nodes) -> list[Parts]:
     order = sorted((camera for camera in found if "K" in found[camera]), key=_order)
     if "" in order and len(order) > 1:  # numbered cameras, and an own matrix such as P or K of something else
         order.remove("")
-    if order:
-        return [{**shared, **found[camera]} for camera in order]
-    matrices = [value for _, value in nodes if value.shape == (3, 3) and value[2, 2] == 1.0]
-    matrices = [value for value in matrices if abs(np.linalg.det(value)) > MIN_DETERMINANT]
-    if not matrices:
-        raise RigError("it holds no camera matrix (3 x 3, with focal lengths in px)")
-    distortions = [value for _, value in nodes if value.size in (4, 5, 8, 12, 14) and value.ndim == 2]
-    return [
-        {"K": K, **({"D": distortions[n]} if n < len(distortions) else {}), **shared}
-        for n, K in enumerate(matrices)
-    ]
+    if not order:
+        raise RigError(f"it holds no camera matrix: a node called {', '.join(MATRICES)}")
+    return [{**shared, **found[camera]} for camera in order]
 
 
 def _order(camera: str) -> tuple[int, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +37,6 @@ class _Dataset:
         rate = data.attrs.get("frame_rate", file.attrs.get("frame_rate"))
         self.rate = _rate(self._times) if rate is None else float(np.ravel(rate)[0])
         self.first = 0
-        self.count = self._filled()
 
     def read(self, index: int) -> Pixels:
         """Read one image."""
@@ -49,22 +47,9 @@ class _Dataset:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
         return image.astype(image.dtype.newbyteorder("="), copy=False)
 
-    def _filled(self) -> int:
-        """Images before those at the end that were preallocated and never written, all of one value."""
-        if self._is_empty(self.count - 1) and not self._is_empty(0):
-            return bisect_left(range(self.count), True, key=self._is_empty)
-        return self.count
-
-    def _is_empty(self, index: int) -> bool:
-        try:
-            image = self.read(index)
-        except FrameError:
-            return False
-        return bool((image == image.flat[0]).all())
-
     def times(self) -> Times:
         """Times of the images, s; empty where the file does not hold them."""
-        return self._times[: self.count]
+        return self._times
 
     def close(self) -> None:
         """Close the file."""
