@@ -14,12 +14,12 @@ from wavefield.waves.welch import Reader
 
 Array = NDArray[Any]
 
-POINT_DISTANCE = 0.08  # m between the points
+POINT_DISTANCE = 0.08  # m between the points: half a wave of 2.2 Hz
 PERIODS_IN_BLOCK = 10.0  # mean periods: blocks are nearly independent
-MIN_BLOCKS = 8
-BOOTSTRAP_DRAWS = 500
-LEVELS = np.arange(0.0, 5.01, 0.25)  # standard deviations
-STEPS_AT_A_TIME = 512
+MIN_BLOCKS = 8  # fewer give standard deviations that are themselves uncertain by more than a quarter
+BOOTSTRAP_DRAWS = 500  # of which a standard deviation has a chance error of 3 %
+LEVELS = np.arange(0.0, 5.01, 0.25)  # standard deviations: one wave of a quarter of a million reaches 5
+STEPS_AT_A_TIME = 512  # 27 MB of 100 x 130 nodes
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:

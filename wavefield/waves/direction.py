@@ -15,7 +15,7 @@ from wavefield.waves import rings
 from wavefield.waves.current import NO_CURRENT, CurrentUsed
 from wavefield.waves.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_points import HALF_WIDTH, MIN_HALF_WIDTH, SHORTEST_WAVES, PlaneSpectrum
-from wavefield.waves.dof import correlation_at, expected_segment_correlation
+from wavefield.waves.dof import correlation_at
 from wavefield.waves.gains import elevation_from_w
 from wavefield.waves.inputs import is_cube
 from wavefield.waves.products import Noted, WaveProduct, register
@@ -24,13 +24,11 @@ from wavefield.waves.welch import Welch, frames_of, interval
 
 Array = NDArray[Any]
 
-LINES_AROUND = 6  # to either side of a band, from which waves leak into it
 _HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
-# what chance adds to the product of the energies of correlated cells or lines, in squares of their mean over
-# the degrees of freedom, on average over these: 2 of a cell with itself
-_CHANCE = 2 * float((_HANN**2).sum() / _HANN.sum()) ** 3
-_HANN_VARIANCE = 4 / 7  # of these five, cells squared
-_LINE_VARIANCE = 1 / 3  # of the power that a Hann window leaves of one wave, cells squared
+# variance of the direction over that of cells which are correlated by their windows alone, as waves on the
+# relation fill a thin ridge: 1.9, 1.9 and 1.6 in 20 Gaussian seas each of s = 5, 20 and 50 (1.6 already gives
+# intervals of D that hold 97.5 %)
+RIDGE_CORRELATION = 1.6
 
 
 def segments_of(dof: float) -> float:
@@ -51,33 +49,15 @@ def packet_correlation(
     lengths = 2 * np.pi / (kx[1] - kx[0]), 2 * np.pi / (ky[1] - ky[0])
     count = segments_of(dof)
     crossing = correlation_at(velocity, 2 * np.pi / (omega[1] - omega[0]), lengths, round(count))
-    return np.maximum(crossing / _white(count), 1.0)
+    white = 1 + (1 - 1 / count) / 18  # of noise, by the overlap of segments
+    return np.maximum(crossing / white, 1.0)
 
 
-def _white(count: float) -> float:
-    return 1 + (1 - 1 / count) / 18
-
-
-def sector_covariances(
-    shares: Array, around: Array, inside: NDArray[np.bool_], off: Array, packets: Array, dof: float
-) -> Array:
-    """Covariances of the sector energies, from fractions of cells (sectors, cells) and energies around.
-    Energies are (lines, ky, kx); `off` (lines inside, cells) is the distance from the relation in cells. The
-    part of chance, 2 / dof, is subtracted.
+def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
+    """Covariances of the sector energies, from fractions of cells (sectors, cells) and energies
+    (lines, ky, kx), of `dof` degrees of freedom. Neighbouring cells and lines are correlated, and sectors
+    share cells.
     """
-    ring, energy = shares.sum(axis=0), around[inside]
-    weight = ring * energy.reshape(len(energy), -1)
-    count = segments_of(dof)
-    # neighbouring cells and lines are correlated, sectors share cells, and segments share waves that keep
-    # their phase, as at the end of a sea
-    line = expected_segment_correlation((around.reshape(len(around), -1) @ ring)[None], round(count))[0]
-    share = weight.sum(axis=1) ** 2
-    kept = (line[inside] * share).sum() / max(share.sum(), 1e-300) / _white(count)
-    dof_of_sum = (dof + _CHANCE) / (_correlation_across(weight, off) * kept)
-    return _covariances(shares, energy * np.sqrt(packets), dof_of_sum)
-
-
-def _covariances(shares: Array, energy: Array, dof: float) -> Array:
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
     over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
@@ -94,21 +74,6 @@ def _covariances(shares: Array, energy: Array, dof: float) -> Array:
         product = (smoothed * energy[:, *box]).sum(axis=0)
         out[s] = 2 / dof * (planes[:, *box] * product).sum(axis=(1, 2))
     return out
-
-
-def _correlation_across(weight: Array, off: Array) -> float:
-    """Factor on the number of independent cells, because waves on the relation fill only a thin ridge.
-    `off` is the distance of each cell from the relation, (lines, cells), in cells.
-    """
-    total = weight.sum()
-    if not total > 0:
-        return 1.0
-    mean = (weight * off).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    measured = 2 * float((weight * (off - mean) ** 2).sum() / total)
-    # where the relation is narrower than the window all cells across it are one sample: for Gaussian shapes
-    # the number is that of the width without the window's
-    own = max(measured - 2 * _LINE_VARIANCE, 0.0)
-    return float(np.sqrt((measured + _HANN_VARIANCE) / (own + _HANN_VARIANCE)))
 
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
@@ -131,7 +96,7 @@ def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[floa
 
 BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
 SECTORS = 36  # of the group `direction`: ten degrees, as wave models have them
-BANDWIDTH_HZ = 0.2
+BANDWIDTH_HZ = 0.2  # of a given frequency: four lines of segments of 20 s
 STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
 LOWEST_HZ = 0.5  # the integrated w holds little but drift below
 MIN_SIGNAL_TO_NOISE = 3.0  # energy near the relation over that of the noise there: less has no direction
@@ -259,8 +224,8 @@ def directions(
     so that a rectangle of nodes does not appear as a direction. The spread is sqrt(2 (1 - r1)) less the
     resolution: a Hann window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width
     over sqrt(12). D, the harmonics and ``efth`` keep that blur. The degrees of freedom are those of the
-    energy of a sector, its cells and lines correlated by the Hann windows, fewer where the relation is
-    narrower than the window and where waves stay in it for longer than a segment, and of the sum over all
+    energy of a sector, its cells and lines correlated by the Hann windows, fewer as the relation is a thin
+    ridge and where waves stay in the window for longer than a segment, and of the sum over all
     sectors, which share cells, that D is a fraction of.
 
     Examples
@@ -400,8 +365,6 @@ def sector_spectrum(
     ky, kx = density["ky"].values, density["kx"].values
     cells = float(ky[1] - ky[0]), float(kx[1] - kx[0])
     plane = _RingSectors(ky, kx, sectors)
-    radius, angle = np.hypot(ky[:, None], kx).ravel(), np.arctan2(ky[:, None], kx).ravel()
-    cell_along = np.hypot(cells[0] * np.sin(angle), cells[1] * np.cos(angle))  # along the wave vector
     centres = wavenumber(2 * np.pi * frequency, depth, gamma)
     levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
     stds = np.full((2, frequency.size), np.nan)
@@ -411,18 +374,13 @@ def sector_spectrum(
         band = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
         if not band.size:
             band = np.array([np.abs(lines - f).argmin()])
-        reach = LINES_AROUND if dof is not None else 0
-        near = np.arange(max(band[0] - reach, 0), min(band[-1] + reach + 1, lines.size))
-        inside = np.isin(near, band)
-        around = in_still_water(density, near, current)
+        energy = in_still_water(density, band, current)
         half_width = max(HALF_WIDTH * centre, MIN_HALF_WIDTH * max(cells))
         shares, coverage = plane.shares(float(centre), half_width)
         to_level = np.divide(plane.cell_area / band.size, coverage, out=np.zeros(sectors), where=coverage > 0)
-        levels[i] = shares @ around[inside].sum(axis=0).ravel() * to_level
+        levels[i] = shares @ energy.sum(axis=0).ravel() * to_level
         if dof is not None:
-            on_line = wavenumber(2 * np.pi * lines[band], depth, gamma)
-            off = (radius - on_line[:, None]) / cell_along
-            covariances = sector_covariances(shares, around, inside, off, packets, dof)
+            covariances = sector_covariances(shares, energy * np.sqrt(packets), dof / RIDGE_CORRELATION)
             covariances *= np.outer(to_level, to_level)
             degrees[i] = sector_freedom(levels[i], covariances)
             theta = (np.arange(sectors) + 0.5) * plane.width

@@ -32,10 +32,10 @@ from wavefield.waves.welch import Welch, k_coords
 
 Array = NDArray[Any]
 
-MIN_POINTS = 6
+MIN_POINTS = 6  # twice the unknowns
 OUTLIER_STDS = 3.0  # standard deviations of the points: larger misfits count less
 MIN_SLOPE = 0.15  # of the group velocity: waves that a current slows more count as these
-FREQUENCY_BLOCKS = 5  # that are left out in turn
+FREQUENCY_BLOCKS = 5  # that are left out in turn: each must hold enough waves to change the fit
 MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
 MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
 TENSION_RANGE = 0.3  # of the surface tension: how far that of the water may differ from what is given
@@ -168,10 +168,9 @@ def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: floa
 
 MAX_RELATIVE_DISTANCE = 0.1  # of k: points of waves lie within 3 % of the relation, of other energy 8 to 70 %
 MIN_CONTRAST = 1.5  # energy near the relation over that at other frequencies: noise has 0.9 to 1.2
-MAX_CURRENT_STD = 0.012  # m/s
+MAX_CURRENT_STD = 0.012  # m/s: more is of no use, and found where waves are blocked
 TENSION_ERROR = 0.02  # of the surface tension: the error that remains in noisy seas
 FIT_SECTORS = 24  # of direction; each must hold several cells of the shortest waves' ring
-ROUNDS_OF_WINDOW = 4  # in which the window is centred on the fit before anything else is corrected
 MAX_ROUNDS = 12  # in which the displacement by the windows is removed; at least two
 DAMPED_FROM = 3  # round
 CONVERGED, NOT_CONVERGED = 3e-4, 5e-3  # m/s: the rounds end at a smaller change; a larger one is refused
@@ -219,12 +218,12 @@ def fit_dispersion(
     Notes
     -----
     The fit starts from the current whose relation holds most energy (`scan_current`). The points are
-    centroids in k at fixed omega in sectors of angle, in a window that is centred on the fit again;
+    centroids in k at fixed omega in sectors of angle, in a window that is centred on the fit in each round;
     centroids in omega at fixed k would be biased by up to 8 %. The noise (`noise_level`) is subtracted
     without clipping, so that it does not move centroids to the middle of the window. The weight of a point is
     its inverse variance, from the energies of the cells in its window, the signal-to-noise ratio, leakage
     from stronger sectors and 0.3 of its displacement by the windows. Points without a signal as large as the
-    noise or below 0.3 % of the strongest sector are left out. The displacement by the spectral windows
+    noise are left out. The displacement by the spectral windows
     (leakage along a falling spectrum and from strong directions into weak ones, the curvature of the
     relation) is that of simulated free waves of the measured energy on the fitted relation
     (`windowed_dispersion.windowed_waves`); it is subtracted in rounds until the current converges.
@@ -270,13 +269,10 @@ def fit_dispersion(
     band = spectrum.on_lines(in_band)
     sectors = sectors_of(plane, FIT_SECTORS)
     fit = np.array([*start, gamma])
-    for _ in range(ROUNDS_OF_WINDOW):
-        points = _refuse_few(centroids(band, sectors, fit, settings.highest), limits)
-        fit = solve(points, depth, fit)
     for correction in range(MAX_ROUNDS):
         before = fit
+        measured = _refuse_few(centroids(band, sectors, fit, settings.highest), limits)
         windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit, settings.highest)
-        measured = centroids(band, sectors, fit, settings.highest)
         points = _refuse_few(windows.removed_from(measured), limits)
         fit = solve(points, depth, fit)
         if correction >= DAMPED_FROM:  # rounds that overshoot in turn converge half-way

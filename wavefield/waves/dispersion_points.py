@@ -158,9 +158,8 @@ def _mean_of_noise(values: Array) -> float:
     return float(middle + std**2 / (3 * middle)) if middle > 0 else 0.0
 
 
-MAX_SPEED = 0.8  # m/s
-SPEED_STEP = 0.02  # m/s
-SECTORS = 48
+MAX_SPEED, SPEED_STEP = 0.8, 0.02  # m/s: that of flumes; what a fit corrects by itself
+SECTORS = 48  # of votes: 7.5 degrees
 
 
 def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
@@ -292,13 +291,11 @@ def windowed_waves(spectrum: PlaneSpectrum, fit: Array) -> Array:
 # velocity; and in cells, of which a Hann window spreads a wave over two on either side
 HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2
 MIN_CELLS = 5  # in the window of a centroid
-MIN_SHARE = 3e-3  # of the energy of the strongest sector on a line: weaker centroids are leakage
 MIN_SPEED_ON_CURRENT = (
     0.5  # of the free group velocity: a current that slows waves more smears them over all k
 )
 MIN_SIGNAL_TO_NOISE = 1.0
 CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with its neighbours' share
-NOISE_LEVEL_ERROR = 0.03  # relative: what remains of the noise moves a centroid to the middle of its window
 CENTROID_ERROR = 0.03  # of a cell of the k plane, for the strongest sector; more in weaker ones, from leakage
 LEAKAGE_ERROR = 0.3  # of the displacement of centroids by the windows: of each, and of all alike
 MAX_DISPLACEMENT = 0.3  # cells of the k plane: points that the windows displace further are all leakage
@@ -389,8 +386,7 @@ def centroids(
         weight, weight_k, cosine, sine, square, square_k, square_k2, noise = sums[:, usable]
         k = weight_k / weight
         second_moment = square_k2 - 2 * k * square_k + k**2 * square
-        noise_error = NOISE_LEVEL_ERROR * noise * reach[usable]
-        k_std = np.sqrt(CELL_VARIANCE * np.maximum(second_moment, 0) + noise_error**2) / weight
+        k_std = np.sqrt(CELL_VARIANCE * np.maximum(second_moment, 0)) / weight
         k -= plane.spread / (2 * k)
         key = np.flatnonzero(usable) * len(sectors) + number
         signal_to_noise = weight / np.maximum(noise, 1e-9 * weight)
@@ -402,8 +398,7 @@ def centroids(
     points = RelationPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
     strongest = _strongest_sector(points)
     leakage = CENTROID_ERROR * plane.cell * np.sqrt(strongest / points.energy)
-    points = replace(points, k_std=np.hypot(points.k_std, leakage))
-    return points[points.energy > MIN_SHARE * strongest]
+    return replace(points, k_std=np.hypot(points.k_std, leakage))
 
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:

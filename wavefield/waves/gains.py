@@ -23,7 +23,7 @@ from wavefield.waves.welch import (
 Array = NDArray[Any]
 Values = TypeVar("Values", float, Array, xr.DataArray)
 
-MIN_SIGNAL_TO_NOISE = 3.0
+MIN_SIGNAL_TO_NOISE = 3.0  # of a cell: noise that is off by a tenth then changes the waves by 3 %
 MIN_AMPLITUDE = 0.5  # of a wave after interpolation in time: the correction is at most twofold
 # by frames: weights of cos b, cos 3b and cos 5b in the polynomial through the frames at its middle
 MEAN_WEIGHTS = {2: (1,), 4: (9, -1), 6: (150, -25, 3)}

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
+from wavefield.waves.crests import BOOTSTRAP_DRAWS, MIN_BLOCKS, POINT_DISTANCE
 from wavefield.waves.inputs import a_field, takes
 from wavefield.waves.record import Record, find_record
 from wavefield.waves.welch import Reader
@@ -15,10 +16,8 @@ from wavefield.waves.welch import Reader
 Array = NDArray[Any]
 
 ORDERS = np.arange(1, 7)
-POINT_DISTANCE = 0.08  # m between the points of differences in time
-STEP_DISTANCE_S = 0.2  # between the steps of differences in space
-MIN_BLOCKS, MAX_BLOCKS = 8, 64  # of time
-BOOTSTRAP_DRAWS = 400
+STEP_DISTANCE_S = 0.2  # between the steps of differences in space: half a period of waves of 2.5 Hz
+MAX_BLOCKS = 64  # of time: more hold too little to be independent
 _AXES = ("time", "y", "x")
 
 
@@ -102,7 +101,7 @@ def structure_functions(
     a flatness that rises above 3 by more than its error as the lag falls (Falcon, Fauve and Laroche 2007, who
     take second differences of wave heights). Waves bound to others raise it too. In time at points 8 cm
     apart, in space at steps 0.2 s apart, along complete rows and columns. Uncertainties: bootstrap of blocks
-    of time with all points in them, 400 draws. Noise of single nodes dominates the shortest lags and is
+    of time with all points in them, 500 draws. Noise of single nodes dominates the shortest lags and is
     Gaussian: check S_2 before the flatness.
 
     Examples
