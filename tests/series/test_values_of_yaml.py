@@ -84,12 +84,6 @@ def test_backslashes_between_folders_are_refused_with_the_remedy(tmp_path):
     assert "line 6: rig" in complaint(tmp_path, "rig: rig.yaml", r"rig: C:\lab\rig.yaml")
 
 
-def test_files_that_refer_to_each_other_are_refused(tmp_path):
-    assert "points to itself" in complaint(tmp_path, text="experiment: experiment.yaml\n")
-    (tmp_path / "b.yaml").write_text("experiment: experiment.yaml\nfolder: images\n")
-    assert "points to itself" in complaint(tmp_path, text="experiment: b.yaml\n")
-
-
 def test_time_stamps_in_an_image_are_refused(tmp_path):
     for camera in ("cam1", "cam2"):
         (tmp_path / camera).mkdir()

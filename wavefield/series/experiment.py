@@ -145,8 +145,7 @@ class Experiment(RecordSection):
         Parameters
         ----------
         path : path
-            The file; one that holds only ``experiment: other.yaml`` (and perhaps ``folder``) refers to
-            the other.
+            The file.
         folder : path, optional
             Folder of the images, in place of the one the file names.
 
@@ -156,20 +155,7 @@ class Experiment(RecordSection):
             If the file is missing or wrong; the message names the line and the remedy.
         """
         path = Path(str(path).removeprefix("file://")).absolute()
-        data, passed = read_yaml(path), [path]
-        while set(data) in ({"experiment"}, {"experiment", "folder"}):
-            if folder is None and data.get("folder"):
-                folder = path.parent / str(data["folder"])
-            target = path.parent / str(data["experiment"])
-            if not target.is_file():
-                raise ExperimentError(f"{path} points to {target}, which is not there")
-            if any(target.samefile(one) for one in passed):
-                raise ExperimentError(
-                    f"{passed[0]} points to itself (`experiment:`); name the file that has the cameras"
-                )
-            path = target
-            data = read_yaml(path)
-            passed.append(path)
+        data = read_yaml(path)
         if folder:
             data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
         if data.get("frame_rate") is None and isinstance(data.get("cameras"), Mapping):
