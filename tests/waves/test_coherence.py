@@ -5,7 +5,6 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from independent_seas import LatticeSea, random_lattice_sea
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
@@ -127,32 +126,3 @@ def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
     assert np.isnan(C.gamma2.sel(term="nl")).all()
     assert np.isnan(C.gamma2_komega.sel(term="nl")).all()
     assert np.isfinite(C.gamma2.sel(term="w")).sum() == np.isfinite(C.gamma2.sel(term="tot")).sum() > 0
-
-
-@pytest.mark.slow
-def test_of_linear_seas_the_nonlinear_term_exceeds_its_level_in_about_five_percent():
-    # neither too often nor, as with samples counted from cells that share no ridge, hardly ever
-    over = {"": [], "_komega": []}
-    for seed in (21001, 21002, 21003, 21004, 21005):
-        sea, _ = random_lattice_sea(seed)
-        cube = sea.cube(seed)
-        spectra = wv.cross_spectra(cube, ("rise", "nl"))
-        there = spectra.valid & (spectra.E > 1e-3 * spectra.E.max(["omega", "k"])).all("quantity")
-        found = wv.coherence(cube).sel(term="nl")
-        exceeded = found.gamma2_komega > found.level_komega
-        over["_komega"].append(float(exceeded.where(there).mean()))
-        over_k = spectra.E.sel(quantity="rise").sum("omega")
-        strong = over_k > 1e-3 * over_k.max()
-        over[""].append(float((found.gamma2 > found.level).where(strong)[2:].mean()))
-    assert 0.01 < np.mean(over["_komega"]) < 0.1, over
-    assert np.mean(over[""]) < 0.15, over
-
-
-def test_spectra_of_a_cube_have_fewer_degrees_of_freedom_where_its_current_keeps_waves_in_the_window():
-    cube = LatticeSea(side=180, shape=(240, 24, 30), current=(0.2, 0.15)).cube(0, ("u", "v", "w"))
-    still = cube.assign(u=cube.u - cube.u.mean(), v=cube.v - cube.v.mean())
-    both = (wv.cross_spectra(one, ("u", "v", "w"), segment=64) for one in (cube, still))
-    on, off = (found.sel(quantity="w") for found in both)
-    waves = on.valid & (on.E > 1e-3 * on.E.max())
-    relative_variance = [float((1 / found.dof).where(waves).mean()) for found in (on, off)]
-    assert relative_variance[0] > 1.1 * relative_variance[1]

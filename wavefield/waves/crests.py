@@ -19,7 +19,6 @@ PERIODS_IN_BLOCK = 10.0  # mean periods: blocks are nearly independent
 MIN_BLOCKS = 8  # fewer give standard deviations that are themselves uncertain by more than a quarter
 BOOTSTRAP_DRAWS = 500  # of which a standard deviation has a chance error of 3 %
 LEVELS = np.arange(0.0, 5.01, 0.25)  # standard deviations: one wave of a quarter of a million reaches 5
-STEPS_AT_A_TIME = 512  # 27 MB of 100 x 130 nodes
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
@@ -48,7 +47,7 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
     runs = []
     for run in record.runs:
         parts = []
-        for (block,) in read.blocks(run, STEPS_AT_A_TIME):
+        for (block,) in read.blocks(run):
             points = block[:, ::apart_y, ::apart_x]
             parts.append(points.reshape(points.shape[0], -1).astype(float))
         runs.append(np.concatenate(parts))

@@ -500,9 +500,6 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
 register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence", pairs=COHERENCE_PAIRS))
 
 
-STEPS_AT_A_TIME = 128
-
-
 @takes(a_cube)
 def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     """Coherence at each wave vector, averaged over time, and its mean over angle taken after the ratio.
@@ -539,7 +536,7 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     read = Reader([cube[field] for field in fields], record)
     sums: dict[str, Array] = {}
     for run in record.runs:
-        for blocks in read.blocks(run, STEPS_AT_A_TIME):
+        for blocks in read.blocks(run):
             parts = transforms(dict(zip(fields, blocks)), COHERENCE_NAMES, welch)
             precise = {n: parts[n].astype(np.complex128) for n in COHERENCE_NAMES}
             for name, values in _plane_sums(precise).items():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from wavefield.variables import annotate
-from wavefield.water import dispersion, group_velocity
+from wavefield.water import group_velocity
 from wavefield.waves.welch import (
     CORRELATED_CELLS,
     LEAST_COUNT,
@@ -100,10 +100,9 @@ def expected_segment_correlation(power: Array, count: int, furthest: int = 2) ->
     return out
 
 
-HEADINGS = 17  # of the waves, from along the current to against it
+HEADINGS = 32  # of the waves
 LAGS = 41  # at which the windows in time and space are joined
 MOST_SEGMENTS = 40  # that may be correlated
-STILL = 1e-6  # m/s, of a current
 NOISE_LINES = 0.75  # of the Nyquist frequency: what is above counts as noise
 
 
@@ -142,30 +141,16 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 
 def crossing_correlation(welch: Welch) -> Array:
-    """Variance of a mean over segments relative to independent ones, for free waves, (rings, lines).
-    As `correlation_at` for packets with v = c_g + U; omega = sigma(k) + k . U gives their direction.
+    """Variance of a mean over segments relative to independent ones, for free waves, (rings,).
+    As `correlation_at` for packets with v = c_g + U, averaged over their directions.
     """
     record, table = welch.record, welch.table
-    duration = welch.segment * record.dt
     lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
-    group, still = group_velocity(table.k, welch.depth), dispersion(table.k, welch.depth)
-    speed, towards = np.hypot(*welch.current), np.arctan2(welch.current[1], welch.current[0])
-    turn = np.linspace(0, np.pi, HEADINGS)
-    out = np.zeros((table.k.size, HEADINGS))
-    for side in (1, -1):
-        velocity = [
-            group[:, None] * part(towards + side * turn) + along
-            for part, along in zip((np.cos, np.sin), welch.current)
-        ]
-        out += correlation_at(velocity, duration, lengths, welch.count) / 2
-    lines = welch.omega.size
-    if speed < STILL:
-        return np.repeat(out.mean(axis=1, keepdims=True), lines, axis=1)
-    along = (welch.omega - still[:, None]) / (table.k * speed)[:, None]
-    place = np.arccos(along.clip(-1, 1)) * (HEADINGS - 1) / np.pi
-    first = np.minimum(place.astype(int), HEADINGS - 2)
-    values = [np.take_along_axis(out, first + i, axis=1) for i in (0, 1)]
-    return np.asarray(values[0] + (place - first) * (values[1] - values[0]))
+    group = group_velocity(table.k, welch.depth)[:, None]
+    heading = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
+    velocity = [group * part(heading) + along for part, along in zip((np.cos, np.sin), welch.current)]
+    out = correlation_at(velocity, welch.segment * record.dt, lengths, welch.count)
+    return np.asarray(out.mean(axis=1))
 
 
 def wave_share(power: Array) -> Array:
@@ -339,7 +324,7 @@ def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
     """
     white = 1 + (1 - 1 / welch.count) / 18
     line = expected_segment_correlation(power, welch.count, MAX_LAG)
-    crossing = white + (crossing_correlation(welch) - white).clip(0, None) * wave_share(power) ** 2
+    crossing = white + (crossing_correlation(welch)[:, None] - white).clip(0, None) * wave_share(power) ** 2
     return np.maximum(crossing, line), crossing * line / white
 
 

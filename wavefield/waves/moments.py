@@ -142,7 +142,6 @@ def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> x
 QUANTITIES = {"z": "z", "dx": "u", "dy": "v", "dz": "w"}  # displacements are velocity times dt
 REACH, BINS = 6.0, 120  # of the distributions, in standard deviations
 SAMPLED_STEPS = 8  # that fix the bins: off by a tenth, they are interpolated to those of all steps
-STEPS_AT_A_TIME = 256  # 27 MB of 100 x 130 nodes as doubles
 Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation of each field
 
 
@@ -292,7 +291,7 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     sums: dict[str, Array] = {}
     read = Reader([cube[name] for name in names], record)
     for run in record.runs:
-        for blocks in read.blocks(run, STEPS_AT_A_TIME):
+        for blocks in read.blocks(run):
             sums = add_sums(sums, sums_of(dict(zip(names, blocks)), scales, record.dy, record.dx))
     out = label(sums, scales, record.dt)
     stds, peak = of_elevation(cube["z"], record)

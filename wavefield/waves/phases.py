@@ -15,7 +15,6 @@ from wavefield.waves.welch import Reader
 Array = NDArray[Any]
 
 FIELDS = ("z", "z_t", "u", "v", "w")
-STEPS_AT_A_TIME = 256  # 13 MB of 100 x 130 nodes
 MIN_PERIODS = 4  # fewer do not tell what repeats from other waves of nearly the same period
 HARMONICS = 3  # the third of Stokes waves has 3/8 (k a)^2 of the first: 3 % at k a = 0.3
 
@@ -119,7 +118,7 @@ def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:
-        for blocks in read.blocks(run, STEPS_AT_A_TIME):
+        for blocks in read.blocks(run):
             part = slice(first, first + blocks[0].shape[0])
             for name, block in zip(names, blocks):
                 values = block.astype(float)

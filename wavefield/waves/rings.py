@@ -60,12 +60,12 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 
 @lru_cache(maxsize=8)
-def rings(ny: int, nx: int, dy: float, dx: float, dk: float | None = None) -> Rings:
-    """Cut the k plane into rings of width dk, rad/m; the corners beyond the Nyquist wavenumber are kept.
+def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
+    """Cut the k plane into rings as wide as its cells; the corners beyond the Nyquist wavenumber are kept.
     Every cell is split into 8 x 8 parts, each in the ring of its centre: energy is conserved to rounding.
     """
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
-    dk = max(cell_y, cell_x) if dk is None else float(dk)
+    dk = max(cell_y, cell_x)
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5
     ky = (wavenumbers(ny, dy)[:, None] + part * cell_y).ravel()
     kx = (wavenumbers(nx, dx)[:, None] + part * cell_x).ravel()

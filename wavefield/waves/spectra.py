@@ -259,7 +259,6 @@ def komega(
     *,
     segment: int | None = None,
     record: Record | None = None,
-    dk: float | None = None,
 ) -> xr.Dataset:
     """Spectrum E(k, omega): the power spectrum integrated over the angle of the wave vector.
 
@@ -271,8 +270,6 @@ def komega(
         Steps of a Welch segment; chosen from the record if not given.
     record : Record, optional
         Rectangle and runs (`find_record`); found from the field if not given, which reads it once more.
-    dk : float, optional
-        Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle.
 
     Returns
     -------
@@ -300,7 +297,7 @@ def komega(
     >>> E.E.dims, int(E.segments)
     (('omega', 'k'), 7)
     """
-    welch = Welch.of(field, segment, record, dk)
+    welch = Welch.of(field, segment, record)
     table = welch.table
     add_powers = partial(_add_ring_powers, table)
     # nodes are filled less well at the edges, where the window in space has little weight

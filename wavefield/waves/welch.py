@@ -15,7 +15,16 @@ from wavefield.errors import CubeError
 from wavefield.variables import INSTANTANEOUS, frames_of_path
 from wavefield.water import WATER, water_of
 from wavefield.waves import kernels, rings
-from wavefield.waves.record import IN_TIME, LONGEST_BRIDGE, Record, all_finite, fill, find_record, piece
+from wavefield.waves.record import (
+    IN_TIME,
+    LONGEST_BRIDGE,
+    STEPS_PER_READ,
+    Record,
+    all_finite,
+    fill,
+    find_record,
+    piece,
+)
 
 DEFAULT_SEGMENT = 512  # steps: 25.6 s at 20 Hz
 CORRELATED_CELLS = 1 + 2 * (4 / 9 + 1 / 36)  # along an axis of a spectrum under a Hann window
@@ -175,10 +184,10 @@ class Reader:
             blocks.append(np.ascontiguousarray(fill(block, missing)[inner]))
         return blocks
 
-    def blocks(self, run: tuple[int, int], steps: int) -> Iterator[list[np.ndarray]]:
+    def blocks(self, run: tuple[int, int]) -> Iterator[list[np.ndarray]]:
         """Blocks of a run, some steps at a time."""
-        for a in range(run[0], run[1], steps):
-            yield self(a, min(a + steps, run[1]), run)
+        for a in range(run[0], run[1], STEPS_PER_READ):
+            yield self(a, min(a + STEPS_PER_READ, run[1]), run)
 
 
 def steps_in_no_segment(record: Record, segment: int) -> list[tuple[int, int, tuple[int, int]]]:
@@ -344,8 +353,6 @@ class Welch:
 
     record: Record  # Rectangle and runs
     segment: int  # Steps of a segment
-    # Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle
-    dk: float | None = None
     frames: int = 2  # `path_frames` of velocities and z_t (`transfer.path_factor`)
     # Mean current along x and y that nonlinear quantities are relative to, m/s
     current: tuple[float, float] = (0.0, 0.0)
@@ -357,12 +364,11 @@ class Welch:
         fields: xr.DataArray | xr.Dataset,
         segment: int | None = None,
         record: Record | None = None,
-        dk: float | None = None,
     ) -> "Welch":
-        """Lay segments over fields, with rings of width dk, rad/m."""
+        """Lay segments over fields."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
-        return cls(record, length, dk, frames_of(fields), depth=water_of(fields.attrs)[0])
+        return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
 
     @cached_property
     def count(self) -> int:
@@ -383,7 +389,7 @@ class Welch:
     def table(self) -> rings.Rings:
         """Rings of the k plane."""
         record = self.record
-        return rings.rings(*record.shape, record.dy, record.dx, self.dk)
+        return rings.rings(*record.shape, record.dy, record.dx)
 
     @property
     def dof(self) -> float:
