@@ -12,7 +12,7 @@ from wavefield.waves.dispersion_points import fit_settings
 
 def fitted(sea, **settings):
     E = wv.spectrum(sea.cube(("w",))["w"]).E
-    return wv.fit_dispersion(E, sea.depth, settings=wv.FitSettings(**settings))
+    return wv.fit_dispersion(E, sea.depth, **settings)
 
 
 def test_the_band_of_the_fit_can_be_given_and_is_recorded():

@@ -6,7 +6,6 @@ from wavefield.waves.crests import crest_statistics
 from wavefield.waves.cross import coherence, cross_spectra, plane_coherence
 from wavefield.waves.direction import directions
 from wavefield.waves.dispersion_fit import fit_dispersion
-from wavefield.waves.dispersion_points import FitSettings
 from wavefield.waves.elevation import fused_spectra
 from wavefield.waves.gains import (
     elevation_from_w,
@@ -31,7 +30,6 @@ from wavefield.waves.spectra import (
 __all__ = [
     "E_k",
     "E_omega",
-    "FitSettings",
     "Record",
     "analyze",
     "coherence",

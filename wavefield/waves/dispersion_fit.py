@@ -14,7 +14,6 @@ from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves.dispersion_points import (
     LEAKAGE_ERROR,
     MIN_CELLS_FROM_ZERO,
-    FitSettings,
     PlaneSpectrum,
     RelationPoints,
     WindowDisplacement,
@@ -182,7 +181,8 @@ def fit_dispersion(
     depth: float = np.inf,
     *,
     gamma: float = GAMMA,
-    settings: FitSettings | None = None,
+    lowest: float | None = None,
+    highest: float | None = None,
 ) -> xr.Dataset:
     """Fit current and surface tension to the dispersion relation of E(ky, kx, omega).
 
@@ -196,8 +196,10 @@ def fit_dispersion(
         short do not determine it.
     gamma : float
         Surface tension over density, m3/s2, to start from and for the theory of ``ridge_error``.
-    settings : FitSettings, optional
-        Band of the fit.
+    lowest, highest : float, optional
+        Band of frequencies used, Hz, and higher ones of waves that a current carries past faster. If not
+        given, all that the spectrum resolves, each line weighted by how far its waves exceed the noise. Waves
+        longer than two fifths of the shorter side of the rectangle are always left out.
 
     Returns
     -------
@@ -254,13 +256,13 @@ def fit_dispersion(
     >>> bool(fit.ridge_fraction > 0.98)
     True
     """
-    settings = settings or FitSettings()
     density = density.compute()
     spectrum = PlaneSpectrum.of(density, depth)
     omega, plane = spectrum.omega, spectrum.plane
-    highest = 2 * np.pi * (settings.highest or np.inf)
-    top = min(highest, 0.92 * dispersion(0.9 * plane.nyquist, depth), 0.97 * omega[-1])
-    bottom = max(2 * np.pi * (settings.lowest or 0.0), dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth))
+    top = min(
+        2 * np.pi * (highest or np.inf), 0.92 * dispersion(0.9 * plane.nyquist, depth), 0.97 * omega[-1]
+    )
+    bottom = max(2 * np.pi * (lowest or 0.0), dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth))
     start = scan_current(spectrum.on_lines((omega >= bottom) & (omega <= top)), gamma)
     # the same waves pass faster with the current
     top = max(top, min(top + np.hypot(*start) * wavenumber(top, depth, gamma), 0.97 * omega[-1]))
@@ -271,8 +273,8 @@ def fit_dispersion(
     fit = np.array([*start, gamma])
     for correction in range(MAX_ROUNDS):
         before = fit
-        measured = _refuse_few(centroids(band, sectors, fit, settings.highest), limits)
-        windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit, settings.highest)
+        measured = _refuse_few(centroids(band, sectors, fit, highest), limits)
+        windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit, highest)
         points = _refuse_few(windows.removed_from(measured), limits)
         fit = solve(points, depth, fit)
         if correction >= DAMPED_FROM:  # rounds that overshoot in turn converge half-way
@@ -364,12 +366,12 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 
 def dispersion_group(
-    density: xr.DataArray, k: Array, depth: float, gamma: float, settings: FitSettings | None = None
+    density: xr.DataArray, k: Array, depth: float, gamma: float, **band: float
 ) -> xr.Dataset:
     """Group `dispersion`: the theory over k, rad/m, and the fit or the reason for its refusal."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
-        out = fit_dispersion(density, depth, gamma=gamma, settings=settings)
+        out = fit_dispersion(density, depth, gamma=gamma, **band)
     except CubeError as error:
         return annotate(theory, "dispersion").assign_attrs(refused=str(error))
     fitted = ("k", dispersion(k, depth, float(out["gamma"])))
@@ -382,9 +384,9 @@ def _product(
     welch: Welch,
     depth: float,
     gamma: float,
-    settings: tuple[FitSettings, tuple[float, float] | None],
+    settings: tuple[dict[str, float], tuple[float, float] | None],
 ) -> xr.Dataset:
-    return dispersion_group(density, welch.table.k, depth, gamma, settings[0])
+    return dispersion_group(density, welch.table.k, depth, gamma, **settings[0])
 
 
 MIN_SEGMENTS_FOR_TENSION = 4  # before a fitted surface tension is more than noise

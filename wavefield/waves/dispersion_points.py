@@ -21,37 +21,17 @@ from wavefield.waves.welch import hann_power, richardson_lucy
 _CURRENT_NAMES = ("current_x", "current_y")
 
 
-@dataclass(frozen=True)
-class FitSettings:
-    """Band of the dispersion fit.
-
-    Parameters
-    ----------
-    lowest, highest : float, optional
-        Band of frequencies used, Hz, and higher ones of waves that a current carries past faster. If not
-        given, all that the spectrum resolves, each line weighted by how far its waves exceed the noise. Waves
-        longer than two fifths of the shorter side of the rectangle are always left out.
-    """
-
-    lowest: float | None = None
-    highest: float | None = None
-
-
-def fit_settings(
-    fit: FitSettings | Mapping[str, Any] | None,
-) -> tuple[FitSettings, tuple[float, float] | None]:
-    """Settings of the fit, and the current in m/s to use where it is refused, from what a user gives.
+def fit_settings(fit: Mapping[str, Any] | None) -> tuple[dict[str, float], tuple[float, float] | None]:
+    """Band of the fit, Hz, and the current in m/s to use where it is refused, from what a user gives.
 
     Examples
     --------
-    >>> fit_settings({"lowest": "1", "current_x": 0.1})[1]
-    (0.1, 0.0)
+    >>> fit_settings({"lowest": "1", "current_x": 0.1})
+    ({'lowest': 1.0}, (0.1, 0.0))
     """
-    if fit is None or isinstance(fit, FitSettings):
-        return fit or FitSettings(), None
     names = ("lowest", "highest", *_CURRENT_NAMES)
-    values: dict[str, Any] = {}
-    for name, value in fit.items():
+    values: dict[str, float] = {}
+    for name, value in (fit or {}).items():
         if name not in names:
             raise CubeError(f"`fit` has no setting {name!r}; it has {', '.join(names)}")
         try:
@@ -66,7 +46,7 @@ def fit_settings(
         )
     given = [values.pop(name, None) for name in _CURRENT_NAMES]
     current = None if given == [None, None] else (given[0] or 0.0, given[1] or 0.0)
-    return FitSettings(**values), current
+    return values, current
 
 
 Array = NDArray[Any]
