@@ -67,7 +67,7 @@ def late(name, frame):
     ("read", "subject", "kind", "expected"),
     [
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
-        (swapped, "cam1 and cam2", "swapped", "when their images are exchanged"),
+        (swapped, "cam1", "swapped", "those that cam2 would take"),
         (late, "cam3", "offset", "Take 1 from its `offset`"),
         (covered, "cam2", "covered", "shows nothing in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "blurred", "blurred by"),

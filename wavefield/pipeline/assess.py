@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -74,17 +75,27 @@ class RunLimits:
     steps: int = 12  # of a cube whose stored values are read
     steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
     measured_by_all: float = 0.5  # of the nodes: 0.0 with a wrong camera, 0.9 in sound records
-    deep_sheet: float = 4.0  # px between sight lines: particles of thinner ones make one picture
 
 
 LIMITS = RunLimits()
+
+
+_NOT_COMPARED = Remark(
+    "cameras",
+    "light sheet",
+    "remark",
+    "patches of their images do not match, as in a sheet that is some pixels deep between their sight lines",
+    "A wrong rig or frames of other moments would not be found",
+    "Run `wavefield rig sheet`, which correlates all frames together",
+)
 
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> CameraFaults:
     """Compare the cameras' images at some instants of the record; `quality` is of some measured steps.
 
     Patches disagree whatever the rig where waves are steeper or higher than their search allows for, and in
-    deep light sheets. Where all cameras together measured most nodes they do not contradict each other.
+    light sheets of some pixels' depth. Where all cameras together measured most nodes they do not contradict
+    each other.
     """
     count, matcher = prepared.steps + 1, _patch_matcher(prepared)
     frames = evenly_spaced(count, LIMITS.instants)
@@ -95,23 +106,8 @@ def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Camer
     if thickness is None and fraction_measured(quality, by_all=True) > LIMITS.measured_by_all:
         remarks = [one for one in remarks if one.kind not in INCONSISTENT]
     if thickness is not None:
-        depth = thickness * max(float(np.median(matcher.parallax(pair))) for pair in prepared.geometry.pairs)
-        if depth >= LIMITS.deep_sheet * matcher.pixel:
-            deep = _not_compared(depth / matcher.pixel)
-            remarks = [deep if one.kind == "disagree" else one for one in remarks]
+        remarks = [_NOT_COMPARED if one.kind == "disagree" else one for one in remarks]
     return replace(found, remarks=tuple(remarks))
-
-
-def _not_compared(depth: float) -> Remark:
-    return Remark(
-        "cameras",
-        "light sheet",
-        "remark",
-        f"the light sheet is {depth:.0f} px deep between their sight lines (at most {LIMITS.deep_sheet:g} "
-        "px to compare patches)",
-        "A wrong rig or frames of other moments would not be found",
-        "Run `wavefield rig sheet`, which correlates all frames together",
-    )
 
 
 def synchrony_of(prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0) -> Synchrony:
@@ -187,7 +183,8 @@ def assess_run(prepared: PreparedRun, status: Status, checked: RecordCheck | Non
         *remark_on_recordings(experiment, series),
         *remark_on_probes(experiment, cube, record_span(experiment, series)),
         *remark_on_steps(status),
-        *_fields(sample, expected_coverage(prepared.rig, prepared.grid)),
+        *remark_on_coverage(expected_coverage(prepared.rig, prepared.grid)),
+        *remarks_on_fields({str(name): one.values for name, one in sample.items()}, sample.attrs["cameras"]),
         *(_stored_values(cube, sample, checked) if checked else ()),
         *_short_waves(sample, prepared),
     ]
@@ -229,14 +226,13 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         )
 
 
-def _fields(sample: xr.Dataset, in_view: float) -> Iterator[Remark]:
-    """Remarks on the stored values of some steps."""
-    if not np.isfinite(sample.z).any():
+def remarks_on_fields(fields: Mapping[str, NDArray[Any]], cameras: Sequence[str]) -> Iterator[Remark]:
+    """Remarks on the values of some steps."""
+    if not np.isfinite(fields["z"]).any():
         return  # the ledger reports it
-    yield from remark_on_eps_piv(sample.z.values, sample.eps_piv.values)
-    yield from remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"])
-    yield from remark_on_coverage(in_view)
-    yield from remark_on_holes(fraction_measured(sample.quality.values))
+    yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
+    yield from remark_on_cameras_left_out(fields["quality"], cameras)
+    yield from remark_on_holes(fraction_measured(fields["quality"]))
 
 
 def _stored_values(cube: xr.Dataset, sample: xr.Dataset, checked: RecordCheck) -> Iterator[Remark]:

@@ -17,7 +17,13 @@ from wavefield.execution.cluster import count_workers
 from wavefield.execution.process import one_thread, peak_memory
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
-from wavefield.pipeline.assess import compare_cameras, fraction_measured, record_span, synchrony_of
+from wavefield.pipeline.assess import (
+    compare_cameras,
+    fraction_measured,
+    record_span,
+    remarks_on_fields,
+    synchrony_of,
+)
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import (
@@ -40,8 +46,6 @@ from wavefield.quality.record import (
 )
 from wavefield.quality.remarks import (
     remark_on_coverage,
-    remark_on_eps_piv,
-    remark_on_holes,
     remark_on_probe_file,
     remark_on_rest,
 )
@@ -408,8 +412,7 @@ def _remarks_on_trial(
     yield from remark_on_depth(prepared.experiment, prepared.rig, fields.get("z", np.zeros(0)))
     if not fields or wrong:
         return
-    yield from remark_on_holes(fraction_measured(fields["quality"]))
-    yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
+    yield from remarks_on_fields(fields, tuple(prepared.rig))
     motion = prepared.motion
     if motion and motion.found:
         pixels = float(np.abs([motion.x, motion.y]).max())
@@ -419,7 +422,7 @@ def _remarks_on_trial(
 def _grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:
     """Grave remarks on single cameras."""
     cameras = set(prepared.rig)
-    return [one for one in remarks if one.weight == "grave" and set(one.subject.split(" and ")) <= cameras]
+    return [one for one in remarks if one.weight == "grave" and one.subject in cameras]
 
 
 def _remark_on_disk(cost: Cost) -> Remark:

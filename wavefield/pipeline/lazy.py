@@ -22,7 +22,7 @@ from wavefield.rig.field import common_field, pixel_size
 from wavefield.rig.formats import load_rig
 from wavefield.series import Frame
 from wavefield.series.frames import check_content
-from wavefield.variables import CUBE_FIELDS, TABLE, FrameFault, annotate
+from wavefield.variables import CUBE_FIELDS, TABLE, annotate
 from wavefield.water import stated_water
 
 if TYPE_CHECKING:
@@ -48,11 +48,7 @@ class ArraySource:
 
     def read(self, index: int) -> Frame:
         """Read one frame; an image without contrast counts as bad."""
-        image = np.asarray(self.variable[index].values)
-        place = self.place(index)
-        if image.ndim != 2:
-            return Frame(None, FrameFault.WRONG_SIZE, f"{place} has {image.ndim} dimensions")
-        return check_content(image, place)
+        return check_content(np.asarray(self.variable[index].values), self.place(index))
 
     def place(self, index: int) -> str:
         """Name of a frame for a message."""

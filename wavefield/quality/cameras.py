@@ -399,8 +399,6 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
     if not inconsistent:  # a wide pair may see too different pictures; each still agrees with a third
         return set(), []
     level = table.level()
-    if swap := _swapped(table, level):
-        return set(table.names), [swap]
     consistent = [name for name in table.names if name not in inconsistent]
     remarks = [
         _explain(table, name, consistent or [n for n in table.names if n != name], level, count)
@@ -430,32 +428,6 @@ def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
         "It does not see the same water as the others" if name else "Nothing can be measured",
         "Is it sharp, bright and seeded, are its frames of the same moments (`offset`), is the rig its own?",
         {"agreement": best},
-    )
-
-
-def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
-    before = float(np.mean([score(found) for found in table.found.values()]))
-    best, which = max(before + 0.1, level), None
-    for one, other in table.pairs if len(table.names) > 2 else ():
-        turned = {one: other, other: one}
-        exchanged = {(a, b): (turned.get(a, a), turned.get(b, b)) for a, b in table.pairs}
-        scores = [
-            score([table.compare(pair, k, images) for k in table.frames[:2]])
-            for pair, images in exchanged.items()
-        ]
-        if min(scores) > CAMERA_LIMITS.agreement / 2 and float(np.mean(scores)) > best:
-            best, which = float(np.mean(scores)), (one, other)
-    if which is None:
-        return None
-    return Remark(
-        f"{which[0]} and {which[1]}",
-        "swapped",
-        "grave",
-        f"{100 * best:.0f} % of their patches match when their images are exchanged, {100 * before:.0f} % as "
-        "named",
-        "Nothing measured with them is right",
-        "Exchange their `images` in the experiment file, or their names in the rig",
-        {"agreement": best, "as named": before},
     )
 
 
