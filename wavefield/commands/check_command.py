@@ -33,9 +33,7 @@ Examples:
 @campaign_commands.takes_source("EXPERIMENT|FOLDER|CUBE|CATALOG")
 @RIG
 @click.option("--workflow", type=PATH, help="Where and how it would run: a file as in workflows/.")
-@click.option(
-    "--pairs", is_flag=True, help="Also compare each pair of cameras, and their clocks at more instants."
-)
+@click.option("--pairs", is_flag=True, help="Also compare each pair of cameras.")
 @JSON
 @click.pass_context
 def check(
