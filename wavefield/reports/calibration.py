@@ -146,7 +146,11 @@ def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator
         table = Table("Problems must be solved before the rig can be used", ("kind", "remark"), rows)
         yield ReportSection("What needs attention", [table])
     residuals, general = (
-        [Picture(figure, title, title) for name, title, figure in drawn if (name == "residuals") == misfit]
+        [
+            Picture(figure, f"{title}.", title)
+            for name, title, figure in drawn
+            if (name == "residuals") == misfit
+        ]
         for misfit in (True, False)
     )
     if "cameras" not in content:

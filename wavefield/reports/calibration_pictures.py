@@ -112,13 +112,13 @@ def coverage(observations: Observations) -> Figure:
 
 def flat_target(surface: FlatSurface, mesh: float) -> Figure:
     """z of the flat target's nodes as the rig measures it; mesh of the target in metres."""
-    figure = _figure(7.6, 5.2)
+    figure = _figure(10.4, 6.0)
     axes = figure.subplots()
     kept = surface.plane.kept
     limit = float(np.percentile(np.abs(surface.z[kept]), 98)) * 1e3 or 1e-6
     wide = max(np.ptp(surface.x), np.ptp(surface.y), mesh)
     dots = axes.scatter(
-        surface.x, surface.y, s=(0.55 * 360 * mesh / wide) ** 2, edgecolors=PALE, linewidths=0.5,
+        surface.x, surface.y, s=(0.55 * 500 * mesh / wide) ** 2, edgecolors=PALE, linewidths=0.5,
         c=1e3 * surface.z, cmap="RdBu_r", vmin=-limit, vmax=limit,
     )  # fmt: skip
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
