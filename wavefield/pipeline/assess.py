@@ -184,7 +184,8 @@ def assess_run(prepared: PreparedRun, status: Status, checked: RecordCheck | Non
         *remark_on_probes(experiment, cube, record_span(experiment, series)),
         *remark_on_steps(status),
         *remark_on_coverage(expected_coverage(prepared.rig, prepared.grid)),
-        *remarks_on_fields({str(name): one.values for name, one in sample.items()}, sample.attrs["cameras"]),
+        *remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"]),
+        *remarks_on_fields({str(name): one.values for name, one in sample.items()}),
         *(_stored_values(cube, sample, checked) if checked else ()),
         *_short_waves(sample, prepared),
     ]
@@ -226,12 +227,11 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         )
 
 
-def remarks_on_fields(fields: Mapping[str, NDArray[Any]], cameras: Sequence[str]) -> Iterator[Remark]:
+def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
     """Remarks on the values of some steps."""
     if not np.isfinite(fields["z"]).any():
         return  # the ledger reports it
     yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
-    yield from remark_on_cameras_left_out(fields["quality"], cameras)
     yield from remark_on_holes(fraction_measured(fields["quality"]))
 
 

@@ -412,7 +412,7 @@ def _remarks_on_trial(
     yield from remark_on_depth(prepared.experiment, prepared.rig, fields.get("z", np.zeros(0)))
     if not fields or wrong:
         return
-    yield from remarks_on_fields(fields, tuple(prepared.rig))
+    yield from remarks_on_fields(fields)
     motion = prepared.motion
     if motion and motion.found:
         pixels = float(np.abs([motion.x, motion.y]).max())
