@@ -26,8 +26,7 @@ Array = NDArray[Any]
 
 _HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
 # variance of the direction over that of cells which are correlated by their windows alone, as waves on the
-# relation fill a thin ridge: 1.9, 1.9 and 1.6 in 20 Gaussian seas each of s = 5, 20 and 50 (1.6 already gives
-# intervals of D that hold 97.5 %)
+# relation fill a thin ridge: 1.9, 1.9 and 1.6 in 20 Gaussian seas each of s = 5, 20 and 50
 RIDGE_CORRELATION = 1.6
 
 
@@ -380,11 +379,11 @@ def sector_spectrum(
         to_level = np.divide(plane.cell_area / band.size, coverage, out=np.zeros(sectors), where=coverage > 0)
         levels[i] = shares @ energy.sum(axis=0).ravel() * to_level
         if dof is not None:
-            covariances = sector_covariances(shares, energy * np.sqrt(packets), dof / RIDGE_CORRELATION)
+            covariances = sector_covariances(shares, energy * np.sqrt(packets), dof)
             covariances *= np.outer(to_level, to_level)
             degrees[i] = sector_freedom(levels[i], covariances)
             theta = (np.arange(sectors) + 0.5) * plane.width
-            stds[:, i] = harmonic_stds(levels[i], covariances, theta)
+            stds[:, i] = harmonic_stds(levels[i], RIDGE_CORRELATION * covariances, theta)
     return _label(frequency, centres, levels, degrees, cells, stds)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from wavefield.variables import annotate
-from wavefield.water import dispersion, water_of
+from wavefield.water import dispersion, water_of, wavenumber
 from wavefield.waves import rings
 from wavefield.waves.cross import Requested, door, label, lazy_sums
 from wavefield.waves.current import CurrentUsed, current_used
@@ -117,7 +117,7 @@ METHODS = ("stereo", "w", "cross", "fusion")
 BY_SOURCE = ["Ez", "dof_Ez", "low_Ez", "high_Ez", "valid_Ez"]
 MIN_FREE_K = 0.5  # of the k of free waves: half-way to the peak, whose leakage keeps its wavenumber
 MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: noise alone is further off
-MIN_TRUSTED_FRACTION = 0.8  # of a line's energy: the others miss more than a fifth
+MIN_TRUSTED_FRACTION = 0.9  # of the cells of free waves: the others miss a ring of them
 MAIN_LOBE = 2  # lines: half the width of the window's main lobe
 MIN_LINES = 5  # below it the weights 1 / omega^2 vary by more than a fifth within a line
 MAX_LEAKED_FRACTION = 0.5  # of a line of w
@@ -150,10 +150,16 @@ def _smooth(values: Array) -> Array:
     return np.asarray(uniform_filter1d(values, 7, axis=0, mode="nearest"))
 
 
-def _trusted_lines(trusted: Array, cross: Array) -> Array:
-    """Lines most of whose energy, by the cross spectrum as measured, lies in trusted cells (omega, k)."""
-    energy = np.maximum(_smooth(cross), 0.0)
-    return np.asarray((energy * trusted).sum(axis=1) > MIN_TRUSTED_FRACTION * energy.sum(axis=1))
+def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
+    """Lines whose free waves fall in trusted cells (omega, k), within three rings and seven lines."""
+    k, waves = spectra.k, np.asarray(wavenumber(spectra.omega, *water))
+    if spectra.speed:  # on a current, where the energy is
+        energy = np.maximum(_smooth(spectra.zw), 0.0)
+        waves = (energy * k).sum(axis=1) / np.maximum(energy.sum(axis=1), _tiny(spectra))
+    place = np.rint(np.interp(waves, k, np.arange(k.size))).astype(int)
+    near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
+    known = np.take_along_axis(trusted, near, axis=1).mean(axis=1)
+    return np.asarray(_smooth(known) > MIN_TRUSTED_FRACTION)
 
 
 def _resolved_lines(energy: Array) -> Array:
@@ -342,7 +348,7 @@ def from_spectra(
     if trusted_k is None:
         valid = _above_noise(energies, dof["cross"], fit_z, fit_w, remaining, positive)
     else:
-        lines = [_trusted_lines(trusted, spectra.zw) for trusted in trusted_k]
+        lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
         valid = {method: inner(omega.size) & trusted for method, trusted in zip(METHODS, lines)}
     waves = _at_waves(energies_k[-1], spectra, water)
     resolved = dict.fromkeys(METHODS, spectra.resolved)
