@@ -3,7 +3,7 @@
 A catalog ``tank.yaml`` has a folder ``tank`` next to it, and in it one folder per run::
 
     tank.yaml
-    tank/coriolis-07/experiment.yaml        the experiment, or a file that points to it
+    tank/coriolis-07/experiment.yaml        the experiment, or a link to it
     tank/coriolis-07/1a2b3c4d/cube.zarr     derived stores, in a folder named after their recipe
     tank/coriolis-07/1a2b3c4d/waves.zarr
     tank/coriolis-07/latest                 link to the recipe run last
@@ -77,9 +77,10 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
                 f"{catalog} has another run {run!r} already; give this one a name of its own"
             )
         if not place.exists():
-            target = os.path.relpath(found.path, place.parent)
-            text = "# refers to the experiment file it names\n" + yaml.safe_dump({"experiment": target})
-            write_text(place, text)
+            with writing(place):
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.unlink(missing_ok=True)  # a link to a file that is gone
+                place.symlink_to(os.path.relpath(found.path, place.parent.resolve()))
         if run not in options:
             options.append(_quoted(run))
             data["user_parameters"]["run"]["default"] = options[0]

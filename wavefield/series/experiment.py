@@ -155,6 +155,7 @@ class Experiment(RecordSection):
             If the file is missing or wrong; the message names the line and the remedy.
         """
         path = Path(str(path).removeprefix("file://")).absolute()
+        path = path.resolve() if path.is_symlink() else path  # files are named relative to the file itself
         data = read_yaml(path)
         if folder:
             data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
