@@ -5,18 +5,24 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
+import psutil
 import pytest
+import xarray as xr
 import yaml
 from cube_cases import different
 
+import wavefield as wf
 from wavefield.errors import ExperimentError
 from wavefield.execution.cluster import open_cluster
 from wavefield.pipeline import Workflow, status
 
 ROOT = Path(__file__).parents[2]
+LIMITED = "limited"  # name of the jobs that end at their time limit, beside the other tests
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("slurm_there")]
 
@@ -33,8 +39,9 @@ def wait_for(condition, patience=900.0):
 
 
 def queue(*options):
-    """Jobs that wait or run."""
-    return slurm("squeue", "--noheader", "--format=%A", *options).split()
+    """Jobs that wait or run, but for those of the run at its time limit."""
+    shown = slurm("squeue", "--noheader", "--format=%A %j", *options).split("\n")
+    return [line.split()[0] for line in shown if line and not line.endswith(f" {LIMITED}")]
 
 
 def steps_done(out):
@@ -88,6 +95,7 @@ def jobs(name):
     return slurm("squeue", "--noheader", "--format=%A", f"--name={name}", "--states=RUNNING").split()
 
 
+@pytest.mark.usefixtures("limited")  # so that its minute begins
 def test_a_job_that_is_warned_puts_itself_back_and_one_that_is_cancelled_goes_on_when_asked(
     tank, reference, workflow, environment, tmp_path
 ):
@@ -157,6 +165,52 @@ def test_worker_jobs_that_are_cancelled_are_asked_for_again_on_nodes_that_are_le
     wait_for(lambda: not queue())
 
 
+@pytest.fixture(scope="module")
+def limited(slurm_there, tank, tmp_path_factory):
+    """A run whose workers hang until their time limit, which Slurm counts in minutes: other tests go on."""
+    folder = tmp_path_factory.mktemp("limited")
+    workflow = write_workflow(folder, walltime="00:01:00", job_name=LIMITED)
+    out = folder / "cube.zarr"
+    process = start_run(tank, out, workflow)
+    try:
+        wait_for(lambda: steps_done(out) >= 1 or process.poll() is not None)
+        first = jobs(LIMITED)
+        for worker in processes_of(first):
+            worker.suspend()  # blocks that take longer than the job lives
+        yield SimpleNamespace(out=out, process=process, first=first, done=steps_done(out))
+    finally:
+        end(process)
+
+
+def test_workers_whose_time_limit_ends_them_in_the_middle_of_a_block_leave_the_same_cube(limited, reference):
+    first, process = limited.first, limited.process
+    wait_for(
+        lambda: process.poll() is not None or not {state_of(job) for job in first} & {"RUNNING", "PENDING"}
+    )
+    text, _ = process.communicate(timeout=900)
+    assert process.returncode == 0, text
+    assert limited.done < status(limited.out).steps
+    # the scheduler may miss a worker that hangs, and cancel its job, before Slurm counts the full minute
+    assert "TIMEOUT" in {state_of(job) for job in first}
+    assert different(limited.out, reference) == []
+    wait_for(lambda: not slurm("squeue", "--noheader", f"--name={LIMITED}"))
+
+
+def processes_of(jobs):
+    """Processes of workers that run in some jobs on this machine."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.environ().get("SLURM_JOB_ID") in jobs and "python" in process.name():
+                found.append(process)
+    return found
+
+
+def state_of(job):
+    shown = subprocess.run(["scontrol", "show", "job", job], capture_output=True, text=True).stdout
+    return dict(word.split("=", 1) for word in shown.split() if "=" in word).get("JobState", "")
+
+
 def test_more_jobs_are_asked_for_while_work_waits_and_given_back_before_the_last_of_it_ends(
     workflow, tmp_path
 ):
@@ -182,6 +236,17 @@ def test_more_jobs_are_asked_for_while_work_waits_and_given_back_before_the_last
     assert sorted(done) == [2.0] * 8 + [15.0]
     assert most == 2, "work waits, and there is one job"
     assert seen[last:][-1] == 1, "one item is left, and there are two jobs"
+    wait_for(lambda: not queue())
+
+
+def test_the_waves_that_slurm_jobs_find_are_those_of_one_process(reference, workflow, tmp_path):
+    one, two = tmp_path / "one.zarr", tmp_path / "two.zarr"
+    wf.analyze(reference, one, segment=8)
+    wf.analyze_on_workers(reference, two, workflow, segment=8)
+    one, two = (xr.open_datatree(path, engine="zarr") for path in (one, two))
+    for group in one.groups:
+        for name, values in one[group].data_vars.items():
+            assert np.asarray(values).tobytes() == np.asarray(two[group][name]).tobytes(), f"{group}/{name}"
     wait_for(lambda: not queue())
 
 

@@ -489,7 +489,7 @@ def with_stated(given: Any) -> Any:
     """
     if not isinstance(given, xr.DataArray | xr.Dataset):
         return given
-    out = given.copy()
+    out = given.copy(deep=False)
     fields = [out] if isinstance(out, xr.DataArray) else list(out.data_vars.values())
     stated: dict[str, Any] = {}
     for name in ("path_frames", *WATER):
