@@ -301,29 +301,29 @@ def _tiny(spectra: _Elevations) -> float:
 
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
-) -> tuple[tuple[Array, ...], tuple[Array, ...] | None, tuple[Array, ...]]:
+) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
     """Energies (omega, k) in the order of METHODS, where they are trusted, and their std by the gains."""
     best, remaining, std_best = _best(spectra, noise, gains)
-    if not undo:
-        return (spectra.zz, spectra.ww, spectra.zw, best), None, (0.0 * best,) * len(METHODS)
     with np.errstate(divide="ignore", invalid="ignore"):
-        energies = (
+        signals = (
             (spectra.zz - noise.fit_z) / gains.z,
             (spectra.ww - noise.fit_w) / gains.w,
             gains.elevation(spectra.zw),
             best,
         )
         trusted = tuple(
-            usable & (energy > MIN_SIGNAL_TO_NOISE * level)
-            for energy, level, usable in zip(
-                energies,
+            usable & (signal > MIN_SIGNAL_TO_NOISE * level)
+            for signal, level, usable in zip(
+                signals,
                 (noise.fit_z / gains.z, noise.fit_w / gains.w, remaining, remaining),
                 (gains.z > 0, gains.w > 0, gains.both_usable, (gains.z > 0) | (gains.w > 0)),
             )
         )
+    if not undo:
+        return (spectra.zz, spectra.ww, spectra.zw, best), trusted, (0.0 * best,) * len(METHODS)
     std_z, std_w = gains.std
     stds = 2 * std_z, 2 * std_w, std_z + std_w, 2 * std_best
-    return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted, stds
+    return tuple(np.where(t, signal, 0.0) for t, signal in zip(trusted, signals)), trusted, stds
 
 
 def from_spectra(
@@ -345,11 +345,8 @@ def from_spectra(
     positive = np.maximum(_smooth(energies["fusion"]), tiny)
 
     dof = _freedom(ring)
-    if trusted_k is None:
-        valid = _above_noise(energies, dof["cross"], fit_z, fit_w, remaining, positive)
-    else:
-        lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
-        valid = {method: inner(omega.size) & trusted for method, trusted in zip(METHODS, lines)}
+    lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
+    valid = {method: inner(omega.size) & trusted for method, trusted in zip(METHODS, lines)}
     waves = _at_waves(energies_k[-1], spectra, water)
     resolved = dict.fromkeys(METHODS, spectra.resolved)
     resolved |= {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | spectra.resolved}
@@ -367,7 +364,7 @@ def from_spectra(
     out = annotate(parts.rename(dict(zip(("E", "dof", "low", "high", "valid"), BY_SOURCE))), "spectra")
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
     out["weight_z"] = ("omega", weight)
-    if trusted_k is not None:
+    if gain is not None:
         out = out.assign_coords(k_coords(spectra.k))
         known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))  # of the ring itself, not of what leaks in
         out["Ez_komega"] = (("omega", "k"), np.where(known, energies_k[-1], np.nan))
@@ -396,22 +393,6 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     energy = np.maximum(energy, 0.0)
     total = _smooth(energy.sum(axis=1))
     return np.asarray(_smooth((energy * shorter).sum(axis=1)) > 0.5 * total)
-
-
-def _above_noise(
-    energies: dict[str, Array], dof: Array, fit_z: Array, fit_w: Array, remaining: Array, positive: Array
-) -> dict[str, Array]:
-    """Where a method is right within a factor 2: its noise (for noise-free methods, chance) is smaller."""
-    zz, ww, zw = (_smooth(energies[method]) for method in ("stereo", "w", "cross"))
-    std_cross = np.sqrt((zz * ww + zw**2) / dof)
-    std_best = _smooth(np.maximum(energies["fusion"] + remaining, 0)) * np.sqrt(2 / dof)
-    band = inner(dof.size)
-    return {
-        "stereo": band & (fit_z < positive),
-        "w": band & (fit_w < positive),
-        "cross": band & (zw > 2 * std_cross / np.sqrt(7)),
-        "fusion": band & (_smooth(energies["fusion"]) > 2 * std_best / np.sqrt(7)),
-    }
 
 
 def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> dict[str, Array]:
@@ -444,7 +425,8 @@ def fused_spectra(
         z, z_t, w over (time, y, x), m and m/s.
     gain : path or Dataset, optional
         Gain of the matching windows, as a cube holds it: it is corrected, and noise subtracted
-        from all four, where half of the amplitude is left and the signal is 3 times the noise.
+        from all four, in the cells in which half of the amplitude is left and the signal is 3 times the
+        noise.
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     current : tuple of float, optional
@@ -459,7 +441,8 @@ def fused_spectra(
     -------
     Dataset
         ``Ez`` (source, omega; m2 s rad-1) from stereo, w, cross and fusion, with ``dof_Ez``, ``low_Ez``,
-        ``high_Ez``, ``valid_Ez``; ``noise_z``, ``noise_w``; ``weight_z`` (omega);
+        ``high_Ez``; ``valid_Ez``, with a gain and without: the free waves of the line are 3 times the noise
+        that the method leaves; ``noise_z``, ``noise_w``; ``weight_z`` (omega);
         ``sigma_z``, ``sigma_dz`` (m), NaN where segments are too short to tell noise from waves;
         ``range_frequency`` (Hz), ``range_decades`` (source); with a gain ``Ez_komega`` (omega, k) too, NaN
         where it cannot be trusted. Computed at once.
