@@ -224,9 +224,6 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
     left.scatter(measured, frequency, s=5, color=LINES[1]["color"], label="measured points")
     theory = dispersion.omega_theory.values / (2 * np.pi)
     left.plot(k, theory, label="linear theory", **LINES[0])
-    if "omega_fit" in dispersion:
-        fitted = dispersion.omega_fit.values / (2 * np.pi)
-        left.plot(k, fitted, label="fitted surface tension", **LINES[2])
     reach = 1.3 * float(np.nanmax(measured)) if measured.size else k[-1]
     highest = float(np.interp(reach, k, theory))
     finish(left, CYCLES, HERTZ, xlim=(0, reach), ylim=(0, 1.1 * highest))

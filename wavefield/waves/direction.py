@@ -312,7 +312,7 @@ def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
     """Those of the frequencies at which the grid resolves waves and they exceed the noise."""
-    spectrum = PlaneSpectrum.of(density, water[0])
+    spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
     plane, omega = spectrum.plane, spectrum.omega

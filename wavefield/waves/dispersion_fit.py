@@ -1,4 +1,4 @@
-"""Fit of current and surface tension to the measured dispersion relation."""
+"""Fit of the current to the measured dispersion relation."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +16,7 @@ from wavefield.waves.dispersion_points import (
     MIN_CELLS_FROM_ZERO,
     PlaneSpectrum,
     RelationPoints,
+    Water,
     WindowDisplacement,
     centroids,
     contrast,
@@ -31,31 +32,25 @@ from wavefield.waves.welch import Welch, k_coords
 
 Array = NDArray[Any]
 
-MIN_POINTS = 6  # twice the unknowns
+MIN_POINTS = 6  # three times the unknowns
 OUTLIER_STDS = 3.0  # standard deviations of the points: larger misfits count less
 MIN_SLOPE = 0.15  # of the group velocity: waves that a current slows more count as these
 FREQUENCY_BLOCKS = 5  # that are left out in turn: each must hold enough waves to change the fit
 MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
 MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
-TENSION_RANGE = 0.3  # of the surface tension: how far that of the water may differ from what is given
+TENSION_ERROR = 0.1  # of the surface tension: its standard uncertainty; a film lowers that of clean water
 BAND_WIDTH = 0.5  # Hz, over which points are compared with theory
-_UNITS = np.array([1, 1, 1e5])  # the solver's unit of surface tension is 1e-5 m3/s2
 
 
-def _misfit(points: RelationPoints, depth: float, around: Array) -> Callable[[Array], Array]:
-    """Misfit of the points in standard deviations, (points,), for a scaled fit.
-    Errors in k become errors in omega by the slope of the relation for the fit `around`.
+def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
+    """Misfit of the points in standard deviations, (points,), for a current.
+    Errors in k become errors in omega by the slope of the relation for the current `around`.
     """
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
-    speed = group_velocity(points.k, depth, around[2])
+    free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
     std = points.k_std * np.maximum(slope, MIN_SLOPE * speed)
-
-    def misfit(scaled: Array) -> Array:
-        model = dispersion(points.k, depth, max(scaled[2], 0.0) * 1e-5) + scaled[0] * kx + scaled[1] * ky
-        return np.asarray((model - points.omega) / std)
-
-    return misfit
+    return lambda current: np.asarray((free + current[0] * kx + current[1] * ky - points.omega) / std)
 
 
 def _outlier_limit(misfit: Array) -> float:
@@ -63,44 +58,29 @@ def _outlier_limit(misfit: Array) -> float:
     return OUTLIER_STDS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
-def solve(points: RelationPoints, depth: float, start: Array) -> Array:
-    """The fit to the points, (3,)."""
-    misfit, scaled = _misfit(points, depth, start), start * _UNITS
-    limit = _outlier_limit(misfit(scaled))
-    result = least_squares(misfit, scaled, loss="soft_l1", f_scale=limit, x_scale=[0.01, 0.01, 1.0])
-    return np.array([result.x[0], result.x[1], max(result.x[2], 0.0) * 1e-5])
+def solve(points: RelationPoints, water: Water, start: Array) -> tuple[Array, bool]:
+    """The current of the points, (2,), and whether they determine it along both axes."""
+    misfit = _misfit(points, water, start)
+    result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
+    return np.asarray(result.x), bool(np.linalg.cond(result.jac.T @ result.jac) < MAX_CONDITION)
 
 
-def _solve_current(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Current of a subset of points with the surface tension of the fit, (2,); NaN if undetermined."""
-    misfit = _misfit(points, depth, fit)
-    tension = fit[2] * 1e5
-    limit = _outlier_limit(misfit(fit * _UNITS))
-    result = least_squares(
-        lambda current: misfit(np.array([*current, tension])), fit[:2], loss="soft_l1", f_scale=limit
-    )
-    normal = result.jac.T @ result.jac
-    return np.asarray(result.x) if np.linalg.cond(normal) < MAX_CONDITION else np.full(2, np.nan)
-
-
-def _information(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Contribution of each point to the inverse variance of the current, (points,)."""
-    return np.asarray((points.k / (points.k_std * group_velocity(points.k, depth, fit[2]))) ** 2)
-
-
-def jackknife(points: RelationPoints, depth: float, fit: Array) -> Array:
+def jackknife(points: RelationPoints, water: Water, fit: Array) -> Array:
     """Standard uncertainty of the current, (2,), by leaving out one frequency band at a time.
     The bands determine the current equally well. Raises CubeError if one band changes it much.
     """
     order = np.argsort(points.omega, kind="stable")
-    share = np.cumsum(_information(points[order], depth, fit))
+    information = (points.k / (points.k_std * group_velocity(points.k, *water))) ** 2
+    share = np.cumsum(information[order])
     block = np.minimum((share / share[-1] * FREQUENCY_BLOCKS).astype(int), FREQUENCY_BLOCKS - 1)
-    complete = _solve_current(points, depth, fit)
+    complete, _ = solve(points, water, fit)
     changes, bands = [], []
     for number in np.unique(block):
         left_out, used = order[block == number], order[block != number]
-        current = _solve_current(points[used], depth, fit) if len(used) >= MIN_POINTS else np.full(2, np.nan)
-        changes.append(current - complete)
+        current, determined = (
+            solve(points[used], water, fit) if len(used) >= MIN_POINTS else (complete, False)
+        )
+        changes.append(current - complete if determined else np.full(2, np.nan))
         bands.append(points.omega[left_out[[0, -1]]] / (2 * np.pi))
     change = np.array(changes)
     size = np.hypot(*change.T)
@@ -115,49 +95,38 @@ def jackknife(points: RelationPoints, depth: float, fit: Array) -> Array:
     return np.asarray(np.sqrt((change**2).mean(axis=0) * (len(change) - 1)))
 
 
-def covariance_of(points: RelationPoints, depth: float, fit: Array) -> Array:
-    """Covariance (3, 3) of the least-squares fit, from the misfit of all points; NaN if there are few.
+def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array:
+    """Covariance (2, 2) of the least-squares fit, from the misfit of all points; NaN if there are few.
     Multiplied by the variance of Student's distribution.
     """
-    misfit, scaled = _misfit(points, depth, fit), fit * _UNITS
-    steps = np.diag([1e-4, 1e-4, 1e-2])
-    slopes = np.stack([(misfit(scaled + d) - misfit(scaled - d)) / (2 * d.sum()) for d in steps], axis=1)
-    residual = misfit(scaled)
+    misfit = _misfit(points, water, current)
+    residual = misfit(current)
+    slopes = np.stack([misfit(current + unit) - residual for unit in np.eye(2)], axis=1)  # it is linear
     robust = 1 / np.sqrt(1 + (residual / _outlier_limit(residual)) ** 2)
     normal = (slopes * robust[:, None]).T @ slopes
-    freedom = len(points) - 3
-    if freedom <= 2 or np.linalg.cond(normal) > 1e12:
-        return np.full((3, 3), np.nan)
+    freedom = len(points) - 2
+    if freedom <= 2 or not np.linalg.cond(normal) < MAX_CONDITION:
+        return np.full((2, 2), np.nan)
     # neighbouring points share their error: half of them count for how well the misfit itself is known
     independent = max(freedom / 2, 3.0)
     variance = (robust * residual**2).sum() / freedom * independent / (independent - 2)
-    return np.asarray(variance * np.linalg.inv(normal) * np.outer([1, 1, 1e-5], [1, 1, 1e-5]))
+    return np.asarray(variance * np.linalg.inv(normal))
 
 
-def with_surface_tension(fit: Array, covariance: Array, gamma: float) -> tuple[Array, Array]:
-    """The fit and its covariance with the surface tension constrained to be near `gamma`.
-    On a fast current the measured waves are too long to determine it.
-    """
-    if not np.isfinite(covariance).all():
-        return fit, covariance
-    gain = covariance[:, 2] / (covariance[2, 2] + (TENSION_RANGE * gamma) ** 2)
-    return fit + gain * (gamma - fit[2]), covariance - np.outer(gain, covariance[2])
-
-
-def distance_from_relation(points: RelationPoints, depth: float, fit: Array) -> Array:
+def distance_from_relation(points: RelationPoints, water: Water, current: Array) -> Array:
     """Distance of the points from the fitted relation in k, rad/m; to first order."""
-    along = points.along(fit)
-    speed = group_velocity(points.k, depth, fit[2])
-    model = dispersion(points.k, depth, fit[2]) + points.k * along
+    along = points.along(current)
+    speed = group_velocity(points.k, *water)
+    model = dispersion(points.k, *water) + points.k * along
     return np.asarray((model - points.omega) / np.maximum(speed + along, MIN_SLOPE * speed))
 
 
-def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
+def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
     """Variables ``ridge_error`` and ``band_frequency``, Hz, (band,): points against theory by bands.
     The error is the mean of k over the theory's k for that omega and direction, less 1, weighted as in the
     fit.
     """
-    distance = distance_from_relation(points, depth, np.array([fit[0], fit[1], gamma]))
+    distance = distance_from_relation(points, water, current)
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     numbers, inverse = np.unique(band, return_inverse=True)
     weight = 1 / points.k_std**2
@@ -168,7 +137,6 @@ def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: floa
 MAX_RELATIVE_DISTANCE = 0.1  # of k: points of waves lie within 3 % of the relation, of other energy 8 to 70 %
 MIN_CONTRAST = 1.5  # energy near the relation over that at other frequencies: noise has 0.9 to 1.2
 MAX_CURRENT_STD = 0.012  # m/s: more is of no use, and found where waves are blocked
-TENSION_ERROR = 0.02  # of the surface tension: the error that remains in noisy seas
 FIT_SECTORS = 24  # of direction; each must hold several cells of the shortest waves' ring
 MAX_ROUNDS = 12  # in which the displacement by the windows is removed; at least two
 DAMPED_FROM = 3  # round
@@ -184,7 +152,7 @@ def fit_dispersion(
     lowest: float | None = None,
     highest: float | None = None,
 ) -> xr.Dataset:
-    """Fit current and surface tension to the dispersion relation of E(ky, kx, omega).
+    """Fit the current to the dispersion relation of E(ky, kx, omega).
 
     Parameters
     ----------
@@ -195,7 +163,8 @@ def fit_dispersion(
         Depth of the water, m; by default that of the cube, or deep. It is kept fixed: waves this
         short do not determine it.
     gamma : float
-        Surface tension over density, m3/s2, to start from and for the theory of ``ridge_error``.
+        Surface tension over density, m3/s2; by default that of the cube, or of clean water. It is kept
+        fixed, too.
     lowest, highest : float, optional
         Band of frequencies used, Hz, and higher ones of waves that a current carries past faster. If not
         given, all that the spectrum resolves, each line weighted by how far its waves exceed the noise. Waves
@@ -205,9 +174,9 @@ def fit_dispersion(
     -------
     Dataset
         The points: ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point). The fit:
-        ``current_x``, ``current_y`` (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_fraction``, the
-        fraction of the variance near the relation; ``ridge_error`` (band), k of the points against the theory
-        with the fitted current and the water's gamma, relative; ``depth``.
+        ``current_x``, ``current_y`` (m/s) and their ``_std``; ``ridge_fraction``, the fraction of the
+        variance near the relation; ``ridge_error`` (band), k of the points against the theory with the fitted
+        current, relative; ``depth``.
 
     Raises
     ------
@@ -232,9 +201,8 @@ def fit_dispersion(
 
     The uncertainty is the larger of two: that of least squares, from the misfit of all points, increased
     where the contrast of the relation is low; and a jackknife over five blocks of lines of equal
-    information. Added in quadrature are its change with three tenths of the displacement by the windows left,
-    and 2 % of the surface tension, which is taken to be within 30 % of `gamma` where the waves determine it
-    less well.
+    information. Added in quadrature are its changes with three tenths of the displacement by the windows
+    left, and with a tenth more surface tension.
 
     Examples
     --------
@@ -256,45 +224,42 @@ def fit_dispersion(
     >>> bool(fit.ridge_fraction > 0.98)
     True
     """
-    density = density.compute()
-    spectrum = PlaneSpectrum.of(density, depth)
+    density, water = density.compute(), (depth, gamma)
+    spectrum = PlaneSpectrum.of(density, water)
     omega, plane = spectrum.omega, spectrum.plane
     top = min(
         2 * np.pi * (highest or np.inf), 0.92 * dispersion(0.9 * plane.nyquist, depth), 0.97 * omega[-1]
     )
     bottom = max(2 * np.pi * (lowest or 0.0), dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth))
-    start = scan_current(spectrum.on_lines((omega >= bottom) & (omega <= top)), gamma)
+    fit = scan_current(spectrum.on_lines((omega >= bottom) & (omega <= top)))
     # the same waves pass faster with the current
-    top = max(top, min(top + np.hypot(*start) * wavenumber(top, depth, gamma), 0.97 * omega[-1]))
+    top = max(top, min(top + np.hypot(*fit) * wavenumber(top, *water), 0.97 * omega[-1]))
     limits = bottom, top
     in_band = (omega >= bottom) & (omega <= top)
     band = spectrum.on_lines(in_band)
     sectors = sectors_of(plane, FIT_SECTORS)
-    fit = np.array([*start, gamma])
     for correction in range(MAX_ROUNDS):
         before = fit
         measured = _refuse_few(centroids(band, sectors, fit, highest), limits)
         windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit, highest)
         points = _refuse_few(windows.removed_from(measured), limits)
-        fit = solve(points, depth, fit)
+        fit, _ = solve(points, water, fit)
         if correction >= DAMPED_FROM:  # rounds that overshoot in turn converge half-way
             fit = (fit + before) / 2
-        change = float(np.hypot(*(fit - before)[:2]))
+        change = float(np.hypot(*(fit - before)))
         if correction > 0 and change < CONVERGED:
             break
     contrast_of_fit = _check_fit(spectrum, points, fit, change, limits)
 
-    by_leakage = solve(windows.removed_from(measured, 1 - LEAKAGE_ERROR), depth, fit) - fit
+    by_leakage = solve(windows.removed_from(measured, 1 - LEAKAGE_ERROR), water, fit)[0] - fit
+    by_tension = solve(points, (depth, (1 + TENSION_ERROR) * gamma), fit)[0] - fit
     # 1 / contrast of the energy in the points is noise
-    covariance = covariance_of(points, depth, fit) / (1 - 1 / contrast_of_fit) ** 2
-    fit, covariance = with_surface_tension(fit, covariance, gamma)
-    std = np.sqrt(np.diag(covariance))
-    std[:2] = np.maximum(std[:2], jackknife(points, depth, fit))
-    std = np.sqrt(std**2 + by_leakage**2 + np.square([0.0, 0.0, TENSION_ERROR * gamma]))
-    _refuse_uncertain(float(np.hypot(*std[:2])), limits)
+    std = np.sqrt(np.diag(covariance_of(points, water, fit))) / (1 - 1 / contrast_of_fit)
+    std = np.sqrt(np.maximum(std, jackknife(points, water, fit)) ** 2 + by_leakage**2 + by_tension**2)
+    _refuse_uncertain(float(np.hypot(*std)), limits)
 
     out: dict[str, Any] = {}
-    for name, value, error in zip(("current_x", "current_y", "gamma"), fit, std):
+    for name, value, error in zip(("current_x", "current_y"), fit, std):
         out[name], out[f"{name}_std"] = ((), value), ((), error)
     out |= {
         "ridge_omega": ("point", points.omega),
@@ -304,7 +269,7 @@ def fit_dispersion(
         "ridge_fraction": ((), fraction(spectrum, fit)),
         "depth": ((), depth),
     }
-    out |= against_theory(points, depth, fit, gamma)
+    out |= against_theory(points, water, fit)
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
     return annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
 
@@ -331,7 +296,7 @@ def _check_fit(
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # a window spreads a wave over more than a cell of the k plane: in a small field that distance is no error
     least_k = spectrum.plane.cell / MAX_RELATIVE_DISTANCE
-    relative = distance_from_relation(points, spectrum.depth, fit) / np.maximum(points.k, least_k)
+    relative = distance_from_relation(points, spectrum.water, fit) / np.maximum(points.k, least_k)
     distance = float(np.sqrt(np.average(relative**2, weights=1 / points.k_std**2)))
     if distance > MAX_RELATIVE_DISTANCE:
         raise CubeError(
@@ -374,9 +339,7 @@ def dispersion_group(
         out = fit_dispersion(density, depth, gamma=gamma, **band)
     except CubeError as error:
         return annotate(theory, "dispersion").assign_attrs(refused=str(error))
-    fitted = ("k", dispersion(k, depth, float(out["gamma"])))
-    out = out.assign(theory.data_vars).assign_coords(theory.coords).assign(omega_fit=fitted)
-    return annotate(out, "dispersion")
+    return annotate(out.assign(theory.data_vars).assign_coords(theory.coords), "dispersion")
 
 
 def _product(
@@ -389,32 +352,14 @@ def _product(
     return dispersion_group(density, welch.table.k, depth, gamma, **settings[0])
 
 
-MIN_SEGMENTS_FOR_TENSION = 4  # before a fitted surface tension is more than noise
-MAX_TENSION_STD = 0.05  # standard uncertainty of the surface tension, relative
-
-
-def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:
-    """A dispersion fit, without the surface tension if the waves do not determine it."""
-    if "refused" in fit.attrs:
-        return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])
-    gamma, std = float(fit["gamma"]), float(fit["gamma_std"])
-    if welch.count < MIN_SEGMENTS_FOR_TENSION:
-        count = welch.count
-        reason = f"the record holds {count} segment{'s' if count > 1 else ''}; four are needed"
-    elif not np.isfinite(std):
-        reason = "the dispersion fit does not determine it"
-    elif not std < MAX_TENSION_STD * gamma:
-        reason = f"its uncertainty is {1e6 * std:.2g}e-6 of {1e6 * gamma:.2g}e-6 m3/s2"
-    else:
-        return Noted(fit, [])
-    fit = fit.drop_vars(["gamma", "gamma_std", "omega_fit"], errors="ignore")
-    return Noted(fit, [f"No surface tension was fitted: {reason}."])
+def _noted(fit: xr.Dataset) -> xr.Dataset | Noted:
+    if "refused" not in fit.attrs:
+        return fit
+    return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])
 
 
 register(
     WaveProduct("fit_settings", ("fit",), fit_settings),
     WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
-)
-register(
-    WaveProduct("dispersion", ("dispersion_fit", "welch"), without_uncertain_tension, group="dispersion")
+    WaveProduct("dispersion", ("dispersion_fit",), _noted, group="dispersion"),
 )

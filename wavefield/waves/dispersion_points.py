@@ -1,6 +1,6 @@
 """Points of the measured dispersion relation: centroids in k on each line, in sectors of direction.
 
-`fit` is everywhere an array (3,): current along x and y, m/s, and surface tension over density, m3/s2.
+`current` is everywhere an array (2,), along x and y, m/s.
 """
 
 from collections.abc import Mapping
@@ -50,6 +50,7 @@ def fit_settings(fit: Mapping[str, Any] | None) -> tuple[dict[str, float], tuple
 
 
 Array = NDArray[Any]
+Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 
 MIN_CELLS_FROM_ZERO = 2.5  # cells of the k plane: nearer to zero the window mixes waves k and -k
 NOISE_ONLY = 0.8  # of the largest k along the axes: waves this short are weak on most lines
@@ -94,15 +95,15 @@ class PlaneSpectrum:
     energy: Array  # (lines, cells)
     noise: Array  # (lines, cells)
     plane: WavenumberPlane
-    depth: float  # of the water, m
+    water: Water
 
     @classmethod
-    def of(cls, density: xr.DataArray, depth: float) -> "PlaneSpectrum":
+    def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
         """The spectrum E(omega, ky, kx) with the level of its noise."""
         omega, plane = density["omega"].values, WavenumberPlane.of(density)
         energy = density.values.reshape(omega.size, -1)
         least = np.float32(LEAST_NOISE * energy.mean(dtype=float))
-        return cls(omega, energy, np.maximum(noise_level(energy, plane), least), plane, depth)
+        return cls(omega, energy, np.maximum(noise_level(energy, plane), least), plane, water)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
         """The spectrum on selected lines."""
@@ -142,7 +143,7 @@ MAX_SPEED, SPEED_STEP = 0.8, 0.02  # m/s: that of flumes; what a fit corrects by
 SECTORS = 48  # of votes: 7.5 degrees
 
 
-def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
+def scan_current(spectrum: PlaneSpectrum) -> Array:
     """Current (2,), to 0.02 m/s, whose dispersion relation holds the most energy: the start of the fit.
     Each cell votes for (omega -+ sigma(k)) / k along its k; a current U shows in direction theta as
     U cos(theta - phi).
@@ -155,7 +156,7 @@ def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
     bins = round(2 * MAX_SPEED / SPEED_STEP) + 1
     histogram = np.zeros(SECTORS * bins)
     # omega + sigma: waves that a current carries backwards
-    sigma = dispersion(k, spectrum.depth, gamma)
+    sigma = dispersion(k, *spectrum.water)
     # energy above the noise, each line over its total, and times k: short waves determine the current better
     for line_omega, energy, noise in zip(omega, spectrum.energy, spectrum.noise):
         weight = np.maximum(energy[used] - 3 * noise[used], 0.0)
@@ -180,19 +181,19 @@ def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
     return np.array([ux.flat[slowest], uy.flat[slowest]])
 
 
-def _near_relation(spectrum: PlaneSpectrum, fit: Array) -> Array:
+def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
     """Whether cells lie within two cells in k and two lines in omega of the relation, (lines, cells)."""
-    omega, plane, depth = spectrum.omega, spectrum.plane, spectrum.depth
-    free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
-    slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
-    slope += np.hypot(fit[0], fit[1])
+    omega, plane = spectrum.omega, spectrum.plane
+    free = dispersion(plane.k, *spectrum.water) + current[0] * plane.kx + current[1] * plane.ky
+    slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), *spectrum.water))
+    slope += np.hypot(current[0], current[1])
     reach = 2 * plane.cell * slope + 2 * abs(omega[1] - omega[0])
     return np.asarray(np.abs(omega[:, None] - free) < reach)
 
 
-def contrast(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
+def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
     """Energy near the relation, relative to that if the energy of each cell were spread over all lines."""
-    near = _near_relation(spectrum, fit)[lines]
+    near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
     energy = spectrum.energy[lines]
     on, count = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
@@ -204,9 +205,9 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
     return np.inf if on_both.any() else 1.0
 
 
-def fraction(spectrum: PlaneSpectrum, fit: Array) -> float:
+def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
     """Fraction of the energy that lies near the relation."""
-    near = _near_relation(spectrum, fit)
+    near = _near_relation(spectrum, current)
     total = float(spectrum.energy.sum(dtype=float))
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
@@ -219,11 +220,11 @@ FLOOR = 1e-9  # of the strongest cell: weaker ones are left out
 MAX_FACTOR = 4.0  # of the energy in one round
 
 
-def windowed_waves(spectrum: PlaneSpectrum, fit: Array) -> Array:
-    """Spectrum (lines, cells) that Hann windows make of free waves on the relation `fit` with the measured
-    energy.
+def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
+    """Spectrum (lines, cells) that Hann windows make of free waves on the relation of the current, with the
+    measured energy.
     """
-    near, ky, kx = _near_relation(spectrum, fit), *spectrum.plane.axes
+    near, ky, kx = _near_relation(spectrum, current), *spectrum.plane.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
     def on_relation(energy: Array) -> Array:
@@ -239,7 +240,7 @@ def windowed_waves(spectrum: PlaneSpectrum, fit: Array) -> Array:
     row, column = places.reshape(WAVES_PER_AXIS**2, 2, -1).swapaxes(0, 1).reshape(2, -1)
     wave_y, wave_x = ky[0] + row * (ky[1] - ky[0]), kx[0] + column * (kx[1] - kx[0])
     frequency = (
-        dispersion(np.hypot(wave_y, wave_x), spectrum.depth, fit[2]) + wave_x * fit[0] + wave_y * fit[1]
+        dispersion(np.hypot(wave_y, wave_x), *spectrum.water) + wave_x * current[0] + wave_y * current[1]
     )
     line = (frequency - spectrum.omega[0]) / (spectrum.omega[1] - spectrum.omega[0])
     floor = FLOOR * max(float(measured.max()), 1e-300)
@@ -300,9 +301,9 @@ class RelationPoints:
     def __getitem__(self, chosen: Array) -> "RelationPoints":
         return RelationPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
-    def along(self, fit: Array) -> Array:
+    def along(self, current: Array) -> Array:
         """Current along the wave vector, (points,), m/s."""
-        return np.asarray(fit[0] * np.cos(self.angle) + fit[1] * np.sin(self.angle))
+        return np.asarray(current[0] * np.cos(self.angle) + current[1] * np.sin(self.angle))
 
 
 @dataclass(frozen=True)
@@ -329,21 +330,21 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
 
 
 def centroids(
-    spectrum: PlaneSpectrum, sectors: list[Sector], fit: Array, highest_hertz: float | None
+    spectrum: PlaneSpectrum, sectors: list[Sector], current: Array, highest_hertz: float | None
 ) -> RelationPoints:
-    """Centroids in k of the energy above the noise, in a window around the relation `fit`."""
-    plane, omega, depth = spectrum.plane, spectrum.omega, spectrum.depth
+    """Centroids in k of the energy above the noise, in a window around the relation of the current."""
+    plane, omega, water = spectrum.plane, spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
-    free = dispersion(k_table, depth, fit[2])
+    free = dispersion(k_table, *water)
     speed = np.gradient(free, k_table)
     largest_k = np.full(omega.size, SHORTEST_WAVES * min(plane.kx.max(), plane.ky.max()))
     if highest_hertz:
         highest = 2 * np.pi * highest_hertz
-        shortest = wavenumber(highest, depth, fit[2])
+        shortest = wavenumber(highest, *water)
         largest_k[omega > highest] = np.minimum(largest_k[omega > highest], shortest)
     parts = []
     for number, sector in enumerate(sectors):
-        along = fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta)
+        along = current[0] * np.cos(sector.theta) + current[1] * np.sin(sector.theta)
         centres = _relation_in_k(omega, k_table, free, speed, along)
         reach = np.maximum(HALF_WIDTH * centres, MIN_HALF_WIDTH * plane.cell)
         known = np.isfinite(centres)
@@ -416,20 +417,20 @@ class WindowDisplacement:
         spectrum: PlaneSpectrum,
         band: Array,
         sectors: list[Sector],
-        fit: Array,
+        current: Array,
         highest_hertz: float | None,
     ) -> "WindowDisplacement":
-        """Displacements of the centroids of free waves on the relation `fit`, by simulated windows.
+        """Displacements of the centroids of free waves on the relation of the current, by simulated windows.
         Points displaced far are left out: beyond the end of a sea all energy is leakage. band is (lines,).
         """
-        free_waves = windowed_waves(spectrum, fit)[band]
+        free_waves = windowed_waves(spectrum, current)[band]
         simulated = replace(
             spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
         )
-        points = centroids(simulated, sectors, fit, highest_hertz)
-        along = points.along(fit)
-        off = points.omega - dispersion(points.k, spectrum.depth, fit[2]) - points.k * along
-        displacement = -off / (group_velocity(points.k, spectrum.depth, fit[2]) + along)
+        points = centroids(simulated, sectors, current, highest_hertz)
+        along = points.along(current)
+        off = points.omega - dispersion(points.k, *spectrum.water) - points.k * along
+        displacement = -off / (group_velocity(points.k, *spectrum.water) + along)
         near = np.abs(displacement) < MAX_DISPLACEMENT * spectrum.plane.cell
         return cls(points.key[near], displacement[near])
 

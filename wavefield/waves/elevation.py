@@ -21,6 +21,7 @@ from wavefield.waves import rings
 from wavefield.waves.cross import Requested, door, label, lazy_sums
 from wavefield.waves.current import CurrentUsed, current_used
 from wavefield.waves.dispersion_fit import dispersion_group
+from wavefield.waves.dispersion_points import Water
 from wavefield.waves.dof import with_interval
 from wavefield.waves.gains import (
     MIN_POWER_GAIN,
@@ -46,8 +47,6 @@ from wavefield.waves.welch import (
 )
 
 Array = NDArray[Any]
-
-Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 
 SLOWEST, FASTEST = 0.5, 1.5  # of the free frequency: the limits of free waves
 _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m
