@@ -8,7 +8,7 @@ import xarray as xr
 
 from wavefield.pipeline import Workflow, open_cube
 from wavefield.tank import Scene, Tank
-from wavefield.variables import CUBE_FIELDS
+from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, FrameStatus, Quality, annotate
 
 HERE = Workflow(cluster="none")
 FOURS = Workflow(cluster="none", steps_per_block=4)
@@ -83,3 +83,51 @@ def different(a, b, steps=slice(None)) -> list[str]:
     return [
         name for name in COMPARED if a[name].dtype != b[name].dtype or a[name].tobytes() != b[name].tobytes()
     ]
+
+
+def linear_sea(
+    steps: int = 48, shape: tuple[int, int] = (36, 44), rate: float = 20.0, seed: int = 1
+) -> xr.Dataset:
+    """A cube with the schema of a measured one, with noise, a filled patch, and nodes outside."""
+    rng = np.random.default_rng(seed)
+    ny, nx = shape
+    time = (np.arange(steps) + 0.5) / rate
+    x, y = 0.02 * (np.arange(nx) - nx // 2), 0.02 * (np.arange(ny) - ny // 2)
+    t3, y3, x3 = np.meshgrid(time, y, x, indexing="ij")
+    z, u, v, w, z_t, zx, zy = (np.zeros(t3.shape) for _ in range(7))
+    for _ in range(12):
+        k, angle, phase = rng.uniform(7, 40), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+        a, omega = 0.06 / k, np.sqrt(9.81 * k)
+        arg = k * (np.cos(angle) * x3 + np.sin(angle) * y3) - omega * t3 + phase
+        z += a * np.cos(arg)
+        u += a * omega * np.cos(angle) * np.cos(arg)
+        v += a * omega * np.sin(angle) * np.cos(arg)
+        z_t += a * omega * np.sin(arg)
+        zx -= a * k * np.cos(angle) * np.sin(arg)
+        zy -= a * k * np.sin(angle) * np.sin(arg)
+    w = z_t + u * zx + v * zy
+
+    def noisy(field: np.ndarray, sigma: float) -> np.ndarray:
+        return (field + sigma * rng.standard_normal(field.shape)).astype("float32")
+
+    noises = {"z": (z, 1e-4), "z_t": (z_t, 1e-3), "u": (u, 1e-3), "v": (v, 1e-3), "w": (w, 2e-3)}
+    fields = {name: noisy(*how) for name, how in noises.items()} | {"eps_y": noisy(0 * z, 1e-4)}
+    fields["eps_piv"] = np.abs(noisy(0 * z, 0.05))
+    for name, std in {"z": 1e-4, "u": 1e-3, "v": 1e-3, "w": 2e-3}.items():
+        fields[f"{name}_std"] = np.abs(noisy(0 * z + std, 1e-5 if name == "z" else 1e-4))
+    quality = np.full(t3.shape, int(Quality.MEASURED), "uint8")
+    quality[:, 5:9, 10:14] = int(Quality.FILLED | Quality.REJECTED_CORRELATION)
+    edge = np.ones(shape, bool)
+    edge[2:-2, 2:-2] = False
+    quality[:, edge] = int(Quality.OUTSIDE)
+    for name, field in fields.items():
+        fields[name] = np.where(edge, np.float32(np.nan), field)
+    status = np.full(steps, int(FrameStatus.DONE), "uint8")
+    status[7] = int(FrameStatus.DONE_WITH_FAULTS)
+    cube = xr.Dataset(
+        {name: (CUBE_DIMS, field) for name, field in fields.items()}
+        | {"quality": (CUBE_DIMS, quality), "frame_status": ("time", status)},
+        {"time": time, "y": y, "x": x, "path_frames": np.uint8(6)},
+        {"frame_rate": rate, "water_depth": 0.7, "experiment": "linear sea", "wavefield_version": "test"},
+    )
+    return annotate(cube)

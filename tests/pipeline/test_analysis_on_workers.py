@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from cube_cases import linear_sea
 
 import wavefield as wf
 from wavefield.commands.cli import cli
@@ -13,27 +14,13 @@ from wavefield.errors import RunStopped
 SEGMENT = 16
 
 
-def sea(steps=240):
-    """Waves of all directions with noise, in several runs, and errors to count."""
-    rng = np.random.default_rng(3)
-    axes = {"time": np.arange(steps) * 0.05, "y": np.arange(20) * 0.02, "x": np.arange(24) * 0.02}
-    attrs = {"z": {"units": "m"}} | {name: {"units": "m s-1"} for name in ("z_t", "u", "v", "w")}
-    attrs |= {"eps_y": {"units": "m"}, "eps_piv": {"units": "pixel"}}
-    t, y, x = axes["time"][:, None, None], axes["y"][:, None], axes["x"]
-    wave = 0.01 * np.cos(12.3 * x + 4 * y - 10.98 * t)
-    fields = {name: wave + 0.001 * rng.standard_normal(wave.shape) for name in attrs}
-    cube = xr.Dataset(
-        {name: (("time", "y", "x"), fields[name].astype("f4"), attrs[name]) for name in attrs}, axes
-    )
-    cube["z"][120:125] = np.nan  # two runs
-    cube["z"][90, 3, 4] = np.nan
-    return cube.assign_attrs(water_depth=0.7)
-
-
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
     path = tmp_path_factory.mktemp("sea") / "cube.zarr"
-    sea().to_zarr(path, consolidated=False, encoding={"z": {"chunks": (32, 20, 24)}})
+    cube = linear_sea(240, (20, 24))
+    cube["z"][120:125] = np.nan  # two runs
+    cube["z"][90, 5, 4] = np.nan
+    cube.to_zarr(path, consolidated=False, encoding={"z": {"chunks": (32, 20, 24)}})
     return path
 
 

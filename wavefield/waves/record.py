@@ -22,6 +22,7 @@ _WEIGHTS = (15 / 20, -6 / 20, 1 / 20)  # of the steps at 1, 2, 3: exact for poly
 IN_TIME = len(_WEIGHTS)  # steps before and after that a missing value depends on
 FLOOR = 1e-8  # of the largest power of a ring: the range in which a noise-free field is still interpolated
 ITERATIONS = 12  # of conjugate gradients: with a fifth of the nodes missing at random more change nothing
+ROUNDING = 1e-28  # of the first residual's square: what is left of it is rounding, and in the end 0 / 0
 _LAG = 2  # nodes between the values of a fourth difference
 _FOURTH = (1.0, -4.0, 6.0, -4.0, 1.0)  # a difference that grows with k^4
 
@@ -118,8 +119,9 @@ def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Arr
     nothing = np.zeros(hole.shape)
     direction = residual = predicted(_with(known, hole, x)) - x
     size = residual @ residual
+    solved = ROUNDING * size
     for _ in range(ITERATIONS):
-        if not size > 0:
+        if not size > solved:
             break
         image = direction - predicted(_with(nothing, hole, direction))
         step = size / (direction @ image)
