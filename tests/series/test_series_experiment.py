@@ -77,20 +77,6 @@ def test_mistakes_are_named_with_line_and_remedy(tmp_path, old, new, line, expec
     assert "\n" not in message
 
 
-def test_several_mistakes_are_reported_at_once(tmp_path):
-    message = complaint(
-        tmp_path, LAB_NOTE.replace("frame_rate: 20.0 ", "frame_rate: 0 ").replace("step: 0.01", "step: -1")
-    )
-    assert "line 2" in message
-    assert "line 14" in message
-
-
-def test_the_folder_of_the_images_may_be_given(tmp_path):
-    load(tmp_path, LAB_NOTE)
-    note = Experiment.load(tmp_path / "experiment.yaml", folder="/elsewhere")
-    assert note.image_folder.as_posix() == "/elsewhere"
-
-
 def test_rig_must_be_there_and_fit(tmp_path):
     write_frames(tmp_path / "a", range(2))
     write_frames(tmp_path / "b", range(2))

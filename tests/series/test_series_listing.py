@@ -2,7 +2,6 @@
 
 import re
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -10,7 +9,6 @@ import zarr
 from series_cases import number_image, write_experiment, write_frames
 
 from wavefield.errors import ExperimentError
-from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files
@@ -116,27 +114,6 @@ def test_several_multi_page_tiffs_follow_each_other(tmp_path):
     tifffile.imwrite(tmp_path / "b.tif", stack[4:], photometric="minisblack")
     series = open_frames(tmp_path, "cam1: [a.tif, b.tif]")["cam1"]
     assert numbers_read(series) == {n: n for n in range(7)}
-
-
-@pytest.mark.parametrize(("ending", "codec"), [("avi", "MJPG"), ("mp4", "mp4v")])
-def test_a_frame_rate_that_is_left_out_is_that_of_the_videos(tmp_path, ending, codec):
-    for name in ("cam1", "cam2"):
-        path = str(tmp_path / f"{name}.{ending}")
-        writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*codec), 12.5, (64, 48))
-        for n in range(5):
-            writer.write(np.full((48, 64, 3), 20 * n, np.uint8))
-        writer.release()
-    path = tmp_path / "experiment.yaml"
-    text = f"name: two\ncameras:\n  cam1: cam1.{ending}\n  cam2: cam2.{ending}\n"
-    path.write_text(text)
-    experiment = Experiment.load(path)
-    assert experiment.frame_rate == pytest.approx(12.5)
-    [remark] = [one for one in remark_on_recordings(experiment, experiment.open_frames()) if one.code]
-    assert "12.5 Hz is the playback rate of its video" in remark.found
-    path.write_text(text + "frame_rate: 500\n")
-    experiment = Experiment.load(path)
-    assert experiment.frame_rate == 500
-    assert not list(remark_on_recordings(experiment, experiment.open_frames()))
 
 
 def test_zarr_array(tmp_path):

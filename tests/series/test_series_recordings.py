@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 import zarr
+from series_cases import count_reported
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.quality.record import remark_on_recordings
@@ -75,15 +76,15 @@ def write_photron(path, bits, *, xml=True):
         )
 
 
-def write_seq(path, bits, times=(0.0,) * COUNT):
-    pictures = [images(bits)[k % COUNT] for k in range(len(times))]
-    each = ROWS * COLUMNS * (1 if bits == 8 else 2)
+def write_seq(path, bits, times=(0.0,) * COUNT, pictures=(), rate=2000.0):
+    pictures = pictures or [images(bits)[k % COUNT] for k in range(len(times))]
+    (rows, columns), depth = pictures[0].shape, 8 if bits == 8 else 16
+    each = rows * columns * depth // 8
     head = bytearray(8192)
     struct.pack_into("<I", head, 0, 0xFEED)
     struct.pack_into("<i", head, 28, 5)
-    depth = 8 if bits == 8 else 16
-    struct.pack_into("<9I", head, 548, COLUMNS, ROWS, depth, bits, each, 100, len(times), 0, each + 16)
-    struct.pack_into("<d", head, 584, 2000.0)
+    struct.pack_into("<9I", head, 548, columns, rows, depth, bits, each, 100, len(times), 0, each + 16)
+    struct.pack_into("<d", head, 584, rate)
     stamps = [round(t * 1e6) for t in times]
     ends = [struct.pack("<IHH8x", t // 10**6, t // 1000 % 1000, t % 1000) for t in stamps]
     path.write_bytes(bytes(head) + b"".join(as_bytes(i, bits) + e for i, e in zip(pictures, ends)))
@@ -189,32 +190,7 @@ def test_cameras_recorded_at_different_rates_are_reported(tmp_path):
 
 
 def test_damaged_files_are_reported_in_one_sentence(recording):
-    path, _ = recording
-    whole, rng = path.read_bytes(), np.random.default_rng(1)
-    for k in range(50):
-        data = bytearray(whole[: rng.integers(0, len(whole))] if k % 2 else whole)
-        for place in rng.integers(0, max(1, min(len(data), 1200)), 30 if k % 2 == 0 else 0):
-            if len(data):
-                data[place] = int(rng.integers(0, 256))
-        path.write_bytes(data)
-        words = complaint(path)
-        assert not words or path.stem in words
-        assert "\n" not in words
-
-
-def complaint(path):
-    """What reading a recording ends with: nothing, or one sentence; anything else fails the test."""
-    opened = None
-    try:
-        opened = open_recording(path)
-        for index in range(min(opened.count, 8)):
-            opened.read(index)
-    except FrameError as error:
-        return str(error)
-    finally:
-        if opened:
-            opened.close()
-    return ""
+    assert count_reported(recording[0], reach=1200) > 0
 
 
 def test_a_recording_that_was_cut_short_keeps_the_images_before(tmp_path):

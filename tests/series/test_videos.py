@@ -125,9 +125,11 @@ def test_a_video_whose_camera_dropped_frames_leaves_gaps_at_any_playback_rate(tm
         (tmp_path / "e.yaml").write_text(f"name: e\n{rate}cameras: {{a: a.mkv}}\n")
         experiment = Experiment.load(tmp_path / "e.yaml")
         assert experiment.frame_rate == (500 if rate else 20)
-        series = experiment.open_frames()["a"]
-        assert series.missing.tolist() == [10, 11, 30]
-        assert number_of(series.read(12).image) == 12
+        frames = experiment.open_frames()
+        assert frames["a"].missing.tolist() == [10, 11, 30]
+        assert number_of(frames["a"].read(12).image) == 12
+        words = "".join(map(str, remark_on_recordings(experiment, frames)))
+        assert ("20 Hz is the playback rate of its video" in words) == (not rate)
     close_files()
 
 
