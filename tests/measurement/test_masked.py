@@ -39,6 +39,14 @@ def free(series, geometry, model):
     return measure(series.block(), geometry, RATE, model)
 
 
+@pytest.fixture(scope="module")
+def masked(series, model, drawn):
+    """That sea measured, with the disc named as a polygon on the water."""
+    geometry = GridGeometry(series.rig, series.grid, covered=footprints({"water": [DISC]}))
+    found = measure(around(drawn[0]), geometry, RATE, Model(geometry, model.record), around(drawn[1]))
+    return geometry, found
+
+
 def overdrawn(frames, masks):
     """The same images with noise where they are masked."""
     noise = np.random.default_rng(0)
@@ -53,10 +61,8 @@ def far(series, quality, metres):
     return cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5) * series.grid.step > metres
 
 
-def test_a_masked_disc_changes_little_beyond_a_window(series, geometry, model, drawn, free):
-    outlines = footprints({"water": [DISC]})
-    with_mask = GridGeometry(series.rig, series.grid, covered=outlines)
-    found = measure(around(drawn[0]), with_mask, RATE, Model(with_mask, model.record), around(drawn[1]))
+def test_a_masked_disc_changes_little_beyond_a_window(series, geometry, model, drawn, free, masked):
+    with_mask, found = masked
     window = max(with_mask.settings.piv.window, with_mask.settings.stereo.window) * with_mask.pixel
     away = far(series, found["quality"][0], window)
     assert away.sum() > 100
@@ -70,17 +76,16 @@ def test_a_masked_disc_changes_little_beyond_a_window(series, geometry, model, d
     assert min(worse.values()) > 1.05
 
 
-def test_masked_nodes_hold_nothing_and_are_flagged(series, geometry, model, drawn):
-    with_mask = GridGeometry(series.rig, series.grid, covered=footprints({"water": [DISC]}))
-    found = measure(around(drawn[0]), with_mask, RATE, Model(with_mask, model.record), around(drawn[1]))
-    masked = (found["quality"][0] & MASKED) != 0
+def test_masked_nodes_hold_nothing_and_are_flagged(series, masked):
+    found = masked[1]
+    covered = (found["quality"][0] & MASKED) != 0
     x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
-    assert masked[np.hypot(x, y) < 0.029].all()
-    assert not masked[np.hypot(x, y) > 0.09].any()
+    assert covered[np.hypot(x, y) < 0.029].all()
+    assert not covered[np.hypot(x, y) > 0.09].any()
     assert found["quality"].dtype == np.uint16
     for name in FIELDS:
-        np.testing.assert_array_equal(np.isnan(found[name][0]), masked)
-    assert not ((found["quality"][0] & int(Quality.FILLED)) != 0)[masked].any()
+        np.testing.assert_array_equal(np.isnan(found[name][0]), covered)
+    assert not ((found["quality"][0] & int(Quality.FILLED)) != 0)[covered].any()
 
 
 def test_a_mask_in_one_camera_leaves_its_nodes_to_the_others(series, geometry, model, drawn, free):
