@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from explorer_cases import make_cube, write_cube_block
 
-from wavefield.errors import StoreError
 from wavefield.explorer.record import CubeRecord
 from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
@@ -69,13 +68,3 @@ def test_fields_are_those_of_the_cube_and_derived_ones_those_of_the_analysis(tmp
         for step in (0, 41, 119):
             derived = expected[name].values[step]
             np.testing.assert_allclose(record.field(name, step), derived, rtol=1e-4, atol=1e-6)
-
-
-def test_half_a_cube_is_a_sentence_that_names_what_is_missing(tmp_path):
-    half = tmp_path / "cube.zarr"
-    make_cube(half)
-    shutil.rmtree(half / "u" / "c" / "1")
-    record = CubeRecord(half)
-    assert np.isfinite(record.field("u", 3)).any()
-    with pytest.raises(StoreError, match=r"u/c/1/0/0 is missing.*copy the cube again"):
-        record.field("u", 50)

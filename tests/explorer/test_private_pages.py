@@ -324,14 +324,3 @@ def test_the_name_of_an_experiment_is_escaped_in_the_page(tmp_path):
     assert status == 200
     assert body.count(b"&lt;img src=x onerror=hit(&#39;experiment&#39;)&gt;") >= 2  # title and heading
     assert b"<img" not in body
-
-
-def test_an_experiment_of_other_images_is_not_edited(tmp_path):
-    path = experiment_file(tmp_path)
-    make_cube(
-        tmp_path / "cube.zarr", experiment_file="experiment.yaml",
-        recipe='{"images": {"cam1": ["other/img_{frame:05d}.tif", 0, null]}}',
-    )  # fmt: skip
-    session = LookSession(tmp_path / "cube.zarr")
-    assert session.run.experiment is None
-    assert f"{path} is not the experiment of" in session.run.reason("experiment")
