@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from wavefield.calibration.level_on_water import level_on_water
 from wavefield.calibration.platform import find_horizon, sway
 from wavefield.calibration.relative_pose import match_features, place_second
+from wavefield.errors import RigError
+from wavefield.pipeline.prepare import refuse_own_frame
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
 
@@ -36,6 +39,37 @@ def placed(platform):
 def tilt_error(found, true):
     """Of the vertical in a camera's own frame, degrees."""
     return np.degrees(np.arccos(np.clip(found.R[:, 2] @ true.R[:, 2], -1, 1)))
+
+
+def test_images_that_share_nothing_are_refused(platform):
+    rig, images = platform
+    with pytest.raises(RigError, match="features match between both cameras"):
+        place_second(*rig.cameras.values(), match_features(images["left"][0], images["right"][1]), 2.5)
+
+
+def test_a_rig_of_other_images_is_reported_as_that(platform, placed):
+    rig, matches = platform[0], placed[1]
+    rng = np.random.default_rng(0)
+    turn = Rotation.from_rotvec(np.radians(rng.uniform(4.0, 8.0, 3) * rng.choice([-1, 1], 3))).as_matrix()
+    right = rig["right"]
+    other = Rig(rig.cameras | {"right": replace(right, rotation=turn @ right.R, translation=turn @ right.T)})
+    with pytest.raises(RigError, match=r"only \d+ of \d{3,} matching features.*is the rig that of these"):
+        level_on_water(other, matches)
+
+
+def test_a_rig_in_the_frame_of_a_camera_is_to_be_levelled(platform):
+    cameras = platform[0].cameras
+    refuse_own_frame(Rig(cameras), "rig.yaml")
+    first = cameras["left"]
+    own = {
+        name: replace(c, rotation=c.R @ first.R.T, translation=c.T - c.R @ first.R.T @ first.T)
+        for name, c in cameras.items()
+    }
+    with pytest.raises(RigError, match="wavefield rig level"):
+        refuse_own_frame(Rig(own), "stereo.yaml")
+    lenses = {n: replace(c, rotation=np.eye(3), translation=np.zeros(3)) for n, c in cameras.items()}
+    with pytest.raises(RigError, match=r"lenses.yaml contains lenses and no positions.*--distance METRES"):
+        refuse_own_frame(Rig(lenses), "lenses.yaml")
 
 
 def test_no_horizon_is_found_where_there_is_none(platform):

@@ -6,8 +6,10 @@ from wavefield.commands.cli import main
 from wavefield.measurement.search_range import FirstHeights
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.prepare import prepare
+from wavefield.quality.remarks import remark_on_rest
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
+from wavefield.series import Experiment
 from wavefield.tank import Scene, Tank, simulate
 from wavefield.variables import Quality
 
@@ -18,8 +20,13 @@ def test_an_open_sea_is_measured_from_lenses_and_a_baseline_alone(tmp_path, caps
     )
     experiment = simulate(scene, tmp_path / "sea", workers=1)
     true, found = Tank(scene), tmp_path / "rig.yaml"
-    assert main(["-q", "rig", "level", str(experiment), "--distance", "2.5", "-o", str(found)]) == 0
+    command = ["-q", "rig", "level", str(experiment), "-o", str(found)]
+    assert main(command) == 1
+    assert "state the distance between them" in capsys.readouterr().err
+    assert main([*command, "--distance", "2.5"]) == 0
     assert "the horizon in left, right gives the vertical" in capsys.readouterr().out
+    remark = remark_on_rest(Experiment.load(experiment), Rig.load(found))
+    assert remark.means == "z = 0 is the mean surface of moving water"
     prepared = prepare(experiment, Rig.load(found))
     fields = measure_chunk(make_chunk(prepared.series, 0, 1), prepared.geometry, scene.frame_rate).fields
     places = [prepared.rig["left"], true.rig["left"]]  # both frames have z up: they differ by a turn
