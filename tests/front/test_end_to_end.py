@@ -96,21 +96,6 @@ def test_check_reports_that_the_cameras_agree(checked):
     assert re.search(r"patches matched: cam1-cam2 \d+ %, epipolar error 0.0\d px", checked)
 
 
-def _changed(folder, tmp_path, **entries):
-    """The experiment with other entries, in a file of its own."""
-    note = yaml.safe_load((folder / "experiment.yaml").read_text())
-    note |= {"folder": str(folder), "rig": str(folder / "rig.yaml")} | entries
-    (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(note))
-    return str(tmp_path / "experiment.yaml")
-
-
-def test_probes_that_are_not_there_are_missed(folder, checked, tmp_path, capsys):
-    workflow = str(folder.parent / "workflow.yaml")
-    changed = _changed(folder, tmp_path, probes="nowhere.csv", frames={"first": 0, "last": 9})
-    assert main(["-q", "check", changed, "--workflow", workflow]) == 3
-    assert re.search(r"probes: .*nowhere.csv.* \[probe\]", capsys.readouterr().out)
-
-
 def test_check_compares_the_pairs_of_cameras(folder, checked):
     out = checked
     found = dict(re.findall(r"^    (\S.*?)\s+(?:[\d.]+ cm )?([\d.]+) px$", out, re.M))

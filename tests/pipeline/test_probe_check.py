@@ -1,14 +1,11 @@
 """Probes that cannot be read, share no time with the frames, or contradict z of the cube are reported."""
 
-import json
-
 import numpy as np
 import pytest
+import xarray as xr
 
-from wavefield.pipeline.opened_run import image_names, labels
 from wavefield.quality.remarks import remark_on_probe_file, remark_on_probes
 from wavefield.series import Experiment
-from wavefield.store.read import open_cube
 
 SPAN = (0.0, 5.0)
 
@@ -42,23 +39,12 @@ def test_probes_that_share_no_time_with_the_frames_are_a_remark(tmp_path):
 
 
 @pytest.fixture
-def cube(tmp_path):
-    """A cube next to its experiment: a wave along x."""
-    from wavefield.store.layout import StoreLayout, create_store
-    from wavefield.store.read import open_group
-    from wavefield.store.recipe import Recipe
-
-    x, y, steps = np.arange(12) * 0.02, np.arange(8) * 0.02, 100
-    note = experiment(tmp_path, table([0.0, 1.0], [0.0, 0.0]))
-    names = {"left": image_names(note, "left")}
-    recipe = Recipe("tank", names, (0, steps), 20.0, {}, {}, {})
-    store = tmp_path / "cube.zarr"
-    create_store(store, recipe, x, y, StoreLayout(steps, steps, ("left",), 0), labels(note, store))
-    time = np.asarray(open_group(store)["time"][:])
+def cube():
+    """A wave along x."""
+    time, y, x = (np.arange(100) + 0.5) / 20, np.arange(8) * 0.02, np.arange(12) * 0.02
     z = wave(time[:, None, None], x) * np.ones((1, len(y), 1))
-    open_group(store, "r+")["z"][:] = z.astype(np.float32)
-    assert json.loads(open_group(store).attrs["recipe"])["images"] == names
-    return time
+    at = ("time", "y", "x")
+    return xr.Dataset({"z": (at, z, {"units": "m"})}, {"time": time, "y": y, "x": x}, {"frame_rate": 20.0})
 
 
 def wave(time, x):
@@ -82,5 +68,5 @@ def wave(time, x):
 def test_probes_are_compared_with_z_of_the_cube(tmp_path, cube, factor, late, words):
     times = np.arange(-1, 7, 0.02)
     note = experiment(tmp_path, table(times, factor * wave(times - late, 0.1)))
-    remarks = list(remark_on_probes(note, open_cube(tmp_path / "cube.zarr"), SPAN))
+    remarks = list(remark_on_probes(note, cube, SPAN))
     assert [word in one.found for word, one in zip(words, remarks, strict=True)] == [True] * len(words)

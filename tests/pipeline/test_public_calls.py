@@ -5,13 +5,12 @@ import re
 import intake
 import numpy as np
 import pytest
-import xarray as xr
-from cube_cases import HERE, different
+from cube_cases import HERE
 
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
-from wavefield.pipeline import Workflow, catalog_add, check, export, open_cube, run, run_catalog, status
+from wavefield.pipeline import Workflow, catalog_add, check, run, run_catalog, status
 from wavefield.variables import CUBE_FIELDS, FrameStatus
 
 
@@ -107,24 +106,6 @@ def test_status_of_a_whole_cube(reference):
     assert "16 of 16 steps (100 %)" in str(state)
     with pytest.raises(StoreError, match="no such store"):
         status("nowhere.zarr")
-
-
-def test_netcdf_holds_the_same_and_follows_cf(reference, tmp_path):
-    path = tmp_path / "new" / "cube.nc"
-    export(reference, path)
-    cube = open_cube(reference).load()
-    with xr.open_dataset(path, engine="h5netcdf") as plain:
-        assert different(plain, cube) == []
-        assert plain.attrs["Conventions"] == "CF-1.11"
-        assert plain.attrs["recipe"] == cube.attrs["recipe"]
-        assert plain.z.attrs["standard_name"] == "water_surface_height_above_reference_datum"
-        assert plain.time.attrs["axis"] == "T"
-        assert plain.quality.attrs["flag_masks"].dtype == np.uint16
-        assert plain.quality.attrs["flag_meanings"].split()[0] == "measured"
-        assert "_FillValue" not in plain.x.encoding
-    assert [p.name for p in path.parent.iterdir()] == ["cube.nc"]
-    with pytest.raises(StoreError, match="no such store"):
-        export(tmp_path / "none.zarr", path)
 
 
 @pytest.fixture

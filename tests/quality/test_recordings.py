@@ -1,12 +1,12 @@
 """Runs from cameras' own files, which hold the times of their images."""
 
-import struct
 from itertools import pairwise
 
 import cv2
 import numpy as np
 from cube_cases import FRAMES, HERE, far_apart
 
+from tests.series.test_series_recordings import write_seq
 from wavefield.images import read_image, write_image
 from wavefield.pipeline import check, open_cube, run
 from wavefield.quality.record import remark_on_recordings
@@ -15,29 +15,12 @@ from wavefield.series import Experiment
 RATE = 20.0
 
 
-def write_seq(path, images, times):
-    """A sequence of StreamPix with a time behind every image."""
-    rows, columns = images[0].shape
-    bits, each = 8 * images[0].itemsize, images[0].nbytes
-    head = bytearray(8192)
-    struct.pack_into("<I", head, 0, 0xFEED)
-    struct.pack_into("<i", head, 28, 5)
-    struct.pack_into("<9I", head, 548, columns, rows, bits, bits, each, 100, len(images), 0, each + 8)
-    struct.pack_into("<d", head, 584, RATE)
-    stamps = [round(1e6 * t) for t in times]
-    body = [
-        i.tobytes() + struct.pack("<IHH", t // 10**6, t // 1000 % 1000, t % 1000)
-        for i, t in zip(images, stamps)
-    ]
-    path.write_bytes(bytes(head) + b"".join(body))
-
-
 def test_nothing_is_measured_across_images_that_all_cameras_dropped(own_tank, reference):
     folder = own_tank.parent
     kept = [n for n in range(FRAMES) if n not in (6, 7)]
     for number, name in enumerate(("cam1", "cam2", "cam3")):
         images = [read_image(folder / name / f"img_{n:05d}.tif") for n in kept]
-        write_seq(folder / f"{name}.seq", images, 1e9 + number + np.array(kept) / RATE)
+        write_seq(folder / f"{name}.seq", 8, 1e9 + number + np.array(kept) / RATE, images, RATE)
     own_tank.write_text(own_tank.read_text().replace("/img_{frame:05d}.tif", ".seq"))
     assert "cam2: 2 images were dropped, by its clock, the first after frame 5 (0.250 s" in str(
         check(own_tank, workflow=HERE)

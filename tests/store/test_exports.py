@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import xarray as xr
+from cube_cases import different
 from scipy.io import loadmat, netcdf_file
 
 import wavefield as wf
@@ -48,13 +50,20 @@ def test_uvmat_gets_a_file_per_step_with_roles(reference, cube, tmp_path):
         np.testing.assert_array_equal(file.variables["FF"][:] == 0, (one.quality.values & 1) == 1)
 
 
-def test_netcdf_passes_as_cf(reference, cube, tmp_path):
+def test_netcdf_holds_the_same_and_passes_as_cf(reference, cube, tmp_path):
     """Every variable has units, known axes and flags of its own type, and refers to what is there."""
     import cf_xarray  # noqa: F401
-    import xarray as xr
 
-    wf.export(reference, tmp_path / "cube.nc")
-    with xr.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as plain:
+    path = tmp_path / "new" / "cube.nc"
+    wf.export(reference, path)
+    assert [p.name for p in path.parent.iterdir()] == ["cube.nc"]
+    with xr.open_dataset(path, engine="h5netcdf") as plain:
+        assert different(plain, cube) == []
+        assert plain.attrs["Conventions"] == "CF-1.11"
+        assert plain.attrs["recipe"] == cube.attrs["recipe"]
+        assert plain.z.attrs["standard_name"] == "water_surface_height_above_reference_datum"
+        assert plain.quality.attrs["flag_masks"].dtype == np.uint16
+        assert plain.quality.attrs["flag_meanings"].split()[0] == "measured"
         assert {k: v for k, v in plain.cf.axes.items() if k in "TXY"} == {
             "T": ["time"],
             "X": ["x"],
@@ -69,12 +78,7 @@ def test_netcdf_passes_as_cf(reference, cube, tmp_path):
     assert not plain.variables.keys() - cube.variables.keys()
 
 
-def test_what_is_in_the_way_is_not_replaced(reference, tmp_path, capsys):
-    (tmp_path / "run.uvmat").mkdir()
-    (tmp_path / "run.uvmat" / "thesis.tex").write_text("years of work")
-    with pytest.raises(StoreError, match="was not written by wavefield"):
-        wf.export(reference, tmp_path / "run.uvmat")
-    assert (tmp_path / "run.uvmat" / "thesis.tex").read_text() == "years of work"
+def test_steps_that_are_not_there_are_refused(reference, tmp_path, capsys):
     with pytest.raises(StoreError, match="no such steps: it holds 16"):
         wf.export(reference, tmp_path / "cube.mat", slice(90, 99))
     assert main(["-q", "export", str(reference), str(tmp_path / "a.mat"), "--steps", "every"]) == 2
