@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from click.testing import CliRunner
 from rig_cases import dice_xml, field, random_camera, vic_xml
 
-from wavefield.commands.archive import rig as command
 from wavefield.errors import RigError
 from wavefield.rig import Rig
 from wavefield.rig.formats import load_rig, save_rig
@@ -106,17 +104,6 @@ def test_dices_odd_radial_terms(tmp_path):
     (tmp_path / "odd.txt").write_text(dice_text(outer, (0.0, 0.1, 0.0)))
     with pytest.raises(RigError, match="OPENCV_LENS_DISTORTION"):
         load_rig(tmp_path / "odd.txt")
-
-
-@pytest.mark.parametrize("program", ["opencv", "uvmat"])
-def test_the_command_writes_and_never_over_a_file(tmp_path, program):
-    camera = random_camera(1, "k2", "k3", "p1", "p2", "tau_x", "tau_y", "skew")
-    Rig({"cam1": camera}).save(tmp_path / "rig.yaml")
-    words = [str(tmp_path / "rig.yaml"), "--to", program, "-o", str(tmp_path / "out")]
-    assert CliRunner().invoke(command, words).exit_code == 0
-    again = CliRunner().invoke(command, words)
-    assert again.exit_code != 0
-    assert "exists and was not written by" in str(again.exception)
 
 
 @pytest.mark.parametrize("cut", [0.2, 0.7])

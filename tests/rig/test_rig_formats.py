@@ -65,17 +65,6 @@ def test_a_spoilt_camera_is_named(tmp_path, change, message):
     assert "rig.yaml" in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "a: [", "hello", "cameras: {}", "cameras: 3", "<a><b></a>", "<html/>", "%YAML:1.0"]
-)
-def test_a_file_that_is_no_rig_is_refused_in_one_line(tmp_path, text):
-    path = tmp_path / "odd.xml"
-    path.write_text(text)
-    with pytest.raises(RigError, match=r"odd\.xml") as error:
-        load_rig(path)
-    assert "\n" not in str(error.value)
-
-
 def test_a_missing_rig_is_reported_with_its_command_and_an_unknown_camera_with_those_of_the_rig(tmp_path):
     with pytest.raises(RigError, match="wavefield calibrate"):
         Rig.load(tmp_path / "rig.yaml")

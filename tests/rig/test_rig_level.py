@@ -4,7 +4,7 @@ from rig_cases import random_camera
 
 from wavefield.errors import RigError
 from wavefield.rig import Rig
-from wavefield.rig.water_level import level, with_water_level
+from wavefield.rig.water_level import level
 
 
 @pytest.fixture
@@ -47,8 +47,3 @@ def test_a_rig_in_a_cameras_own_frame_is_levelled_however_it_is_tilted(rig):
     apart = flat["cam2"].unproject(*rig["cam2"].project(x[inside], y[inside], z[inside]))
     same = flat["cam3"].unproject(*rig["cam3"].project(x[inside], y[inside], z[inside]))
     assert np.sqrt(np.mean(np.subtract(apart, same) ** 2)) < 3e-4
-
-
-def test_water_above_the_target(rig):
-    moved = with_water_level(rig, 0.05)
-    assert np.allclose(moved["cam1"].project(0.1, 0.2, 0.0), rig["cam1"].project(0.1, 0.2, 0.05))

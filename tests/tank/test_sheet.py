@@ -54,14 +54,3 @@ def test_truth_is_that_of_the_flow(tank):
         np.testing.assert_array_equal(getattr(truth, name), exact)
     assert truth.dx == pytest.approx(truth.u * dt, abs=2e-5)
     assert not truth.z.any()
-
-
-def test_its_experiment_file_asks_for_the_measurement_of_a_sheet(tmp_path):
-    from wavefield.series import Experiment
-    from wavefield.tank import simulate
-
-    small = {"frames": 2, "rig": {"size": [64, 48]}, "calibration": {"tilted": 0}}
-    grid = {"x": (-0.004, 0.004), "y": (-0.004, 0.004), "step": 0.002}
-    simulate(Scene.load("sheet").with_(grid=grid, **small), tmp_path, workers=1)
-    loaded = Experiment.load(tmp_path / "experiment.yaml")
-    assert loaded.settings == {"preset": "sheet", "sheet_thickness": 0.001}
