@@ -61,23 +61,6 @@ def test_masked_pixels_are_never_read(pair, preset):
     assert np.max(errors(d, move)[outside]) < 0.15
 
 
-@pytest.mark.parametrize("preset", ["piv", "stereo"])
-def test_not_a_number_pixels_count_as_masked(pair, preset):
-    a, b, move = pair
-    settings = getattr(MatchSettings, preset)()
-    a, b = a.astype(np.float32), b.astype(np.float32)
-    holed = with_patch((a, b), np.nan)
-    holed[1][40, 60] = np.inf
-    d = match(*holed, settings)
-    assert np.isfinite(d.u).all()
-    assert np.isfinite(d.correlation).all()
-    assert np.isfinite(d.score).all()
-    assert (d.reason[patch_blocks(d)] & Reason.MASKED).all()
-    outside = interior(d, a.shape) & ~patch_blocks(d, 12) & d.valid
-    assert outside.sum() > 2000
-    assert np.max(errors(d, move)[outside]) < 0.15
-
-
 def test_unrelated_images_are_rejected():
     a, _ = particle_pair(uniform(0, 0), seed=1)
     b, _ = particle_pair(uniform(0, 0), seed=2)
