@@ -86,7 +86,7 @@ LONG = [
     *("fusion", "record", "labels", "measure", "solve_rig", "light_sheet", "verdict", "dispersion"),
     *("knocked_camera", "follow", "current_fit", "smooth", "targets_printed", "page", "coherence"),
     *("relative_frame", "solve_rest", "targets_two_level", "camera_faults", "referee", "masked"),
-    "stamped_frames",
+    "run_options",
 ]
 
 

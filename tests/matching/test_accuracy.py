@@ -23,17 +23,6 @@ def worst(d, move, select):
     return np.max(np.hypot(d.u - u, d.v - v)[select])
 
 
-@pytest.mark.parametrize(("preset", "limit"), [("piv", 0.004), ("stereo", 0.004)])
-def test_uniform_displacement_is_found_with_its_sign(preset, limit):
-    move = uniform(3.3, -1.7)
-    a, b = particle_pair(move)
-    d = match(a, b, getattr(MatchSettings, preset)())
-    inside = interior(d, a.shape)
-    assert rms(d, move, inside) < limit
-    assert d.u.dtype == np.float32
-    assert d.valid[inside].all()
-
-
 def test_block_centres_are_pixel_centres_counted_from_zero(clean_pair):
     a, b, move = clean_pair
     d = match(a, b)

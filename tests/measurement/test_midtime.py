@@ -1,5 +1,8 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_paths import JITTER
 
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import rise_of_water, slope, z_at_mid_time
@@ -16,10 +19,10 @@ def everywhere(x, y, z):
     return np.ones(np.shape(x), bool)
 
 
-def surfaces(field, lost=()):
+def surfaces(field, lost=(), times=TIMES):
     """Surfaces z = field(x, t) at the node x = 0 and wherever they are read."""
     out = []
-    for n, t in enumerate(TIMES):
+    for n, t in enumerate(times):
         z, places = np.full((1, 1), field(0.0, t), np.float32), np.zeros((1, 1), bool)
         read = lambda x, y, t=t: np.asarray(field(x, t), np.float32) + np.zeros_like(x)  # noqa: E731
         out.append(
@@ -44,6 +47,16 @@ def test_a_wave_keeps_what_theory_states_of_how_it_turns_beside_the_mean_flow(fr
         kept = z_of(lambda t, p=phase: np.cos(p * t), lost, speed)  # it passes the node with its crest
         turns = phase * (1 - speed)
         assert kept == pytest.approx(float(elevation_gain(np.array([turns]), frames)[0]), abs=1e-6)
+
+
+@given(JITTER, st.sampled_from([(), (0,), (5,), (1,), (4,), (1, 4)]), st.floats(-2, 2))
+@settings(max_examples=40, deadline=None)
+def test_z_at_mid_time_is_that_of_the_polynomial_through_the_frames(times, lost, speed):
+    degree = {(): 5, (0,): 3, (5,): 3, (1,): 2, (4,): 2, (1, 4): 1}[lost]
+    seen = surfaces(lambda x, t: (t + 1.0 - (x - speed * t)) ** degree, lost, times)
+    chord = speed * (times[3] - times[2])
+    found = z_at_mid_time(seen, (chord, 0.0), AT, AT, times)[0][0]
+    assert float(found[0, 0]) == pytest.approx(1.0, abs=2e-3)
 
 
 @pytest.mark.parametrize("current", [(0.0, 0.0), (0.66, 0.45)])

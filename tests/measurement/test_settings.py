@@ -37,6 +37,12 @@ def test_part_of_a_matching_is_enough():
         ({"pixel": 0.0}, "above 0 m"),
         ({"eps_limit": -1.0}, "eps_limit must be 0 or more"),
         ({"piv": {"window": -3.0}}, "window"),
+        ({"piv": {"iterations": []}}, "iterations"),
+        ({"piv": {"iterations": [3, 0]}}, "iterations"),
+        ({"piv": {"smoother_sigma": -1}}, "smoother_sigma"),
+        ({"stereo": {"search_x": [5, -5]}}, "search_x"),
+        ({"stereo": {"search_x": None}}, "search_x"),
+        ({"piv": {"normalization": float("nan")}}, "normalization"),
     ],
 )
 def test_wrong_settings_are_named(data, message):

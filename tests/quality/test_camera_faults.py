@@ -8,6 +8,8 @@ from cube_cases import HERE
 
 from wavefield.grid import Grid
 from wavefield.pipeline import check
+from wavefield.pipeline.assess import compare_cameras
+from wavefield.pipeline.prepare import prepare
 from wavefield.quality.cameras import (
     PatchMatcher,
     find_camera_faults,
@@ -134,3 +136,14 @@ def test_waves_steeper_or_higher_than_patches_are_searched_for_are_no_disagreeme
     sea = {"kind": "single", "direction": 30.0, "phase": 0.0} | wave
     scene = SOUND.tank.scene.with_(sea=sea, frames=12)
     assert check(simulate(scene, tmp_path), rig=scene.build_rig(), workflow=HERE).exit_status == 0
+
+
+@pytest.mark.parametrize(
+    ("thickness", "found"), [(0.0005, []), (0.004, [("light sheet", "remark")])], ids=["thin", "deep"]
+)
+def test_a_sound_light_sheet_is_not_called_untrustworthy_for_its_depth(thickness, found, tmp_path):
+    surface = {"kind": "sheet", "thickness": thickness}
+    scene = Scene.load("sheet").with_(frames=2, seed=11, surface=surface, calibration={"tilted": 0})
+    experiment = simulate(scene, tmp_path, workers=1)
+    remarks = compare_cameras(prepare(experiment, scene.build_rig()), np.zeros(0, np.uint16)).remarks
+    assert [(one.kind, one.weight) for one in remarks] == found

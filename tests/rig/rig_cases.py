@@ -55,24 +55,14 @@ def dice_xml(rig):
     """A rig as DICe's camera system."""
     cameras = ""
     for camera in rig.cameras.values():
-        terms = {
-            "CX": "cx",
-            "CY": "cy",
-            "FX": "fx",
-            "FY": "fy",
-            "FS": "skew",
-            "K1": "k1",
-            "K2": "k2",
-            "K3": "k3",
-        }
+        keys = ("CX", "CY", "FX", "FY", "FS", "K1", "K2", "K3")
+        terms = dict(zip(keys, ("cx", "cy", "fx", "fy", "skew", "k1", "k2", "k3")))
         values = {key: repr(getattr(camera, name)) for key, name in terms.items()}
         values |= dict(zip(("TX", "TY", "TZ"), map(repr, (1e3 * camera.T).tolist())))
         values |= {"IMAGE_HEIGHT_WIDTH": "{{ {}, {} }}".format(*camera.size[::-1])}
         values |= {"LENS_DISTORTION_MODEL": "OPENCV_LENS_DISTORTION"}
-        rows = {
-            f"ROW {k}": str(row).replace("[", "{").replace("]", "}")
-            for k, row in enumerate(camera.R.tolist())
-        }
+        numbers = (str(row).replace("[", "{").replace("]", "}") for row in camera.R.tolist())
+        rows = {f"ROW {k}": row for k, row in enumerate(numbers)}
         own, turn = (
             "".join(f'<Parameter name="{key}" value="{value}"/>' for key, value in one.items())
             for one in (values, rows)

@@ -1,9 +1,15 @@
+"""The common field of cameras, the size of their pixels on the water, and their pairs."""
+
 import numpy as np
 import pytest
 from rig_cases import random_camera
 
 from wavefield.errors import RigError
+from wavefield.grid import Grid
 from wavefield.rig import Camera, common_field
+from wavefield.rig.field import pixel_sides, pixel_size
+from wavefield.rig.rig import pairs_of
+from wavefield.tank import paper_rig
 
 FACING_DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -61,3 +67,20 @@ def test_the_elevations_kept_in_view_follow_from_the_cameras_distance(scale):
     cameras = [Camera(1000, 1000, 499.5, 499.5, FACING_DOWN, (0, 0, 4.0 * scale), (1000, 1000))]
     own = common_field(cameras, step=0.004 * scale, margin=0.0)
     assert own == common_field(cameras, step=0.004 * scale, margin=0.0, height=0.04 * scale)
+
+
+def test_pixel_of_the_papers_rig_is_that_of_the_paper():
+    assert 1.5e-3 < pixel_size(paper_rig(), Grid((-1, 1), (-0.75, 0.75), 0.01)) < 2.0e-3
+
+
+def test_a_place_behind_the_camera_has_no_pixel():
+    camera = paper_rig()["cam1"]
+    behind = camera.centre - 100.0 * camera.R[2]
+    with pytest.raises(RigError, match="does not see the middle"):
+        pixel_sides(camera, *behind[:2])
+
+
+@pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (-3.0, 5.0, 1.0)])
+def test_pairs_follow_from_the_cameras_alone_wherever_the_origin_is(away):
+    rig = paper_rig().moved(np.eye(3), away)
+    assert pairs_of(rig, list(rig)) == (("cam3", "cam1"), ("cam3", "cam2"))

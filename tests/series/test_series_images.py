@@ -287,15 +287,6 @@ def test_what_is_not_an_image_is_named(tmp_path, content, message):
         read_image(tmp_path)
 
 
-def test_writing_where_nothing_can_be_written(tmp_path, picture):
-    (tmp_path / "file").write_text("")
-    for name in ("a.tif", "a.png"):
-        with pytest.raises(FrameError, match="cannot be written"):
-            write_image(tmp_path / "file" / name, picture)
-    with pytest.raises(FrameError, match="cannot be written"):
-        write_image(tmp_path / "a.unknown", picture)
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_an_image_with_pixels_that_are_not_numbers_is_not_measured(value):
     image = np.linspace(0, 1, 400, dtype=np.float32).reshape(20, 20)

@@ -84,17 +84,6 @@ def test_backslashes_between_folders_are_refused_with_the_remedy(tmp_path):
     assert "line 6: rig" in complaint(tmp_path, "rig: rig.yaml", r"rig: C:\lab\rig.yaml")
 
 
-def test_time_stamps_in_an_image_are_refused(tmp_path):
-    for camera in ("cam1", "cam2"):
-        (tmp_path / camera).mkdir()
-        (tmp_path / camera / "img_0.tif").write_bytes(b"II*\0\xff\xfe\x80")
-    found = loaded(tmp_path, '.tif"}', '.tif", times: cam1/img_0.tif}')
-    with pytest.raises(
-        ExperimentError, match=r"img_0.tif, line 1: byte .* is not UTF-8 text; save the time stamps of cam1"
-    ):
-        found.open_frames()
-
-
 def test_a_folder_of_images_in_place_of_their_names(tmp_path):
     (tmp_path / "cam1").mkdir()
     (tmp_path / "cam1" / "img_0.tif").touch()

@@ -3,27 +3,19 @@
 import shutil
 
 import pytest
-from cube_cases import different
+from cube_cases import FOURS, different
 
 from wavefield.commands.cli import main
 from wavefield.errors import RunStopped, StoreError
-from wavefield.pipeline import Workflow, export, open_cube, run, status
+from wavefield.pipeline import export, open_cube, run, status
 from wavefield.store.layout import chunk_path
 from wavefield.store.verify import verify
 
-FOURS = Workflow(cluster="none", steps_per_block=4)
-
-
-@pytest.fixture(scope="module")
-def whole(tank, tmp_path_factory):
-    path = tmp_path_factory.mktemp("whole") / "cube.zarr"
-    run(tank, out=path, workflow=FOURS)
-    return path
-
 
 @pytest.fixture
-def cube(whole, tmp_path):
-    shutil.copytree(whole, tmp_path / "cube.zarr")
+def cube(measured, tmp_path):
+    """A copy of the measured experiment of three blocks; gives its cube."""
+    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
     return tmp_path / "cube.zarr"
 
 
@@ -44,22 +36,22 @@ def change(path):
         ("frame_status", remove, "missing: frame_status"),
     ],
 )
-def test_damage_is_found_named_and_measured_again(tank, reference, cube, capsys, variable, harm, word):
+def test_damage_is_found_named_and_measured_again(measured, cube, capsys, variable, harm, word):
     harm(chunk_path(cube, variable, 1))
     assert main(["-q", "verify", str(cube)]) == 1
     assert word in capsys.readouterr().out
     assert status(cube).left == 4
-    run(tank, out=cube, workflow=FOURS)
-    assert not different(reference, cube)
+    run(cube.with_name("experiment.yaml"), workflow=FOURS)
+    assert not different(measured / "cube.zarr", cube)
     assert main(["-q", "verify", str(cube)]) == 0
 
 
-def test_a_missing_file_is_measured_again_without_being_asked(tank, reference, cube):
+def test_a_missing_file_is_measured_again_without_being_asked(measured, cube):
     chunk_path(cube, "z", 1).unlink()
     with pytest.raises(StoreError, match="z/c/1/0/0 is missing"):
         open_cube(cube).z.load()
-    run(tank, out=cube, workflow=FOURS)
-    assert not different(reference, cube)
+    run(cube.with_name("experiment.yaml"), workflow=FOURS)
+    assert not different(measured / "cube.zarr", cube)
 
 
 def test_a_damaged_file_is_an_error_that_names_it(cube):

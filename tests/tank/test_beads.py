@@ -30,11 +30,6 @@ def test_quick_reading_is_exact_to_a_millionth(steep, rng):
         assert np.abs(values - exact[name]).max() < 1e-6 * np.abs(exact[name]).max()
 
 
-def test_points_outside_the_basin_are_not_invented(steep):
-    (z,) = steep.basin.snapshot(0.0)(np.array([99.0]), np.array([0.0]))
-    assert np.isnan(z).all()
-
-
 def test_path_agrees_with_tiny_steps_and_leads_back(steep, rng):
     x, y = rng.uniform(-0.15, 0.15, (2, 50))
     ax, ay = carry(steep.basin, x, y, 0.0, 0.05)

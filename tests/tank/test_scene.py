@@ -93,14 +93,3 @@ def test_grid_is_what_all_cameras_see_unless_it_is_given():
     for camera in scene.build_rig().cameras.values():
         for corner_x, corner_y in ((x[0], y[0]), (x[-1], y[-1]), (x[0], y[-1]), (x[-1], y[0])):
             assert camera.sees(corner_x, corner_y, 0.0, 10.0)
-
-
-def test_missing_and_broken_files_are_named(tmp_path):
-    with pytest.raises(ExperimentError, match="demo"):
-        Scene.load("nosuchscene")
-    (tmp_path / "a.yaml").write_text("sea: [")
-    with pytest.raises(ExperimentError, match=r"line 1: .*check indentation"):
-        Scene.load(tmp_path / "a.yaml")
-    (tmp_path / "b.yaml").write_text("- 1")
-    with pytest.raises(ExperimentError, match="list of `key: value` lines"):
-        Scene.load(tmp_path / "b.yaml")

@@ -59,19 +59,6 @@ def test_single_wave_obeys_dispersion_with_current_and_moves_with_its_vector(wav
     assert sea.at(x, y, t, ("z",))["z"] == pytest.approx(expected, abs=1e-9)
 
 
-def test_stokes_wave_has_its_second_harmonic_and_its_drift():
-    a, k = 0.02, 6.0
-    sea = Sea([k], [0.0], [a], depth=DEEP, surface_tension=0.0, bound=1)
-    x = np.linspace(0, 2 * np.pi / k, 64, endpoint=False)
-    z = sea.at(x, 0.0, 0.0, ("z",))["z"]
-    harmonics = np.fft.rfft(z).real / 32
-    assert harmonics[1] == pytest.approx(a, rel=1e-9)
-    assert harmonics[2] == pytest.approx(k * a**2 / 2, rel=1e-6)
-    # mean at the moving surface: half of Stokes' drift; the other half comes from following the water
-    u = sea.at(x, 0.0, 0.0, ("u",))["u"]
-    assert u.mean() == pytest.approx(0.5 * dispersion(k, DEEP, 0.0) * k * a**2, rel=1e-6)
-
-
 def test_second_order_solution_satisfies_the_dynamic_condition_in_finite_depth():
     """What is left of the forces along the surface falls as the cube of the amplitude."""
     # no force acts along the surface: (Du/Dt, Dv/Dt) + (g + Dw/Dt) grad z = gamma grad(curvature)

@@ -1,9 +1,10 @@
-"""A simulated experiment is complete, true, and the same however it was written."""
+"""A simulated experiment is complete, true, and the same however it was written; what plans predict."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
+import wavefield as wf
 from wavefield import variables
 from wavefield.errors import ExperimentError
 from wavefield.images import read_image
@@ -117,3 +118,24 @@ def test_chessboard_16_bit_and_two_cameras_make_an_experiment_too(tmp_path):
     assert experiment.water.level == -0.015  # the water is below the target
     assert read_image(tmp_path / "two" / "left" / "img_00000.tif").dtype == np.uint16
     assert not (tmp_path / "two" / "truth" / "truth.zarr").exists()  # one frame makes no step
+
+
+SMALL = {"rig": {"crop": 0.16}, "grid": {"x": (-0.1, 0.1), "y": (-0.07, 0.07), "step": 0.01}}
+
+
+def test_a_plan_states_errors_and_noise_makes_them_larger():
+    plain = wf.plan(**SMALL)
+    noisy = wf.plan(**SMALL, light={"read_noise": 6.0, "shot_noise": 0.4})
+    assert list(plain.quantity.values) == ["z", "u dt", "v dt", "w dt"]
+    assert (plain.error < 0.1).all()
+    assert (noisy.error > 1.2 * plain.error).all()
+    assert (noisy.stated > plain.stated).all()
+    assert float(plain.measured) > 0.95
+    assert plain.attrs["pixel_size"] == pytest.approx(1.8e-3, rel=0.2)
+
+
+def test_a_plan_takes_other_cameras_and_refuses_unknown_settings():
+    rig = wf.Scene.load("demo").with_(rig={"crop": 0.16}).build_rig()
+    assert (wf.plan(rig=rig, grid=SMALL["grid"]).error < 0.1).all()
+    with pytest.raises(ExperimentError, match="beeds"):
+        wf.plan(beeds=3)

@@ -46,12 +46,6 @@ def test_the_slurm_workflow_asks_for_jobs_that_end_after_the_run_does(tmp_path):
     assert workflow.time_limit_seconds < 4 * 3600
 
 
-def test_the_job_script_warns_before_its_time_limit():
-    script = (ROOT / "workflows" / "slurm_job.sh").read_text()
-    assert "#SBATCH --signal=USR1@" in script
-    assert 'wavefield run "$experiment"' in script
-
-
 @pytest.mark.real_data
 def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared, tmp_path):
     catalog = ROOT / "catalogs" / "d_specimen.yaml"
