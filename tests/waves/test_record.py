@@ -132,16 +132,6 @@ def test_what_is_masked_for_a_few_steps_is_not_filled_but_left_out(sea):
     assert record.holes == 0
 
 
-def test_something_masked_that_crosses_the_whole_field_takes_its_steps_instead(sea):
-    masked = np.zeros(sea.z.shape, bool)
-    for k in range(2):  # a boat, so fast that its steps would be bridged if they were missing
-        masked[30 + k, :, k * sea.sizes["x"] // 2 : (k + 1) * sea.sizes["x"] // 2] = True
-    record = wv.find_record(with_mask(sea, masked))
-    assert record.shape == sea.z.shape[1:]
-    assert record.runs == ((0, 30), (32, sea.sizes["time"]))
-    assert record.bridged == ()
-
-
 def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum():
     seed = 70510
     sea = Sea(seed=seed, highest=3.5, noise=5e-5, shape=(160, 48, 64), waves=250, depth=0.7, slope=6)

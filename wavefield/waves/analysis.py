@@ -12,7 +12,6 @@ variance. Coordinates: ``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m
 """
 
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
@@ -38,11 +37,9 @@ from wavefield.waves.record import Each, Record, filled_density, filled_error, f
 from wavefield.waves.welch import (
     Link,
     Reader,
-    UnlikeFirst,
     Welch,
     add_sums,
     cut_chains,
-    steps_in_no_segment,
     sum_chain,
     with_velocity,
 )
@@ -143,34 +140,24 @@ class _Counter:
             self._progress(self._done, self._total)
 
 
-def _check_piece(read: Reader, piece: tuple[int, int, tuple[int, int]]) -> None:
-    read(*piece)  # raises `UnlikeFirst` if a field lacks values there
-
-
 def one_pass(
     cube: xr.Dataset,
     welch: Welch,
-    alike: bool,
     requested: Requested,
     progress: Progress | None,
     each: Each | None = None,
 ) -> Sums:
-    """Read a cube once; with ``alike`` all fields are taken to have values where the first one has them."""
+    """Read a cube once and sum over its segments."""
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
-    read = Reader([cube[name] for name in FIELDS], record, alike)
+    read = Reader([cube[name] for name in FIELDS], record)
     chain = partial(_Chain, read, welch, scale, requested, max(1, record.steps_in_runs() // BALANCE_STEPS))
     chains = cut_chains(record, welch.segment)
-    # steps that no segment holds could end a run as well
-    remainders = steps_in_no_segment(record, welch.segment) if alike else []
-    check = partial(_check_piece, read)
     if each is None:
         count = None if progress is None else _Counter(progress, sum(len(links) for links in chains))
-        dask.compute(*(dask.delayed(check, pure=False)(piece) for piece in remainders))
         task = dask.delayed(chain(count), pure=False)
         (total,) = dask.compute(reduce(dask.delayed(add, pure=False), [task(links) for links in chains]))
     else:
-        deque(each(check, remainders), maxlen=0)
         count = None if progress is None else _Counter(progress, len(chains))
         total = reduce(add, _counted(each(chain(), chains), count))
     return Sums(scale, total.ring_sums, total.survey_sums, total.balance_rows, np.concatenate(total.points))
@@ -255,20 +242,15 @@ def analyze(
             "map_frequencies": options.get("maps", MAP_FREQUENCIES),
         }
         status = {name: complete[name] for name in ("frame_status", "quality") if name in complete}
-        # a cube has all fields where it has z: the pass checks that, so the others need not be read twice
-        try:
-            record = find_record(fields[["z"]].assign(status), each=each)
-            tree = _analyze(given, record, options.get("segment"), True, progress)
-        except UnlikeFirst:
-            record = find_record(fields.assign(status), each=each)
-            tree = _analyze(given, record, options.get("segment"), False, progress)
+        record = find_record(fields.assign(status), each=each)
+        tree = _analyze(given, record, options.get("segment"), progress)
     if unstated:
         tree.attrs["notes"] = "\n".join(filter(None, [tree.attrs["notes"], unstated]))
     return tree
 
 
 def _analyze(
-    given: Mapping[str, Any], record: Record, segment: int | None, alike: bool, progress: Progress | None
+    given: Mapping[str, Any], record: Record, segment: int | None, progress: Progress | None
 ) -> xr.DataTree:
     cube, each = given["cube"], given["each"]
     welch = Welch.of(cube, segment, record)
@@ -281,7 +263,7 @@ def _analyze(
     values = {**given, "filled": filled, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
     waiting = list(registered)
     notes = products.compute_ready(waiting, values, each)  # mistakes are found before the long pass
-    values |= vars(one_pass(cube, welch, alike, Requested(NAMES, pairs, planes), progress, each))
+    values |= vars(one_pass(cube, welch, Requested(NAMES, pairs, planes), progress, each))
     notes |= products.compute_ready(waiting, values, each)
 
     order = list(GROUPS)

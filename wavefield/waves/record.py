@@ -1,7 +1,6 @@
 """The part of a cube that spectra are computed from: its largest full rectangle, its unbroken runs."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -296,15 +295,13 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
     return np.packbits(np.stack([mask, outside_holes(mask)]).reshape(2, mask.shape[0], -1), axis=2)
 
 
-def _runs(
-    valid_steps: np.ndarray, longest_bridge: int, barred: np.ndarray
-) -> tuple[list[tuple[int, int]], list[int]]:
-    """Runs of valid steps, and the steps in short gaps between them, unless barred, that are bridged."""
+def _runs(valid_steps: np.ndarray, longest_bridge: int) -> tuple[list[tuple[int, int]], list[int]]:
+    """Runs of valid steps, and the steps in short gaps between them that are bridged."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist()):
-        if runs and a - runs[-1][1] <= longest_bridge and not barred[runs[-1][1] : a].any():
+        if runs and a - runs[-1][1] <= longest_bridge:
             bridged.extend(range(runs[-1][1], a))
             runs[-1] = (runs[-1][0], b)
         else:
@@ -356,15 +353,14 @@ def find_record(
         masks = tuple(each(partial(_finite_steps, arrays), pieces))
     valid_nodes = _ValidNodes(pieces, masks, (ny, nx))
     valid_steps = _valid_steps(valid_nodes, _measured(cube, steps))
-    (y, x), barred = _without_masked(valid_nodes, valid_steps, _masked_pieces(cube, valid_nodes))
-    valid_steps &= ~barred
+    y, x = _rectangle(valid_nodes, valid_steps, _never_masked(cube, valid_nodes))
     size, holes = (y[1] - y[0]) * (x[1] - x[0]), 0
     for steps_of, there in valid_nodes:
         if there is not None:
             measured, outside = there[:, :, y[0] : y[1], x[0] : x[1]].sum(axis=(2, 3))
             valid_steps[steps_of] &= (outside >= MIN_STEP_FRACTION * size) & (measured >= MIN_MEASURED * size)
             holes += int((size - measured)[valid_steps[steps_of]].sum())
-    runs, bridged = _runs(valid_steps, longest_bridge, barred)
+    runs, bridged = _runs(valid_steps, longest_bridge)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
 
 
@@ -410,9 +406,9 @@ def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
 
 
 def _rectangle(
-    valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray | bool = True
+    valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Largest rectangle of nodes, y and x, that have values in nearly all valid steps."""
+    """Largest rectangle of open water, y and x, whose nodes have values in nearly all valid steps."""
     times = np.zeros((2, *valid_nodes.shape), int)  # measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]
@@ -423,48 +419,22 @@ def _rectangle(
         missing = 100 * (1 - times[0].mean() / valid_steps.sum())
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
-            f" (y, x), less than {MIN_NODES} x {MIN_NODES} ({missing:.0f} % of the values are missing):"
-            " choose a grid inside the common field of all cameras, or fill larger holes"
+            f" (y, x), less than {MIN_NODES} x {MIN_NODES} ({missing:.0f} % of the values are missing, and"
+            f" {100 * (1 - open_water.mean()):.0f} % of the nodes are masked at some step): choose a grid"
+            " inside the common field of all cameras, fill larger holes, or leave out steps with large masks"
         )
     return y, x
 
 
-def _masked_pieces(
-    cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes
-) -> list[tuple[slice, np.ndarray]]:
-    """Masked nodes (steps, ny, nx), for pieces that have any; a masked node has no value."""
-    if not (isinstance(cube, xr.Dataset) and "quality" in cube):
-        return []
-    out = []
-    for steps, there in valid_nodes:
-        if there is not None:
-            bits = np.asarray(piece(cube["quality"], steps), np.float64)  # NaN where it was reindexed
-            masked = (np.nan_to_num(bits).astype(np.int64) & int(Quality.MASKED)) != 0
-            if masked.any():
-                out.append((steps, masked))
+def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> np.ndarray:
+    """Nodes (ny, nx) that are masked at no step; a masked node has no value, and is never filled."""
+    out = np.ones(valid_nodes.shape, bool)
+    if isinstance(cube, xr.Dataset) and "quality" in cube:
+        for steps, there in valid_nodes:
+            if there is not None:
+                bits = np.asarray(piece(cube["quality"], steps), np.float64)  # NaN where it was reindexed
+                out &= ((np.nan_to_num(bits).astype(np.int64) & int(Quality.MASKED)) == 0).all(axis=0)
     return out
-
-
-def _without_masked(
-    valid_nodes: _ValidNodes, valid_steps: np.ndarray, masked: Sequence[tuple[slice, np.ndarray]]
-) -> tuple[tuple[tuple[int, int], tuple[int, int]], np.ndarray]:
-    """The rectangle, and steps to drop, so that no masked node remains: masked nodes are never filled.
-    Either the nodes that are masked at any step are dropped, or those steps, whichever keeps more.
-    """
-    ever_masked, barred = np.zeros(valid_nodes.shape, bool), np.zeros(valid_steps.size, bool)
-    for _, nodes in masked:
-        ever_masked |= nodes.any(axis=0)
-    rectangle = _rectangle(valid_nodes, valid_steps)
-    (y0, y1), (x0, x1) = rectangle
-    for steps, nodes in masked:
-        barred[steps] = nodes[:, y0:y1, x0:x1].any(axis=(1, 2))
-    if not barred.any():
-        return rectangle, barred
-    with suppress(CubeError):  # where no rectangle is left outside of a mask that moves
-        (v0, v1), (u0, u1) = unmasked = _rectangle(valid_nodes, valid_steps, ~ever_masked)
-        if (v1 - v0) * (u1 - u0) * valid_steps.sum() >= (y1 - y0) * (x1 - x0) * (valid_steps & ~barred).sum():
-            return unmasked, np.zeros_like(barred)
-    return rectangle, barred
 
 
 def whole_record(array: xr.DataArray | xr.Dataset) -> Record:

@@ -20,7 +20,6 @@ from wavefield.waves.record import (
     LONGEST_BRIDGE,
     STEPS_PER_READ,
     Record,
-    all_finite,
     fill,
     find_record,
     piece,
@@ -150,55 +149,30 @@ class Link(NamedTuple):
     new: bool
 
 
-class UnlikeFirst(Exception):
-    """A field of a record lacks values at nodes where the first field has them."""
-
-
 class Reader:
     """Reads pieces of a record inside a task: nothing is read before it is needed."""
 
-    def __init__(
-        self, arrays: Sequence[xr.DataArray], record: Record, alike: bool = False, first: int = 0
-    ) -> None:
-        self.arrays, self.record, self.alike = list(arrays), record, alike
+    def __init__(self, arrays: Sequence[xr.DataArray], record: Record, first: int = 0) -> None:
+        self.arrays, self.record = list(arrays), record
         self.first = first  # step of the record that the arrays begin with
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
-        """Yield blocks (b - a, ny, nx) of the steps a to b of a run, gaps filled."""
+        """Blocks (b - a, ny, nx) of the steps a to b of a run, gaps filled."""
         (steps, *nodes), missing, inner = _span(self.record, a, b, run)
         steps = slice(steps.start - self.first, steps.stop - self.first)
         blocks: list[np.ndarray] = []
-        holes = np.zeros((), bool)  # of the first field
         for array in self.arrays:
             part = piece(array, steps, *nodes)
             if hasattr(part, "dask"):
                 part = part.compute(scheduler="synchronous")
-            block = _values(part)
-            if self.alike and not all_finite(block):
-                lacking = ~np.isfinite(block)
-                if not blocks:
-                    holes = lacking
-                elif (lacking & ~holes)[~missing].any():
-                    raise UnlikeFirst
             # one layout, one compiled kernel: the same sums to the bit
-            blocks.append(np.ascontiguousarray(fill(block, missing)[inner]))
+            blocks.append(np.ascontiguousarray(fill(_values(part), missing)[inner]))
         return blocks
 
     def blocks(self, run: tuple[int, int]) -> Iterator[list[np.ndarray]]:
         """Blocks of a run, some steps at a time."""
         for a in range(run[0], run[1], STEPS_PER_READ):
             yield self(a, min(a + STEPS_PER_READ, run[1]), run)
-
-
-def steps_in_no_segment(record: Record, segment: int) -> list[tuple[int, int, tuple[int, int]]]:
-    """Steps (first, one past the last, run) that no segment holds, in pieces of half a segment at most."""
-    half = segment // 2
-    out = []
-    for run in record.runs:
-        number = segment_count(run[1] - run[0], segment)
-        start = run[0] + (number + 1) * half if number else run[0]
-        out += [(a, min(a + half, run[1]), run) for a in range(start, run[1], half)]
-    return out
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
