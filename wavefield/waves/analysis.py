@@ -29,11 +29,12 @@ from wavefield.errors import CubeError
 from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import moments, motion, products
+from wavefield.waves.crests import POINT_DISTANCE
 from wavefield.waves.cross import NAMES, Requested, add_segment, transforms
 from wavefield.waves.current import delayed_current
 from wavefield.waves.gains import gain_of
 from wavefield.waves.inputs import described
-from wavefield.waves.record import Each, Record, filled_density, filled_error, find_record
+from wavefield.waves.record import FIELDS, Each, Record, filled_density, filled_error, find_record
 from wavefield.waves.welch import (
     Link,
     Reader,
@@ -46,9 +47,7 @@ from wavefield.waves.welch import (
 
 Array = NDArray[Any]
 
-FIELDS = ("z", "z_t", "u", "v", "w")
 BALANCE_STEPS = 200  # at which the kinematic balance is taken
-POINT_DISTANCE = 0.08  # m, between the points of the higher-order spectra
 
 Progress = Callable[[int, int], None]
 

@@ -11,9 +11,8 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.waves.cross import significance_level
 from wavefield.waves.products import Noted, WaveProduct, register
-from wavefield.waves.welch import LEAST_COUNT, Welch, hann, segment_count
+from wavefield.waves.welch import CHANCE, LEAST_COUNT, MAIN_LOBE, Welch, hann, segment_count
 
-APART = 2  # lines: nearer ones share waves under a Hann window
 SHARED = 0.1  # of the correlation by chance: pairs whose lines share more are no test of coupling
 
 
@@ -70,7 +69,7 @@ def tricoherence_of(
         norm = np.sqrt(np.maximum(gram.diagonal().real, 1e-300))
         coherence = np.abs(gram) / (norm[:, None] * norm)
         # first <= second and third <= fourth: trivial where the pairs nearly coincide
-        trivial = np.abs(first[:, None] - first) <= APART
+        trivial = np.abs(first[:, None] - first) <= MAIN_LOBE
         if shared is not None:
             trivial |= (
                 shared[np.ix_(first, first)] * shared[np.ix_(second, second)]
@@ -96,14 +95,13 @@ def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.n
 HIGHEST_HZ = 5.0  # waves of 6 cm: shorter ones are mostly noise
 LINES = 48  # Fourier lines at most, as the work grows with their cube: the segment is shortened to that
 SURROGATES = 12  # their mean and scale, widened as Student's distribution is, give levels of 5 % chance
-CHANCE = 0.05  # share of surrogates above the level
 SAMPLES = 4000  # segments times points at most: of more points every second, third ... is taken
 
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
     """Level of a coherence whose square without coupling has the mean 1 / N (`significance_level`)."""
     mean = np.mean(np.square(surrogates), axis=0)
-    return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), CHANCE)))
+    return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 
 
 def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:

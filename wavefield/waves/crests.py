@@ -14,7 +14,7 @@ from wavefield.waves.welch import Reader
 
 Array = NDArray[Any]
 
-POINT_DISTANCE = 0.08  # m between the points: half a wave of 2.2 Hz
+POINT_DISTANCE = 0.08  # m between points of series in time: a quarter of a wave of 2.2 Hz
 PERIODS_IN_BLOCK = 10.0  # mean periods: blocks are nearly independent
 MIN_BLOCKS = 8  # fewer give standard deviations that are themselves uncertain by more than a quarter
 BOOTSTRAP_DRAWS = 500  # of which a standard deviation has a chance error of 3 %

@@ -30,6 +30,7 @@ from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.spectra import E_k, E_omega, finish
 from wavefield.waves.welch import (
+    CHANCE,
     NODES_PER_AXIS,
     Link,
     Reader,
@@ -403,10 +404,10 @@ COHERENCE_PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
-def significance_level(samples: float | np.ndarray, chance: float = 0.05) -> Any:
-    """Squared coherence that unrelated signals exceed with a probability: 1 - chance^(1 / (N - 1))."""
+def significance_level(samples: float | np.ndarray) -> Any:
+    """Squared coherence that unrelated signals exceed in 5 % of cases: 1 - 0.05^(1 / (N - 1))."""
     more = np.maximum(samples - 1, 1e-9)
-    return 1 - chance ** (1 / more)
+    return 1 - CHANCE ** (1 / more)
 
 
 def _above_noise(energy: xr.DataArray) -> xr.DataArray:

@@ -16,7 +16,7 @@ from wavefield.waves.current import NO_CURRENT, CurrentUsed
 from wavefield.waves.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_points import HALF_WIDTH, MIN_HALF_WIDTH, SHORTEST_WAVES, PlaneSpectrum
 from wavefield.waves.dof import correlation_at
-from wavefield.waves.gains import elevation_from_w
+from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, elevation_from_w
 from wavefield.waves.inputs import is_cube
 from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.spectra import plane_of
@@ -98,8 +98,6 @@ SECTORS = 36  # of the group `direction`: ten degrees, as wave models have them
 BANDWIDTH_HZ = 0.2  # of a given frequency: four lines of segments of 20 s
 STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
 LOWEST_HZ = 0.5  # the integrated w holds little but drift below
-MIN_SIGNAL_TO_NOISE = 3.0  # energy near the relation over that of the noise there: less has no direction
-UNIFORM_STD = np.pi / np.sqrt(3)  # rad, of a direction of which nothing is known
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
@@ -411,6 +409,7 @@ def _label(
     beyond_chance = np.sqrt(np.maximum(np.abs(first) ** 2 - along**2 - across**2, 1e-18))
     # what r1 is too large by, on average, by chance; and an uncertain resolution
     along = np.sqrt(along**2 + (across**2 / (2 * np.abs(first))) ** 2 + (BLUR_UNCERTAINTY * blur / 2) ** 2)
+    nothing_known = np.pi / np.sqrt(3)  # rad: a direction is uniform over the circle
     low, high = interval(degrees)
     dims = ("frequency", "theta")
     out = xr.Dataset(
@@ -422,7 +421,7 @@ def _label(
             "energy": ("frequency", 2 * np.pi * total[:, 0]),
             "direction": ("frequency", mean % (2 * np.pi)),
             "spread": ("frequency", spread),
-            "direction_std": ("frequency", np.minimum(across / beyond_chance, UNIFORM_STD)),
+            "direction_std": ("frequency", np.minimum(across / beyond_chance, nothing_known)),
             "spread_std": ("frequency", along / np.sqrt(spread**2 + along)),
             "r1": ("frequency", np.abs(first)),
             "r2": ("frequency", np.abs(second)),

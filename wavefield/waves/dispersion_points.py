@@ -16,7 +16,7 @@ from scipy import ndimage
 from wavefield.errors import CubeError
 from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves import kernels
-from wavefield.waves.welch import hann_power, richardson_lucy
+from wavefield.waves.welch import REACH, hann_power, richardson_lucy
 
 _CURRENT_NAMES = ("current_x", "current_y")
 
@@ -212,7 +212,6 @@ def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
-REACH = 4  # cells and lines to either side over which a wave is spread
 WAVES_PER_AXIS = 2  # in a cell of the k plane
 ROUNDS = 8  # in which the energy of the waves is adjusted: four leave narrow seas too wide
 EXPONENT = 1.8  # of a round's factor: with 1 narrow seas would need twice as many
@@ -272,10 +271,8 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
 # velocity; and in cells, of which a Hann window spreads a wave over two on either side
 HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2
 MIN_CELLS = 5  # in the window of a centroid
-MIN_SPEED_ON_CURRENT = (
-    0.5  # of the free group velocity: a current that slows waves more smears them over all k
-)
-MIN_SIGNAL_TO_NOISE = 1.0
+# of the free group velocity: a current that slows waves more smears them over all k
+MIN_SPEED_ON_CURRENT = 0.5
 CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with its neighbours' share
 CENTROID_ERROR = 0.03  # of a cell of the k plane, for the strongest sector; more in weaker ones, from leakage
 LEAKAGE_ERROR = 0.3  # of the displacement of centroids by the windows: of each, and of all alike
@@ -362,7 +359,7 @@ def centroids(
         above = np.einsum("lc,ic->il", energy - noise, by)
         squares = np.einsum("lc,ic->il", energy**2, np.array([by[0], sector.k, sector.k**2]))
         sums = np.concatenate([above, squares, noise.sum(axis=1)[None]])
-        usable = (last - first >= MIN_CELLS) & (sums[0] > MIN_SIGNAL_TO_NOISE * sums[7]) & (sums[0] > 0)
+        usable = (last - first >= MIN_CELLS) & (sums[0] > sums[7]) & (sums[0] > 0)
         usable &= centres < largest_k
         weight, weight_k, cosine, sine, square, square_k, square_k2, noise = sums[:, usable]
         k = weight_k / weight

@@ -18,6 +18,7 @@ from wavefield.water import group_velocity
 from wavefield.waves.welch import (
     CORRELATED_CELLS,
     LEAST_COUNT,
+    REACH,
     Welch,
     hann,
     hann_power,
@@ -68,13 +69,12 @@ def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
 
 
-FREQUENCIES_PER_LINE = 2
-REACH = 4.0  # lines to either side that respond to a wave
-ROUNDS = 4
+FREQUENCIES_PER_LINE = 2  # waves between the lines too
+ROUNDS = 4  # of sharpening; chosen
 FLOOR = 1e-12  # of the strongest line
 
 
-def expected_segment_correlation(power: Array, count: int, furthest: int = 2) -> Array:
+def expected_segment_correlation(power: Array, count: int) -> Array:
     """Variance of a mean over segments relative to independent segments, from their power (n, lines).
     1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, (n, lines).
     """
@@ -94,7 +94,7 @@ def expected_segment_correlation(power: Array, count: int, furthest: int = 2) ->
     )
     total = sharp @ response.T
     out = np.ones(power.shape)
-    for lag in range(1, furthest + 1):
+    for lag in (1, 2):
         shifted = (sharp * np.exp(1j * np.pi * lag * fine)) @ response.T
         out += 2 * max(1 - lag / count, 0.0) * np.abs(shifted) ** 2 / total**2
     return out
@@ -162,7 +162,6 @@ def wave_share(power: Array) -> Array:
 
 SUM_SIZE = 11  # lines, or rings, where the other axis is summed
 MIN_SUM_RATIO = 0.85  # of the variance of a sum to that expected
-MAX_LAG = 2  # segments that may be correlated
 
 
 def accumulate(sums: dict[str, Array], name: str, powers: Array, first: int) -> None:
@@ -323,7 +322,7 @@ def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
     The larger of `expected_segment_correlation` and, for waves, `crossing_correlation`.
     """
     white = 1 + (1 - 1 / welch.count) / 18
-    line = expected_segment_correlation(power, welch.count, MAX_LAG)
+    line = expected_segment_correlation(power, welch.count)
     crossing = white + (crossing_correlation(welch)[:, None] - white).clip(0, None) * wave_share(power) ** 2
     return np.maximum(crossing, line), crossing * line / white
 

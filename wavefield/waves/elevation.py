@@ -24,7 +24,7 @@ from wavefield.waves.dispersion_fit import dispersion_group
 from wavefield.waves.dispersion_points import Water
 from wavefield.waves.dof import with_interval
 from wavefield.waves.gains import (
-    MIN_POWER_GAIN,
+    MIN_AMPLITUDE,
     MIN_SIGNAL_TO_NOISE,
     is_predicted,
     noise_of_displacement,
@@ -38,6 +38,7 @@ from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import density, plane_density
 from wavefield.waves.welch import (
+    MAIN_LOBE,
     MIN_OVER_FILLED,
     Welch,
     hann_power,
@@ -117,7 +118,6 @@ BY_SOURCE = ["Ez", "dof_Ez", "low_Ez", "high_Ez", "valid_Ez"]
 MIN_FREE_K = 0.5  # of the k of free waves: half-way to the peak, whose leakage keeps its wavenumber
 MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: noise alone is further off
 MIN_TRUSTED_FRACTION = 0.9  # of the cells of free waves: the others miss a ring of them
-MAIN_LOBE = 2  # lines: half the width of the window's main lobe
 MIN_LINES = 5  # below it the weights 1 / omega^2 vary by more than a fifth within a line
 MAX_LEAKED_FRACTION = 0.5  # of a line of w
 LEARNED_WITHIN = 1.5  # factor by which signal over noise of a predicted gain is uncertain
@@ -199,7 +199,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
-    z, w = (np.where(power > MIN_POWER_GAIN, power, 0.0) for power in (z, w))
+    z, w = (np.where(power > MIN_AMPLITUDE**2, power, 0.0) for power in (z, w))
     return _Gains(z, w, both, float(np.log(LEARNED_WITHIN)) if is_predicted(gain) else 0.0)
 
 

@@ -24,7 +24,7 @@ Array = NDArray[Any]
 Values = TypeVar("Values", float, Array, xr.DataArray)
 
 MIN_SIGNAL_TO_NOISE = 3.0  # of a cell: noise that is off by a tenth then changes the waves by 3 %
-MIN_AMPLITUDE = 0.5  # of a wave after interpolation in time: the correction is at most twofold
+MIN_AMPLITUDE = 0.5  # of a wave as measured: a correction is at most twofold
 # by frames: weights of cos b, cos 3b and cos 5b in the polynomial through the frames at its middle
 MEAN_WEIGHTS = {2: (1,), 4: (9, -1), 6: (150, -25, 3)}
 
@@ -131,7 +131,6 @@ def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
 
 
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
-MIN_POWER_GAIN = 0.25  # half the amplitude of a wave: less is not corrected
 CELLS_OF_WEIGHT = 2.0  # standard deviation over which directions are averaged along k
 PREDICTED = "linear theory"  # origin of a gain that is predicted
 
@@ -187,9 +186,7 @@ def gain_of(
     if not {"gain_z", "gain_w"} <= set(names):
         return None
     own = cube[names].compute()
-    if not all(
-        float(own[name].isel(k=0).mean()) > np.sqrt(MIN_POWER_GAIN) for name in names
-    ):  # NaN of a light sheet
+    if not all(float(own[name].isel(k=0).mean()) > MIN_AMPLITUDE for name in names):  # NaN of a light sheet
         return None
     return own.assign_attrs(origin=f"{PREDICTED}, from what the run learned of its record")
 
@@ -204,7 +201,7 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
-    valid = power > MIN_POWER_GAIN
+    valid = power > MIN_AMPLITUDE**2
     return np.where(valid, 1.0 / np.where(valid, power, 1.0), 1.0), valid
 
 
@@ -220,7 +217,7 @@ def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
     energy = np.zeros((sectors, gain.sizes["k"]))
     np.add.at(energy, (turn, ring), plane_w.values)
     energy = gaussian_filter1d(energy, CELLS_OF_WEIGHT * cell / step, axis=1)
-    waves = energy / np.maximum(gain["gain_w"].transpose("direction", "k").values ** 2, MIN_POWER_GAIN)
+    waves = energy / np.maximum(gain["gain_w"].transpose("direction", "k").values ** 2, MIN_AMPLITUDE**2)
     weight = waves / np.maximum(waves.sum(axis=0), np.finfo(float).tiny)
     return gain.assign(weight=(("direction", "k"), weight))
 

@@ -15,13 +15,12 @@ from wavefield.waves import kernels
 from wavefield.waves.current import delayed_current
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
-from wavefield.waves.record import check_axes, whole_record
+from wavefield.waves.record import FIELDS, check_axes, whole_record
+from wavefield.waves.welch import CHANCE
 
 Array = NDArray[Any]
 
-FIELDS = ("z", "z_t", "u", "v", "w")
 OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
-CHANCE = 0.05  # outside the interval
 
 
 def _checked(cube: xr.Dataset) -> xr.Dataset:

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves.inputs import a_cube, takes
-from wavefield.waves.record import Record, find_record
+from wavefield.waves.record import FIELDS, Record, find_record
 from wavefield.waves.welch import Reader
 
 Array = NDArray[Any]
 
-FIELDS = ("z", "z_t", "u", "v", "w")
 MIN_PERIODS = 4  # fewer do not tell what repeats from other waves of nearly the same period
 HARMONICS = 3  # the third of Stokes waves has 3/8 (k a)^2 of the first: 3 % at k a = 0.3
 

@@ -15,7 +15,8 @@ from wavefield.parabola import parabola_vertex
 from wavefield.variables import annotate
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.welch import (
-    LOWEST,
+    LEAST_COUNT,
+    MAIN_LOBE,
     Welch,
     degrees_of_freedom,
     hann,
@@ -148,7 +149,6 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
 
 
 LONGEST_GAP = 3  # samples that are bridged: a glitch of the logger
-MIN_SEGMENTS_FOR_COHERENCE = 4  # with fewer, coherence by chance (1 / segments) hides the waves'
 COHERENCE_LINES = 9  # over which it is averaged, against that chance
 
 
@@ -212,7 +212,7 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
             "high_probes": ("omega", high),
             "valid_probes": (
                 "omega",
-                (np.arange(target.size) >= LOWEST) & np.isfinite(on_grid[usable]).all(axis=0),
+                (np.arange(target.size) >= MAIN_LOBE) & np.isfinite(on_grid[usable]).all(axis=0),
             ),
         },
         {name: probes[name] for name in ("probe", "probe_x", "probe_y")} | {"omega": omega},
@@ -251,7 +251,7 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
 def _independent(coherence: Array, count: int) -> Array:
     """Number of independent probes, (omega,): n^2 over the sum of their squared coherences (n, n, omega)."""
     n, lines = coherence.shape[1:]
-    if count < MIN_SEGMENTS_FOR_COHERENCE:
+    if count < LEAST_COUNT:  # coherence by chance, 1 / segments, hides the waves'
         return np.ones(lines)
     coherence = ndimage.uniform_filter1d(coherence, min(COHERENCE_LINES, lines), axis=-1, mode="nearest")
     coherence = ((coherence - 1 / count) / (1 - 1 / count)).clip(0, 1)  # by chance it is 1 / count

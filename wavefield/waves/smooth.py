@@ -20,7 +20,7 @@ from wavefield.variables import CUBE_DIMS, FrameStatus, Quality, annotate, valid
 from wavefield.water import dispersion, group_velocity, water_of
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.motion import slopes
-from wavefield.waves.record import check_axes
+from wavefield.waves.record import MIN_NODES, check_axes
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -315,7 +315,6 @@ TILE_NODES = 60  # a side, at most, of a rectangle that is fitted as one
 OVERLAP_NODES = 16  # that it shares with the next
 MISFIT_RADIUS = 3.0  # nodes: standard deviation of the weights with which misfits are averaged
 COMMON_ERROR_SHARE = 0.12  # of the noise's variance: errors that all steps of a window share
-MIN_GRID_NODES = 8  # nodes a side
 JUMP_OF_TIME = -1.0  # in place of the quality of a step where time jumps
 VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is computed
 
@@ -529,9 +528,9 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
             f"the record has {steps} steps of {dt:g} s:"
             f" smooth needs {2 * MIN_HALF_WINDOW_STEPS + 1} steps, {MIN_STEP_RATE:g} of them a second"
         )
-    if min(shape) < MIN_GRID_NODES or not np.isclose(dx, dy, rtol=0.01):
+    if min(shape) < MIN_NODES or not np.isclose(dx, dy, rtol=0.01):
         raise CubeError(
-            f"the grid has {shape[1]} x {shape[0]} nodes: smooth needs {MIN_GRID_NODES} of equal distances"
+            f"the grid has {shape[1]} x {shape[0]} nodes: smooth needs {MIN_NODES} of equal distances"
         )
     quality = cube["quality"].transpose(*CUBE_DIMS) if "quality" in cube else xr.ones_like(fields["z"])
     used = quality

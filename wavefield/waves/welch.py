@@ -26,9 +26,13 @@ from wavefield.waves.record import (
 )
 
 DEFAULT_SEGMENT = 512  # steps: 25.6 s at 20 Hz
+MAIN_LOBE = 2  # lines or cells: half the width of a Hann window's main lobe; nearer ones share waves
 CORRELATED_CELLS = 1 + 2 * (4 / 9 + 1 / 36)  # along an axis of a spectrum under a Hann window
 
-CONFIDENCE = 0.95  # of the intervals of all spectra
+CHANCE = 0.05  # of a truth outside of an interval, and of a level without a relation: the usual choice
+
+
+REACH = 4  # lines or cells to either side: beyond, a Hann window spreads less than 2e-5 of a wave
 
 
 def hann(n: int) -> np.ndarray:
@@ -73,7 +77,8 @@ def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """Confidence interval of a spectrum as factors."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # rings of all frequencies have the same
-    tails = 0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2
+    half = (1 - CHANCE) / 2
+    tails = 0.5 + half, 0.5 - half
     low, high = (unique / (2 * special.gammaincinv(unique / 2, tail)) for tail in tails)  # of chi squared
     return low[index].reshape(dof.shape), high[index].reshape(dof.shape)
 
@@ -301,14 +306,13 @@ class TimeTransform:
 Array = NDArray[np.float64]
 Coordinates = dict[str, tuple[str, Array]]
 
-LEAST_COUNT = 4  # segments
+LEAST_COUNT = 4  # segments: of fewer neither the variance between them nor coherence tells much from chance
 VELOCITY = "velocity"  # attribute of a cube, or of its fields, that states what its velocities are
 MEANINGS = {"displacement": 2, "instantaneous": INSTANTANEOUS}  # over one step; and their frames
 # of what filled nodes add to a spectrum if their error is white: holes that stay for some steps add more to
 # the lower lines, up to twice as much
 MIN_OVER_FILLED = 4.0
-_NEAR = 3  # lines over which the spread over cells is averaged
-LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
+_NEAR = 3  # lines over which the spread over cells is averaged: the main lobe's
 
 
 def omega_coords(omega: Array) -> Coordinates:
@@ -408,7 +412,7 @@ class Welch:
         """Where E(k, omega) can be trusted, (omega, k): off the lowest cells, below Nyquist in x and y."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
-        in_k = (table.k > LOWEST * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
+        in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
         return inner(self.omega.size)[:, None] & in_k
 
     def over_filled(self, energy: Any, added: float) -> Any:
@@ -525,4 +529,4 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
 def inner(lines: int) -> NDArray[np.bool_]:
     """Lines of a spectrum without zero and Nyquist frequency, (lines,)."""
     index = np.arange(lines)
-    return (index >= LOWEST) & (index < lines - 1)
+    return (index >= MAIN_LOBE) & (index < lines - 1)
