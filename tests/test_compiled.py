@@ -1,18 +1,21 @@
-"""Compiled code is kept on disk: where that fails, is damaged, or is done by many processes at once."""
+"""Compiled code is kept on disk, also where that fails or many processes begin; libraries have one thread."""
 
 import errno
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+import threadpoolctl
 from numba import float64
 from numba.core import caching
 
 import wavefield.compiled
 from wavefield.compiled import clear_compiled, compiled
+from wavefield.one_thread import one_thread
 
 
 def full(*args, **keywords):
@@ -134,3 +137,20 @@ def test_clearing_removes_compiled_code_and_nothing_else(tmp_path, monkeypatch):
     assert clear_compiled() == len(ours)
     assert not any(path.exists() for path in ours)
     assert (package / "room/__pycache__/a.pyc").exists()
+
+
+def blas_threads():
+    return {pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"}
+
+
+def test_threads_of_a_pool_limit_what_the_main_thread_has_set():
+    with threadpoolctl.threadpool_limits(limits=2, user_api="blas"):
+        before = blas_threads()
+
+        def inside(_):
+            with one_thread():
+                return blas_threads()
+
+        with ThreadPoolExecutor(2) as pool:
+            assert all(found <= {1} for found in pool.map(inside, range(8)))
+        assert blas_threads() == before

@@ -2,16 +2,7 @@
 
 import numpy as np
 import pytest
-from rendering import (
-    Picture,
-    camera_at,
-    centred,
-    charuco,
-    chessboard,
-    dots,
-    dots_with_rings,
-    pattern_picture,
-)
+from rendering import Picture, camera_at, centred, charuco, chessboard, dots, dots_with_rings, pattern_picture
 
 from wavefield.calibration import Target, find_target
 from wavefield.calibration.lattice import SmoothMap

@@ -6,11 +6,7 @@ from measurement_cases import RATE
 
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, measure
-from wavefield.measurement.error_budget import (
-    WaveRings,
-    changed_waves,
-    lost_by_elevation,
-)
+from wavefield.measurement.error_budget import WaveRings, changed_waves, lost_by_elevation
 from wavefield.tank import Scene, Tank
 from wavefield.variables import Quality
 

@@ -10,10 +10,7 @@ from wavefield.grid import Grid
 from wavefield.pipeline import check
 from wavefield.pipeline.assess import compare_cameras
 from wavefield.pipeline.prepare import prepare
-from wavefield.quality.cameras import (
-    PatchMatcher,
-    find_camera_faults,
-)
+from wavefield.quality.cameras import PatchMatcher, find_camera_faults
 from wavefield.store.verdict import Remark, Verdict, read_verdict
 from wavefield.tank import Scene, Tank, simulate
 
@@ -106,15 +103,7 @@ def test_sound_cameras_raise_no_alarm():
 
 
 def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
-    grave = Remark(
-        "cam1",
-        "mirrored",
-        "grave",
-        "it agrees when mirrored",
-        "as calibrated",
-        "correct it",
-        {"agreement": 0.8},
-    )
+    grave = Remark("cam1", "mirrored", "grave", "it agrees so", "as calibrated", "correct it", {"share": 0.8})
     light = Remark("record", "gaps", "remark", "3 frames are missing")
     verdict = Verdict.of([light, grave])
     assert verdict.line == "not to be trusted: cam1 mirrored, record gaps"
@@ -125,7 +114,7 @@ def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
     verdict.save(tmp_path / "cube.zarr")
     assert read_verdict(tmp_path / "cube.zarr") == verdict
     assert read_verdict(tmp_path / "other.zarr") is None
-    assert str(grave) == "cam1: it agrees when mirrored. as calibrated. correct it. [mirrored]"
+    assert str(grave) == "cam1: it agrees so. as calibrated. correct it. [mirrored]"
 
 
 @pytest.mark.slow
