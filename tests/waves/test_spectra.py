@@ -146,18 +146,6 @@ def test_results_do_not_depend_on_chunks():
         np.testing.assert_array_equal(whole.E.values, pieces.E.values)
 
 
-def test_units_and_meaning_are_on_every_variable():
-    for result in (
-        wv.spectrum(plane_wave(40.0, 0.3, 12.0), segment=64),
-        wv.komega(plane_wave(40.0, 0.3, 12.0), segment=64),
-    ):
-        for name, variable in result.variables.items():
-            assert "units" in variable.attrs, name
-            assert "long_name" in variable.attrs, name
-    assert result.E.attrs["units"] == "m3 s rad-2"
-    assert result.attrs["segments"] == 7
-
-
 def test_intervals_hold_the_level_of_a_peak_that_the_record_hardly_resolves():
     t, x, segment, inside = np.arange(1024) * 0.05, np.arange(10) * 0.08, 12.8, []
     off = np.linspace(-4, 4, 801) * 0.005  # Hz, from the middle between two lines

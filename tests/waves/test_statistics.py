@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import xarray as xr
 from waves_cases import axes, cube
 
 import wavefield.waves as wv
@@ -50,10 +49,6 @@ def test_densities_are_scaled_by_the_deviation_that_stands_beside_them(gaussian)
     out = wv.statistics(still).sel(quantity="z")
     assert float(out.pdf_std) == pytest.approx(float(still.z.std()), rel=1e-3)
     assert float(out.pdf_std) ** 2 == pytest.approx(float(out["std"] ** 2 + out.static_std**2), rel=1e-3)
-
-
-def test_chunks_do_not_matter(gaussian):
-    xr.testing.assert_equal(wv.statistics(gaussian.chunk({"time": 37, "y": 9})), wv.statistics(gaussian))
 
 
 def test_a_constant_field_does_not_break_them():

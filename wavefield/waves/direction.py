@@ -254,32 +254,6 @@ def directions(
     return _directions(plane, frequency, (depth, gamma), current, sectors, dof, bandwidth)
 
 
-def _directions(
-    plane: xr.DataArray,
-    frequency: Sequence[float] | Array,
-    water: tuple[float, float],
-    current: tuple[float, float],
-    sectors: int,
-    dof: float | None,
-    bandwidth: float,
-) -> xr.Dataset:
-    """As `directions`, of E(omega, ky, kx)."""
-    found = sector_spectrum(
-        plane,
-        frequency,
-        water[0],
-        current=current,
-        sectors=sectors,
-        dof=dof,
-        gamma=water[1],
-        bandwidth=bandwidth,
-    )
-    clear = xr.DataArray(above_noise(plane, found, water, current), dims="frequency")
-    # energies are kept
-    known = {name: found[name].where(clear) for name in found if name != "energy"}
-    return found.assign(known).assign(efth=oceanographic(found))
-
-
 def elevation_density(density: xr.DataArray, current: tuple[float, float], frames: int) -> xr.DataArray:
     """E(omega, ky, kx) of the elevation, from that of w on a current, m/s.
     The rise of a particle is integrated at its own frequency, omega - k . U.
@@ -341,18 +315,16 @@ def oceanographic(found: xr.Dataset) -> xr.DataArray:
     return out
 
 
-def sector_spectrum(
+def _directions(
     density: xr.DataArray,
     frequency: Sequence[float] | Array,
-    depth: float = np.inf,
-    *,
-    current: tuple[float, float] = (0.0, 0.0),
-    sectors: int = 24,
-    dof: float | None = None,
-    gamma: float = GAMMA,
-    bandwidth: float = BANDWIDTH_HZ,
+    water: tuple[float, float],
+    current: tuple[float, float],
+    sectors: int,
+    dof: float | None,
+    bandwidth: float,
 ) -> xr.Dataset:
-    """Directional spectrum near the dispersion relation at some frequencies, as `directions` returns it."""
+    """As `directions`, of E(omega, ky, kx)."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -362,11 +334,11 @@ def sector_spectrum(
     ky, kx = density["ky"].values, density["kx"].values
     cells = float(ky[1] - ky[0]), float(kx[1] - kx[0])
     plane = _RingSectors(ky, kx, sectors)
-    centres = wavenumber(2 * np.pi * frequency, depth, gamma)
+    centres = wavenumber(2 * np.pi * frequency, *water)
     levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
     stds = np.full((2, frequency.size), np.nan)
     if dof is not None:
-        packets = packet_correlation(ky, kx, density["omega"].values, (depth, gamma), current, dof)
+        packets = packet_correlation(ky, kx, density["omega"].values, water, current, dof)
     for i, (f, centre) in enumerate(zip(frequency, centres)):
         band = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
         if not band.size:
@@ -382,7 +354,11 @@ def sector_spectrum(
             degrees[i] = sector_freedom(levels[i], covariances)
             theta = (np.arange(sectors) + 0.5) * plane.width
             stds[:, i] = harmonic_stds(levels[i], RIDGE_CORRELATION * covariances, theta)
-    return _label(frequency, centres, levels, degrees, cells, stds)
+    found = _label(frequency, centres, levels, degrees, cells, stds)
+    clear = xr.DataArray(above_noise(density, found, water, current), dims="frequency")
+    # energies are kept
+    known = {name: found[name].where(clear) for name in found if name != "energy"}
+    return found.assign(known).assign(efth=oceanographic(found))
 
 
 def _label(

@@ -294,13 +294,13 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
     return np.packbits(np.stack([mask, outside_holes(mask)]).reshape(2, mask.shape[0], -1), axis=2)
 
 
-def _runs(valid_steps: np.ndarray, longest_bridge: int) -> tuple[list[tuple[int, int]], list[int]]:
+def _runs(valid_steps: np.ndarray) -> tuple[list[tuple[int, int]], list[int]]:
     """Runs of valid steps, and the steps in short gaps between them that are bridged."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist()):
-        if runs and a - runs[-1][1] <= longest_bridge:
+        if runs and a - runs[-1][1] <= LONGEST_BRIDGE:
             bridged.extend(range(runs[-1][1], a))
             runs[-1] = (runs[-1][0], b)
         else:
@@ -312,11 +312,10 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
     return _finite([piece(array, slice(*steps)) for array in arrays])
 
 
-def find_record(
-    cube: xr.DataArray | xr.Dataset, longest_bridge: int = LONGEST_BRIDGE, each: Each | None = None
-) -> Record:
+def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Record:
     """Find the largest full rectangle of nodes and the runs of valid steps of a cube.
 
+    Gaps of at most two steps are bridged by interpolation in time; longer ones split the record.
     The values are read once (a lazy cube is computed for it); only a mask of them is held.
 
     Parameters
@@ -324,8 +323,6 @@ def find_record(
     cube : xarray.Dataset or xarray.DataArray
         Variables over (time, y, x), metres and seconds; ``frame_status`` and ``quality`` are used where
         present: no node of the rectangle is masked at any step of the runs.
-    longest_bridge : int
-        Longest gap, in steps, that is bridged by interpolation in time; longer ones split the record.
     each : callable, optional
         ``each(work, items)`` does the work elsewhere, and gives the results in order.
 
@@ -359,7 +356,7 @@ def find_record(
             measured, outside = there[:, :, y[0] : y[1], x[0] : x[1]].sum(axis=(2, 3))
             valid_steps[steps_of] &= (outside >= MIN_STEP_FRACTION * size) & (measured >= MIN_MEASURED * size)
             holes += int((size - measured)[valid_steps[steps_of]].sum())
-    runs, bridged = _runs(valid_steps, longest_bridge)
+    runs, bridged = _runs(valid_steps)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
 
 
