@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 import pytest
 import zarr
-from series_cases import count_reported
 
+from tests.series.series_cases import count_reported
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.quality.record import remark_on_recordings
 from wavefield.series import Experiment
