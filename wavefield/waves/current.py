@@ -14,7 +14,7 @@ from wavefield.waves.welch import spatial_window
 
 Array = NDArray[np.float64]
 
-_CURRENT_STEPS = 256  # steps, evenly spread over the record, that the mean is taken over
+_CURRENT_STEPS = 256  # evenly spread over the record, that the mean is taken over; chosen
 _SLOWEST = 8  # Fourier lines of the means next to the mean itself, which show its uncertainty
 
 

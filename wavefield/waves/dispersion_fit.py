@@ -139,7 +139,7 @@ MIN_CONTRAST = 1.5  # energy near the relation over that at other frequencies: n
 MAX_CURRENT_STD = 0.012  # m/s: more is of no use, and found where waves are blocked
 FIT_SECTORS = 24  # of direction; each must hold several cells of the shortest waves' ring
 MAX_ROUNDS = 12  # in which the displacement by the windows is removed; at least two
-DAMPED_FROM = 3  # round
+DAMPED_FROM = 3  # round: from here on, rounds that overshoot in turn are damped
 CONVERGED, NOT_CONVERGED = 3e-4, 5e-3  # m/s: the rounds end at a smaller change; a larger one is refused
 
 

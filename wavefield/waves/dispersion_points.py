@@ -212,7 +212,7 @@ def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
-WAVES_PER_AXIS = 2  # in a cell of the k plane
+WAVES_PER_AXIS = 2  # in a cell of the k plane; chosen
 ROUNDS = 8  # in which the energy of the waves is adjusted: four leave narrow seas too wide
 EXPONENT = 1.8  # of a round's factor: with 1 narrow seas would need twice as many
 FLOOR = 1e-9  # of the strongest cell: weaker ones are left out

@@ -50,7 +50,7 @@ from wavefield.waves.welch import (
 Array = NDArray[Any]
 
 SLOWEST, FASTEST = 0.5, 1.5  # of the free frequency: the limits of free waves
-_TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m
+_TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
@@ -119,7 +119,7 @@ MIN_FREE_K = 0.5  # of the k of free waves: half-way to the peak, whose leakage 
 MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: noise alone is further off
 MIN_TRUSTED_FRACTION = 0.9  # of the cells of free waves: the others miss a ring of them
 MIN_LINES = 5  # below it the weights 1 / omega^2 vary by more than a fifth within a line
-MAX_LEAKED_FRACTION = 0.5  # of a line of w
+MAX_LEAKED_FRACTION = 0.5  # of a line of w: of more, most is of stronger waves
 LEARNED_WITHIN = 1.5  # factor by which signal over noise of a predicted gain is uncertain
 MIN_NOISE_FREQUENCY = 1.2  # Hz: below it the integrated w is mostly drift
 

@@ -305,7 +305,7 @@ def _faster(
 
 NAMES = ("z", "u", "v", "w")
 INPUTS = (*NAMES, *(f"{name}_std" for name in NAMES), "quality")
-HALF_WINDOW = 0.1  # s
+HALF_WINDOW = 0.1  # s; chosen, as are its least and most steps
 MIN_HALF_WINDOW_STEPS, MAX_HALF_WINDOW_STEPS = 2, 10  # on either side
 MIN_STEP_RATE = 8.0  # steps per second: waves of 10 cm turn by half a period in a step
 SAMPLED_WINDOWS, LEARNED_WINDOWS = 8, 4  # windows of a record that are read; that are learned from
