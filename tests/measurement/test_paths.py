@@ -69,6 +69,20 @@ def test_paths_through_frames_at_uneven_times_are_as_exact_as_through_even_ones(
         assert max(error(0.1, times, there, read_path)) > 3 * max(uneven)
 
 
+def test_water_that_was_not_in_the_image_was_not_measured():
+    rng = np.random.default_rng(3)
+    at = rng.uniform(0.0, 299.0, (2, 400)).astype(np.float32)
+    moved = rng.uniform(-50.0, 50.0, 2)
+    spline = coefficients([np.full(LATTICE.shape, one) for one in moved])
+    measured = np.ones(LATTICE.shape, bool)
+    _, block = read_path([spline] * 5, [measured] * 5, LATTICE, *at)
+    places = at + np.multiply.outer(np.arange(-2, 3) - 0.5, moved)[..., None]  # where each step departs
+    inside = ((places > -0.5) & (places < 299.5)).all(axis=1)
+    inside[[0, 4]] = inside[[0, 1, 3, 4]].all(axis=0)
+    np.testing.assert_array_equal((block >= 0)[[0, 1, 3, 4]], inside[[0, 1, 3, 4]])
+    assert 0 < inside[1].sum() < inside[2].sum() < 400
+
+
 @pytest.mark.parametrize("places", [2, 4, 6])
 def test_displacements_that_are_not_finite_or_absurd_lead_out_of_no_array(places):
     random = np.random.default_rng(places)
