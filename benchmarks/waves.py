@@ -121,17 +121,17 @@ def _against_truth(tree: xr.DataTree, current: tuple[float, float]) -> Iterator[
 def _nulls(tree: xr.DataTree, mixed: xr.Dataset) -> Iterator[Count]:
     """Fraction of coherences without relation that exceed their level."""
     spectra, group = tree["spectra"], tree["coherence"]
-    for ending, energy in (("", spectra["E_k"]), ("_komega", spectra["E"])):
+    for ending, over, energy in (("", "", spectra["E_k"]), ("_komega", ", over k and omega", spectra["E"])):
         strong = energy > STRONG * energy.max([dim for dim in energy.dims if dim != "quantity"])
         rise, w, nl = (strong.sel(quantity=name).values for name in ("rise", "w", "nl"))
         waves = rise & spectra["valid"].values if ending else rise & w
         for product, data, term, part in (
-            (f"z_t with u . grad z{ending}", group, "nl", waves & nl if ending else rise & nl),
-            (f"z_t with w of another sea{ending}", mixed, "w", waves),
+            (f"z_t with u . grad z{over}", group, "nl", waves & nl if ending else rise & nl),
+            (f"z_t with w of another sea{over}", mixed, "w", waves),
         ):
-            over = (data[f"gamma2{ending}"] > data[f"level{ending}"]).sel(term=term).values
-            if part.any() and over.shape == part.shape:
-                yield "null", f"coherence: {product}", float(over[part].mean())
+            above = (data[f"gamma2{ending}"] > data[f"level{ending}"]).sel(term=term).values
+            if part.any() and above.shape == part.shape:
+                yield "null", f"coherence: {product}", float(above[part].mean())
     for name in ("bicoherence", "tricoherence"):
         if "higher_order" in tree.children and name in tree["higher_order"]:
             value, level = (tree["higher_order"][n].values for n in (name, f"{name}_level"))

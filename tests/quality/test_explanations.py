@@ -8,7 +8,7 @@ from test_time_and_motion import sea
 
 import wavefield
 from wavefield.commands.cli import main
-from wavefield.quality.cameras import _EXPLANATIONS as CAMERA_FAULTS
+from wavefield.quality.cameras import _CAMERA_FAULTS as CAMERA_FAULTS
 from wavefield.quality.remarks import EXPLANATIONS, remark_on_mean_plane
 from wavefield.store.verdict import Remark
 

@@ -56,7 +56,7 @@ def test_what_stands_still_is_no_wave():
         assert now == pytest.approx(was, rel=1e-4, abs=1e-4 * (name != "std")), name
 
 
-def test_a_wild_value_is_reported():
+def test_an_outlier_is_reported():
     cube = linear_cube(random_waves(n=40), 128, 24, 28, dx=0.03)
     assert "beyond six" not in wv.analyze(cube, segment=32).attrs["notes"]
     cube["w"][60, 12, 14] = 30.0

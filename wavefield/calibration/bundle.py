@@ -174,10 +174,9 @@ ROWS = 128  # of a Jacobian taken together then: they have one or two cameras an
 
 
 class Whitener:
-    """Makes residuals independent: multiplies by C^(-1/2), C = I + target_std^2 B B^T.
-    The error of a node is shared by all its views. B is by_node (n, 2, 3): the shift of its images, in units
-    of
-    their uncertainty, per metre of offset of the node.
+    """Decorrelates residuals: multiplies them by C^(-1/2), C = I + target_std^2 B B^T.
+    All views of a node share its error. B, by_node (n, 2, 3), is the shift of its images per metre of offset
+    of the node, in standard uncertainties.
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):

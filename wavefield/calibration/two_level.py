@@ -235,7 +235,7 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Pairs of vectors from a dot to others that repeat around it, shortest cells first."""
+    """Candidates for the lattice at dot k: pairs of vectors that repeat around it, smallest cells first."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)

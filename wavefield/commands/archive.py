@@ -69,7 +69,7 @@ def catalog() -> None:
 @click.argument("catalog", type=FILE)
 @EXPERIMENT
 def add(catalog: Path, experiment: Path) -> None:
-    """Register an experiment in a catalog, which is made if it is not there.
+    """Register an experiment; make the catalog if it is missing.
 
     The catalog is an intake file: `intake.open_catalog` opens it, and `wavefield run CATALOG` runs all or
     some of its entries.
@@ -139,7 +139,7 @@ def convert(
     """Show a rig, or convert one from or to another program's.
 
     FILES is one file, or camera=file for each camera: of wavefield, UVMAT, VIC-3D, DICe, DaVis, OpenCV or
-    MATLAB. Any other calibration: write its numbers into a rig.yaml (see File formats).
+    MATLAB. Any other calibration: write its numbers into a rig.yaml (see the page Rig file).
     """
     from wavefield.atomic_write import atomic, refuse_input
     from wavefield.rig import formats

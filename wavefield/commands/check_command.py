@@ -32,7 +32,7 @@ Examples:
 )
 @campaign_commands.takes_source("EXPERIMENT|FOLDER|CUBE|CATALOG")
 @RIG
-@click.option("--workflow", type=PATH, help="Where and how it would run: a file as in workflows/.")
+@click.option("--workflow", type=PATH, help="YAML file that says where it would run (page Workflows).")
 @click.option("--pairs", is_flag=True, help="Also compare each pair of cameras.")
 @JSON
 @click.pass_context

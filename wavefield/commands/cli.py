@@ -1,6 +1,7 @@
 """The command line: thin; each command calls one public function of a room.
 
-Exit status: 0 done, 1 a run that failed (one sentence gives the reason), 2 wrong use.
+Exit status: 0 done, 1 a run that failed (one sentence gives the reason), 2 wrong use, 3 remarks that matter,
+130 interrupted.
 """
 
 import logging
@@ -26,7 +27,7 @@ from wavefield.execution.process import stop_signals
 
 _EPILOG = """\b
 A first look:   wavefield demo
-Your own data:  wavefield init FOLDER             # proposes experiment.yaml from the images in it
+Your own data:  wavefield init FOLDER    (proposes experiment.yaml)
                 wavefield calibrate experiment.yaml
                 wavefield check experiment.yaml
                 wavefield run experiment.yaml
@@ -34,10 +35,11 @@ Your own data:  wavefield init FOLDER             # proposes experiment.yaml fro
                 wavefield report cube.zarr
                 wavefield look cube.zarr
 
-Where a command takes an experiment, its file, its folder (such as .) or its cube may be given.
+Where a command takes an experiment, its file, its folder or its cube may be given.
 
 \b
-To complete commands with the Tab key, add this line to ~/.bashrc (zsh: zsh_source, ~/.zshrc):
+To complete commands with the Tab key, add this line to ~/.bashrc
+(zsh: zsh_source, ~/.zshrc):
   eval "$(_WAVEFIELD_COMPLETE=bash_source wavefield)"
 """
 

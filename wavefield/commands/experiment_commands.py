@@ -76,7 +76,7 @@ Examples:
 )
 @campaign_commands.takes_source("EXPERIMENT|FOLDER|CUBE|CATALOG")
 @RIG
-@click.option("--workflow", type=PATH, help="Where and how to run: a file as in workflows/.")
+@click.option("--workflow", type=PATH, help="YAML file that says where to run (page Workflows).")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Cube to write.")
 @click.option(
     "--frames",
@@ -191,7 +191,7 @@ Examples:
 @campaign_commands.takes_source(f"{CUBE}|CATALOG")
 @click.pass_context
 def verify(context: click.Context, source: campaign_commands.CommandSource) -> None:
-    """Verify that a cube, waves or smoothed fields are complete and as they were written.
+    """Verify that stored results are complete and unchanged.
 
     Reads everything. The exit status is 1 where something is damaged. Damaged chunks of a cube are marked as
     not measured: the next `wavefield run` measures them again.

@@ -31,7 +31,7 @@ Examples:
 @click.option(
     "--workflow",
     type=_GIVEN,
-    help="Where to compute: a file as in workflows/; by default the cores of this machine.",
+    help="YAML file that says where to compute (page Workflows); default: the cores of this machine.",
 )
 @click.pass_context
 def analyze(
@@ -43,8 +43,8 @@ def analyze(
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
-    Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
-    `xarray.open_datatree` reads it. For a catalog: the waves of every run.
+    It also fits the dispersion relation, combines z and w, and computes directions and bicoherence. Writes
+    one Zarr store; `xarray.open_datatree` reads it. For a catalog: the waves of every run.
     """
     if output and source.is_catalog():
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")

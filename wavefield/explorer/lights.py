@@ -201,7 +201,7 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
 def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
-    """Whether every camera still sends frames, and all the same ones.
+    """Two lights per camera: do frames still arrive, and is its newest as recent as those of the others?
     silent: s without a new frame; written: when the newest one was, s; newest: its number; frame_rate: Hz.
     """
     out = []

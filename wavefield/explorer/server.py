@@ -86,8 +86,8 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
         return found
 
     def _allows(self, request: HTTPServerRequest) -> bool:
-        """Whether a request has the token, is addressed to this machine, and comes from its own page if any.
-        The port is that of the address: the near end of an SSH tunnel has its own.
+        """Whether a request has the token, names this machine as host, and comes from this page or from none.
+        Any port is accepted, because an SSH tunnel may use another one.
         """
         given = request.path.split("/")[1] if request.path.startswith("/") else ""
         host = request.headers.get("Host", "")

@@ -100,8 +100,9 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Variances for the level of information that equals the surrounding mean; x per level.
-    log (levels,) and variance (n, levels) are logarithms, highest information first.
+    """Interpolate log variances to the level of information that equals the local mean.
+    x (levels, ny, nx) is the local mean as the kernel of each level sees it; log (levels,) and variance
+    (n, levels) are logarithms, highest information first.
     """
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):

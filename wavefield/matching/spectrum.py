@@ -136,7 +136,7 @@ class Prior:
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""
+        """Signal-to-noise ratio F^2 A S of a wave, (1 or c, ...): footprint F, information A, spectrum S."""
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:

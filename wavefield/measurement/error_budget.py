@@ -1,6 +1,7 @@
 """The standard uncertainty of z, u, v, w: the sum of the variances that this file computes.
 
-    std^2 = chi^2 (noise through the estimator)          posterior variance, by the information near a node
+    std^2 = chi^2 (noise through the estimator)          posterior variance, by the information near a node;
+                                                         chi^2 is 1 for z
           + (spectrum that the prior removes)            posterior variance as well
           + (spectrum that the weights of frames remove)
           + (ripples shorter than a block)

@@ -125,8 +125,8 @@ class RectifiedView:
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
-    """Part of the plane in which the reference and a partner see nodes x, y (ny, nx) at any height.
-    The reference comes first. One partner suffices, as opposite cameras shift a node in opposite directions.
+    """The rectified plane: the smallest rectangle with the apparent positions of all nodes x, y (ny, nx) at
+    all heights, in the reference, which comes first, and in at least one partner.
     """
     if min(x.shape) < _MIN_NODES:
         raise RigError(

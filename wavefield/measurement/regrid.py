@@ -97,7 +97,7 @@ def interpolation_gain(q: Float) -> Float:
 
 
 def local_coefficients(fields: Float) -> Float:
-    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to a thousandth, from seven blocks."""
+    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to 1e-3: cut off after seven blocks."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
     reflected = {"kernelX": kernel, "kernelY": kernel, "borderType": cv2.BORDER_REFLECT}

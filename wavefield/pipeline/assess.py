@@ -208,9 +208,7 @@ def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Rema
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
-    """Waves that are faster than what frames follow, and shorter than what images resolve, beside the w that
-    was measured at some steps.
-    """
+    """Remarks on waves too fast for the frame rate and too short for the images, by w of some steps."""
     record = prepared.record
     if record is None:
         return
@@ -360,9 +358,9 @@ def uncertainty_terms(
     Returns
     -------
     Dataset, (term, y, x)
-        z in m, u, v, w in m/s; ``term``: noise (through the estimator, times chi^2), prior (waves that the
-        prior removes), frames (waves that turn too fast for the frames), ripples (shorter than a block) and
-        setup (epipolar error, height of beads, light sheet). NaN where nothing was measured.
+        z in m, u, v, w in m/s; ``term``: noise (through the estimator; of u, v, w times chi^2), prior (waves
+        that the prior removes), frames (waves that turn too fast for the frames), ripples (shorter than a
+        block) and setup (epipolar error, height of beads, light sheet). NaN where nothing was measured.
 
     Raises
     ------

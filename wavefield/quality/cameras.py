@@ -453,7 +453,7 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
 
 
 # Kind, finding and remedy for a camera that agrees with the others when its images are taken otherwise
-_EXPLANATIONS = {
+_CAMERA_FAULTS = {
     "mirrored": (
         "mirrored",
         "its images are {}",
@@ -478,7 +478,7 @@ _EXPLANATIONS = {
 
 
 def _explained(name: str, change: str, detail: str, values: Mapping[str, float]) -> Remark:
-    kind, found, remedy = (part.format(detail) for part in _EXPLANATIONS[change])
+    kind, found, remedy = (part.format(detail) for part in _CAMERA_FAULTS[change])
     return Remark(name, kind, "grave", found, "Nothing measured with it is right", remedy, values)
 
 

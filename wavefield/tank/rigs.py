@@ -128,7 +128,7 @@ def bounds(
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Places that bound what a camera sees at a height, (n, 2), m, or short of the horizon."""
+    """Corners of a camera's view at a height, (n, 2), m; short of the horizon if that is in view."""
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners

@@ -62,7 +62,7 @@ rows("", ("quantity_map",), ("quantity_map", "", "quantity of the map"), dtype="
 _moments = "elevation, and displacement over one time step"
 rows("statistics", ("quantity",), ("quantity", "", _moments), dtype="str")
 rows("", ("pair",), ("pair", "", "quantities of the cross spectrum, a*b"), dtype="str")
-_terms = "w; nl: -u . grad z; tot: their sum"
+_terms = "w; nl: -(u - U) . grad z; tot: their sum"
 rows("", ("term",), ("term", "", "term of the kinematic condition", _terms), dtype="str")
 _sources = (
     "stereo; w: integrated w; cross: cross spectrum of stereo and integrated w; fusion: the best combination,"
@@ -190,11 +190,12 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "z is at frame times; nl is u . grad z. `E` is integrated over the angle of k; the azimuthal"
-    " mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by each method, corrected for the"
-    " response in time (with a gain also for the matching windows).",
-    "coherence": "Of z_t with w, with -u . grad z and with their sum. `gamma2` is the squared coherence; of"
-    " unrelated signals its mean is 1 / `samples`, and it exceeds `level` in 5 % of cases.",
+    "spectra": "z is at frame times; nl is (u - U) . grad z, U the mean current. `E` is integrated over the"
+    " angle of k; the azimuthal mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by each method,"
+    " corrected for the response in time (with a gain also for the matching windows).",
+    "coherence": "Of the rise z_t + U . grad z with w, with -(u - U) . grad z and with their sum. `gamma2` is"
+    " the squared coherence; of unrelated signals its mean is 1 / `samples`, and it exceeds `level` in 5 % of"
+    " cases.",
     "kinematics": "The balance z_t = w - u . grad z at sampled steps.",
     "statistics": "Distributions and moments of z and of the displacements over one step.",
     "dispersion": "Only the theory where the dispersion relation could not be fitted.",

@@ -37,7 +37,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
-    """Steps grouped by the chunk, stored or of dask, that holds them."""
+    """Group steps by chunk: the dask chunk if the field is lazy, else the stored one."""
     axis = field.get_axis_num("time")
     if field.chunks is not None:
         ends = np.cumsum(field.chunks[axis])

@@ -224,7 +224,7 @@ def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
         moments = _moments_of(sums[f"powers {field}"], scales[field][0], float(sums["steps"][0]))
         counts = sums[f"counts {field}"]
         rows["pdf"].append(_rebin(counts, scales[field], moments))
-        rows["wild"].append(moments["count"] - counts.sum())
+        rows["n_outliers"].append(moments["count"] - counts.sum())
         for key, value in moments.items():
             of_length = key in ("mean", "std", "pdf_std", "static_std")
             rows[key].append(value * dt if of_length and name != "z" else value)
@@ -323,11 +323,12 @@ def _statistics_group(
     gamma: float,
 ) -> Noted:
     notes = []
-    wild = {str(q): int(n) for q, n in zip(moments["quantity"].values, moments["wild"].values) if n}
-    if wild:
-        counts = ", ".join(f"{n} of {q}" for q, n in wild.items())
+    outliers = zip(moments["quantity"].values, moments["n_outliers"].values)
+    found = {str(q): int(n) for q, n in outliers if n}
+    if found:
+        counts = ", ".join(f"{n} of {q}" for q, n in found.items())
         notes.append(
-            f"Values beyond six standard deviations: {counts}. A single wild value lifts the floor of its"
+            f"Values beyond six standard deviations: {counts}. A single outlier lifts the floor of its"
             " spectra: check them before you use spectra decades below the peak."
         )
     z = spectra.sel(quantity="z", drop=True)

@@ -146,7 +146,7 @@ def kinematic_fields(
 
 
 def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
-    """Nonlinear term and residual of one step, as in `kinematics`.
+    """Nonlinear term and residual of one step, as in `kinematics` but without subtracting the mean current.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def _nodes(path: Path) -> Nodes:
 
 
 def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
-    """The parts of each camera, by the number (or left, right) in a node's name; "" where it has none."""
+    """Matrices of each camera (K, D, R, T, ...), by the number, or left or right, in a node's name, or ""."""
     out: dict[str, Parts] = {}
     for name, value in nodes:
         head = re.match(r"(?:cam(?:era)?)?(\d+)", name)

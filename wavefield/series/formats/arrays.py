@@ -28,7 +28,7 @@ _SECONDS = {
 
 
 class _Dataset:
-    """A dataset as a recording."""
+    """An HDF5 dataset (image, row, column), read as a recording."""
 
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
         self.path, self._file, self._data = path, file, data
