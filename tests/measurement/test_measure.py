@@ -1,4 +1,5 @@
 import json
+import sys
 from dataclasses import replace
 
 import cv2
@@ -152,6 +153,15 @@ def test_with_one_camera_left_the_step_fails_and_the_others_do_not(series, geome
     np.testing.assert_array_equal(out["z"][0], cube["z"][0])
     # the middle step lacks its neighbour
     assert (out["quality"][1] & Quality.TWO_FRAME_MEAN).all()
+
+
+def test_no_node_of_a_failed_step_counts_as_measured(series, geometry, model, monkeypatch):
+    monkeypatch.setattr(sys.modules["wavefield.measurement.step"], "MIN_MEASURED", 1.1)
+    failed = measure(series.block(), geometry, RATE, model)
+    assert (failed["frame_status"] == FrameStatus.FAILED).all()
+    assert np.isnan(failed["z"]).all()
+    assert not (failed["quality"] & Quality.MEASURED).any()
+    assert ((failed["quality"] & Quality.FILLED) > 0).mean() > 0.5
 
 
 def test_two_cameras_far_apart_are_half_as_uncertain_again_as_three_at_most(series, cube):
