@@ -6,7 +6,12 @@ import xarray as xr
 
 from wavefield.quality.record import remark_on_kinematics, rise_ratios, steps_to_leave_out
 from wavefield.quality.remarks import RECORD_LIMITS
-from wavefield.variables import Quality
+from wavefield.store.layout import StoreLayout, create_store
+from wavefield.store.read import open_cube
+from wavefield.store.recipe import Recipe
+from wavefield.store.verify import verify
+from wavefield.store.write_cube import clear_steps, write_chunk
+from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality
 
 SHAPE, NODE, NOISE, RATE = (30, 40), 0.01, 0.004, 20.0
 EVEN = np.arange(13.0)
@@ -93,3 +98,20 @@ def test_steps_with_frames_on_both_sides_are_left_out_unless_they_are_most_of_th
     found = steps_to_leave_out(np.array(places, int), 24).tolist()
     near = [k for k in range(24) if any(abs(k - place) <= 2 for place in places)]
     assert found == (near if len(places) < 4 else [])
+
+
+def test_cleared_steps_are_nan_for_every_reader_and_the_store_stays_whole(tmp_path):
+    path = tmp_path / "cube.zarr"
+    recipe = Recipe("basin", {}, (0, 4), 20.0, {}, {}, {}, packing="int16")
+    create_store(path, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, StoreLayout(4, 2, ("a", "b"), 0), {})
+    fields = {name: np.full((2, 3, 4), 1 if name == "quality" else 0.01) for name in CUBE_FIELDS}
+    write_chunk(path, 0, fields, np.array([1, 2]), {})
+    write_chunk(path, 2, fields, np.array([3, 1]), {})
+    for _ in range(2):
+        clear_steps(path, [1, 2])
+        for cube in (open_cube(path), xr.open_zarr(path), xr.open_dataset(path, engine="wavefield")):
+            assert cube.frame_status.values.tolist() == [1, FrameStatus.DISCONTINUOUS, 3, 1]
+            for name in CUBE_FIELDS:
+                kept = cube[name].notnull() & (cube[name] != 0)
+                assert kept.all(("y", "x")).values.tolist() == [True, False, True, True], name
+        assert verify(path).sound
