@@ -45,3 +45,12 @@ def test_a_grid_that_no_two_cameras_see_is_refused(rig):
             GridGeometry(rig, Grid(x=(x, x + 0.2), y=(-0.1, 0.1), step=0.01))
     with pytest.raises(RigError, match="at least two"):
         GridGeometry(Rig({"cam1": rig["cam1"]}), GRID)
+
+
+def test_a_sharper_camera_is_binned_and_blurred_until_beads_look_alike():
+    geometry = GridGeometry(paper_rig(1.0, crop=0.3), GRID)
+    assert [geometry.sights[name].binning for name in ("cam1", "cam2", "cam3")] == [1, 1, 2]
+    blur = {name: geometry.views[name].blur for name in ("cam1", "cam3")}
+    assert blur["cam3"][0] == pytest.approx(0.8, abs=0.2)  # along x, where the others look obliquely
+    assert blur["cam1"][1] == pytest.approx(0.6, abs=0.2)  # along y binned pixels are the widest
+    assert max(blur["cam3"][1], blur["cam1"][0]) < 0.3
