@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rendering import camera_at
 from scipy.spatial.transform import Rotation
 
 from wavefield.calibration.level_on_water import level_on_water
@@ -39,6 +40,19 @@ def placed(platform):
 def tilt_error(found, true):
     """Of the vertical in a camera's own frame, degrees."""
     return np.degrees(np.arccos(np.clip(found.R[:, 2] @ true.R[:, 2], -1, 1)))
+
+
+def test_the_twin_that_a_nearly_flat_sea_has_is_not_taken_for_the_second_camera():
+    left, right = (camera_at((480, 360), 55.0, turn, 0.0, 12.0, 800.0) for turn in (175.0, 185.0))
+    distance = float(np.linalg.norm(left.centre - right.centre))
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        x, y = left.unproject(*rng.uniform(20, 340, (2, 400)))
+        z = 0.03 * np.sin(1.5 * x + 0.7 * y) * np.cos(0.4 * x - 1.9 * y + seed)
+        seen = right.sees(x, y, z, 5.0)
+        pixels = [np.stack(c.project(x, y, z), -1)[seen] for c in (left, right)]
+        placed = place_second(left, right, tuple(p + rng.normal(0, 0.3, p.shape) for p in pixels), distance)
+        assert np.degrees(np.arccos((np.trace(placed.R @ right.R.T) - 1) / 2)) < 1.0  # the twin's is 14 off
 
 
 def test_images_that_share_nothing_are_refused(platform):
