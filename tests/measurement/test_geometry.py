@@ -1,10 +1,11 @@
+import numpy as np
 import pytest
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.rig import Rig
-from wavefield.tank import paper_rig
+from wavefield.rig import Rig, common_field
+from wavefield.tank import Scene, paper_rig
 
 GRID = Grid(x=(-0.1, 0.1), y=(-0.08, 0.08), step=0.01)
 
@@ -54,3 +55,12 @@ def test_a_sharper_camera_is_binned_and_blurred_until_beads_look_alike():
     assert blur["cam3"][0] == pytest.approx(0.8, abs=0.2)  # along x, where the others look obliquely
     assert blur["cam1"][1] == pytest.approx(0.6, abs=0.2)  # along y binned pixels are the widest
     assert max(blur["cam3"][1], blur["cam1"][0]) < 0.3
+
+
+def test_a_horizon_in_view_does_not_flatten_what_is_measured():
+    rig = Scene.load("sea").build_rig()
+    for grid in (common_field(rig.cameras.values(), step=1.2), Grid((-120, 120), (96, 144), 3.0)):
+        geometry = GridGeometry(rig, grid, Settings(z_range=(-0.24, 0.24)))
+        seen = np.logical_and.reduce([c.sees(geometry.x, geometry.y, 0.0) for c in rig.cameras.values()])
+        for plane, nodes in ((geometry.plane.x, geometry.x[seen]), (geometry.plane.y, geometry.y[seen])):
+            assert plane[0] <= nodes.min() < nodes.max() <= plane[-1]
