@@ -20,11 +20,11 @@ gc.disable()  # until all is imported and collected: see below
 import cv2
 import numpy as np
 import pytest
-from cube_fixtures import knocked, learned_once, measured, own_tank, reference, tank
+from cube_fixtures import cube, knocked, learned_once, measured, own_tank, reference, tank
 from hypothesis import settings
 
 # made once, for every room
-__all__ = ["knocked", "learned_once", "measured", "own_tank", "reference", "tank"]
+__all__ = ["cube", "knocked", "learned_once", "measured", "own_tank", "reference", "tank"]
 
 cv2.setNumThreads(1)
 settings.register_profile("wavefield", deadline=None, derandomize=True, max_examples=25)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cube_cases import FOURS, HERE, KNOCKED, write_tank
+from cube_cases import FOURS, HERE, KNOCKED, linear_sea, write_tank
 from filelock import FileLock
 
 
@@ -138,3 +138,9 @@ def measured(tmp_path_factory):
             analyze(folder / "cube.zarr", folder / "waves.zarr", segment=8)
 
     return once(tmp_path_factory, "measured", make)
+
+
+@pytest.fixture(scope="session")
+def cube():
+    """A small cube of an exact linear sea, in memory; not to be changed."""
+    return linear_sea()

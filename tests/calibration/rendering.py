@@ -145,15 +145,12 @@ def string_picture(camera, picture=Picture(), mesh=0.10, extent=(-12, 12, -12, 1
     return expose(cover, picture)
 
 
-def string_truth(camera, mesh=0.10, extent=(-12, 12, -12, 12), margin=5.0, marks=True):
-    """Nodes in view, at least a margin inside the picture, and their exact pixel positions."""
+def string_truth(camera, mesh=0.10, extent=(-12, 12, -12, 12), margin=5.0):
+    """Nodes in view, at least a margin inside the picture, but for the two under the marks."""
     i, j = np.meshgrid(np.arange(extent[0], extent[1] + 1), np.arange(extent[2], extent[3] + 1))
     node = np.c_[i.ravel(), j.ravel()]
-    if marks:
-        node = node[~((node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1)))]
-    pixel = np.stack(camera.project(node[:, 0] * mesh, node[:, 1] * mesh, 0.0), -1)
-    seen = camera.sees(node[:, 0] * mesh, node[:, 1] * mesh, 0.0, margin)
-    return node[seen], pixel[seen]
+    node = node[~((node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1)))]
+    return node[camera.sees(node[:, 0] * mesh, node[:, 1] * mesh, 0.0, margin)]
 
 
 def pattern_picture(camera, inside, picture=Picture(), samples=4):

@@ -19,7 +19,7 @@ def view(tilt, focal=1500.0, distance=3.5, **where):
 def compared(camera, picture, **grid):
     """Found fraction, number of false points, errors (n, 2), standard uncertainties (n,)."""
     points = find_target(string_picture(camera, picture, **grid), TARGET)
-    node, _ = string_truth(camera, margin=5.0, **grid)
+    node = string_truth(camera, **grid)
     got = set(map(tuple, points.node))
     found = np.mean([tuple(n) in got for n in node])
     exact = np.stack(camera.project(points.node[:, 0] * 0.1, points.node[:, 1] * 0.1, 0.0), -1)
