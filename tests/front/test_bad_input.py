@@ -127,7 +127,6 @@ TABLE = [
     ("an image for a lab note", nothing, ["run", "cam1/img_000.tif"], 1, "img_000.tif"),
     ("not UTF-8", write(EXP, b"name: \xff\xfe\xfa"), ["run", EXP], 1, "not a text file"),
     ("an alias bomb", write(EXP, BOMB), ["run", EXP], 1, "aliases"),
-    ("a key twice", note("name: lab", "name: lab\nname: two"), ["run", EXP], 1, "line 2: 'name' is there twice"),
     ("a mistyped key", note("frame_rate", "frame_rat"), ["run", EXP], 1, "line 2: .*did you mean 'frame_rate'"),
     ("endless frame rate", note("20.0", ".inf"), ["run", EXP], 1, "finite"),
     ("no cameras", note(NOTE[NOTE.index("  cam1") : NOTE.index("calib")], ""), ["run", EXP], 1, "cameras"),
@@ -138,9 +137,7 @@ TABLE = [
     ("a mask of a stranger", note("rig:", "mask: {cam9: m.png}\nrig:"), ["run", EXP], 1, "mask names 'cam9', but there are cam1, cam2, cam3, water"),
     ("a mask that is not there", note("rig:", "mask: {cam1: m.png}\nrig:"), ["run", EXP], 1, "mask of cam1: there is no .*m.png; correct"),
     ("a mask of another size", mask(np.zeros((9, 9), np.uint8)), ["run", EXP], 1, "mask of cam1: .*m.png is 9 x 9 px, but"),
-    ("a grid without step", note(", step: 0.02", ""), ["run", EXP], 1, "grid.step is missing"),
     ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
-    ("a grid of one step", note("step: 0.02", "step: 5"), ["run", EXP], 1, "less than one step"),
     ("a grid that nobody sees", note("x: [-0.6, 0.6]", "x: [90.0, 90.6]"), ["run", EXP], 1, "have 0 % of the grid in common view"),
     # -- the images
     ("no folder of images", lose("cam2"), ["run", EXP], 1, "cam2"),
