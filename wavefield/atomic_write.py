@@ -290,7 +290,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_error(path: Path, error: OSError) -> StoreError:
-    """Turn a failed write into a sentence."""
+    """The error to raise for a failed write, with a sentence for the user."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return StoreError(
             f"the disk that holds {path} is full, or a quota is used up; nothing that was written is lost: "

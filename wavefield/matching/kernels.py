@@ -541,7 +541,9 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Sums of gx r and gy r over the pixels assigned to each block, (ny nx, 2); r as in `final_sums`."""
+    """Write the scores of each block to out (ny nx, 2): sums of gx r and gy r over its pixels.
+    gx, gy are gradients of the first image, r the residual as in `final_sums`; block (h, w) assigns pixels.
+    """
     n = u.shape[1] * BLOCK
     rows = work.rows
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])

@@ -355,7 +355,10 @@ def _unfold(quarters: Float, out: Float) -> None:
 
 @reassociating
 def multiply(a: Float, quarters: Float) -> None:
-    """Multiply a field, given as quarters (2, hy, 2, 1 or 2, hx), by A (2, 2, 1 or 3, hy, hx), in place."""
+    """Multiply a field by A at every block, in place.
+    The field has 1 or 2 components, split by parity along y and x (quarters): (2, hy, 2, c, hx). A is
+    (2, 2, 1, hy, hx) for one component, (2, 2, 3, hy, hx) with xx, xy, yy of a symmetric matrix for two.
+    """
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):
         top, bottom = quarters[0, j], quarters[1, j]

@@ -252,13 +252,14 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
 ) -> Displacement:
-    """Scores and Hessians of two images at a displacement u, v (ny, nx), float32, px, without a step.
+    """Scores and Hessians of two images at a given displacement u, v (ny, nx), float32, px.
 
-    Reading b at a displacement with gradients e_jk = dd_j/dx_k strains its pattern, while real beads only
-    move. So the residual contains e_jk (delta_jk a + s^2 a_jk), with s^2 the variance of the image of a bead;
-    for a blurred texture only e_jk s^2 a_jk. A complete bead contributes no score, because this is even about
-    its middle, but a bead cut by the edge of a block does. Therefore c e_jj a + s^2 e_jk a_jk is subtracted,
-    with c from 0 to 1 and s^2 found by least squares.
+    Where the displacement has gradients e_jk = du_j/dx_k, reading b strains the images of beads, whereas real
+    beads move without changing shape. The residual then contains e_jj a + s^2 e_jk a_jk, with a_jk the second
+    derivatives of image a and s^2 the variance of the image of a bead; for a blurred texture only the second
+    term. Both are symmetric about the middle of a bead, so a complete bead adds nothing to the score, but one
+    that the edge of a block cuts does. Therefore c e_jj a + s^2 e_jk a_jk is subtracted, with c (0 to 1) and
+    s^2 fitted by least squares.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     pair.update_weights(u, v)

@@ -69,7 +69,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 @dataclass
 class ElevationEstimate:
-    """MAP elevation of one instant, with the scores and information it came from."""
+    """MAP elevation of one instant, with the information (inverse variance) and noise of its blocks."""
 
     waves: Float  # (1, my, mx): cosine coefficients of the elevation less its smooth part, metres
     edges: Float = field(repr=False)  # (1, ny, nx): that smooth part (`Modes.split`), metres

@@ -154,7 +154,10 @@ def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) 
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance of the rise per step, m^2, lost by paths: sum S |ip - sum w e^(ipt)|^2, plus `orbits`."""
+    """Variance of the rise per step, m^2, that paths through the frames miss, plus that of `orbits`.
+    The sum over waves of S |i p - sum_t w_t exp(i p t)|^2, with S the variance of a wave, p its phase per
+    frame, w_t the weight of the frame at time t (in frames).
+    """
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)
@@ -374,6 +377,6 @@ def block_residuals(found: Displacement) -> Float:
 
 
 def limited(values: Float) -> Float:
-    """Values (2, n) clipped to some standard deviations."""
+    """Values (2, n) clipped to `MAX_STD` standard deviations, these from the median square."""
     limit = MAX_STD * float(np.sqrt(np.median(np.square(values)) / MEDIAN_SQUARE))
     return np.clip(values, -limit, limit)

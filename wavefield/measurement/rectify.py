@@ -108,7 +108,7 @@ def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
 
 @lru_cache(maxsize=8)
 def _weights(count: int) -> NDArray[np.float32]:
-    """A Gaussian of half a square's side over a square, (3 count,), whose sum is 1."""
+    """Weights along one axis, (3 count,), of sum 1: a Gaussian of std count / 2, averaged over count px."""
     x = np.arange(-count, count + 1)
     out = np.convolve(np.exp(-2.0 * np.square(x / count)), np.ones(count))
     return np.asarray(out / out.sum(), np.float32)

@@ -54,7 +54,7 @@ def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str,
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Sample steps, even over the record or, if these miss its waves, over the part with waves."""
+    """Steps to learn from: evenly over the record or, if these miss its waves, over the part with waves."""
     from wavefield.measurement import sample_steps
 
     usual = sample_steps(steps)

@@ -347,10 +347,10 @@ SLOW_WAVES = 3e-3  # singular value, of the largest, down to which slow waves ex
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Low-order part of eps_y over time."""
+    """Fit of a constant and slopes in x and y to the epipolar error eps_y, at several steps."""
 
     steps: NDArray[np.intp]  # (n,): Which steps were read
-    low: Array  # (n, 3): px: over the middle, at the right and at the upper edge against the middle
+    low: Array  # (n, 3), px: eps_y at the middle of the field; its change to the right and to the upper edge
     std: Array  # (n, 3): Standard uncertainty, px
 
 

@@ -367,7 +367,7 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
-    """Cameras whose images are wider than those of the others both in pixels and on the water."""
+    """Remarks on blurred cameras: their beads look wider than those of the others, in px and on the water."""
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
     rig, grid = table.patch_matcher.rig, table.patch_matcher.grid
     centre = float(np.mean(grid.x)), float(np.mean(grid.y))

@@ -126,7 +126,7 @@ def remark_on_holes(measured: float) -> Iterator[Remark]:
 
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report that the cameras are inconsistent on the motion of the water; eps' in px where z is finite."""
+    """Report if cameras disagree about the motion of the water: median of |eps'|, px, where z is finite."""
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
     if misfit > MAX_EPS_PIV:

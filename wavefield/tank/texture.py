@@ -104,8 +104,9 @@ def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, 
 
 
 def light(camera: Camera, seen: Seen, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
-    """Grey levels, (row, column), of what each pixel shows, without the camera's own noise.
-    Sky, its mirror reflection by facets of slope (z_x, z_y) with Fresnel's reflectance, dark water, foam.
+    """Image (row, column), grey levels, of sky and water, without the camera's own noise.
+    Each pixel of water is a facet with the slope of `seen` plus that of `ripples`. It mirrors the sky with
+    Fresnel's reflectance over dark water; foam covers it where the texture `foam` exceeds its threshold.
     """
     width, height = camera.size
     a, b = camera.tangents(np.arange(float(width)), np.arange(float(height))[:, None])

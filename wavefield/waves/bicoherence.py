@@ -53,8 +53,9 @@ def correlations_of(z: np.ndarray) -> np.ndarray:
 def tricoherence_of(
     z: np.ndarray, shared: np.ndarray | None = None, limit: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Largest tricoherence over omega3 for each pair omega1, omega2, and the line of that omega3.
-    Two pairs whose lines are correlated in twos, ``shared`` (n, n), by more than a limit are left out.
+    """For each pair omega1, omega2 the largest tricoherence over omega3, and the line of that (-1: none).
+    Pairs that nearly coincide are left out: ``shared`` (n, n) is the correlation of every two lines,
+    ``limit`` the largest sum of its products.
     """
     n = z.shape[0]
     value, partner = np.full((n, n), np.nan), np.full((n, n), -1)

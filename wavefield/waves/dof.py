@@ -39,10 +39,10 @@ def hann_correlation(lines: int) -> Array:
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Degrees of freedom, (n,), of sums of powers, from their correlations.
+    """Degrees of freedom, (n,), of a sum of correlated powers.
 
-    With power (parts, n), dof (parts, n) and overlap (parts, parts): (sum P)^2 / sum_ij rho_ij^2 P_i P_j /
-    sqrt(nu_i nu_j).
+    (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with P = power (parts, n), nu = dof (parts, n)
+    and rho2 = overlap (parts, parts): the squared correlations of the parts.
 
     Examples
     --------

@@ -64,8 +64,9 @@ def gain_frame_mean(omega: Values, dt: float, frames: int = 2) -> Values:
 
 
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
-    """Amplitude of a velocity along a path, relative to that of one displacement; omega in rad/s.
-    w_0 + 2 w_1 cos omega dt + 2 w_2 cos 2 omega dt with `PATH_WEIGHTS` w; b / sin b of instantaneous ones.
+    """Gain of a velocity from a path through several frames over that of one displacement; omega in rad/s.
+    It is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt) with w from `PATH_WEIGHTS`; for instantaneous
+    velocities b / sin b, b = omega dt / 2.
     """
     factor: Values
     if frames == INSTANTANEOUS:
@@ -103,7 +104,7 @@ def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
 
 
 def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
-    """Factor from the spectrum of w to that of the elevation, (dt / 2)^2 / sin^2 b; infinite at omega = 0.
+    """Factor from the spectrum of w to that of the elevation; infinite at omega = 0.
 
     Parameters
     ----------
@@ -121,8 +122,9 @@ def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
 
     Notes
     -----
-    Exact for finite displacements: w dt is the difference of two elevations, whose gain is 2 i sin b.
-    Dividing by omega^2 instead is wrong by sinc^2 b.
+    (dt / 2)^2 / (sin b path_factor)^2 with b = omega dt / 2. For displacements between two frames, whose path
+    factor is 1, w dt is the difference of two elevations with the gain 2 i sin b; dividing by omega^2 would
+    be wrong by sinc^2 b. For instantaneous velocities the factor becomes 1 / omega^2.
     """
     with np.errstate(divide="ignore"):
         path: Any = path_factor(omega, dt, frames)

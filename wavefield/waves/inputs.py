@@ -84,7 +84,9 @@ def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """The input if it is a field; else raises an error that describes it."""
+    """The input and its water parameters if it is a field; otherwise an error that says what it is.
+    ``name`` is the calling function, for the message.
+    """
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"

@@ -194,7 +194,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
-    """The same derivative along the first axis, for one row."""
+    """Derivative along the first axis at row i, by the differences of `_along`; factor is 1 / spacing."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:

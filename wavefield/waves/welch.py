@@ -64,7 +64,9 @@ def choose_segment(steps: int) -> int:
 
 
 def degrees_of_freedom(segments: float) -> float:
-    """Degrees of freedom of a spectral cell: neighbours have a squared correlation of 1/36 (Welch 1967)."""
+    """Degrees of freedom of a spectral cell from half-overlapping Hann segments.
+    Neighbouring segments have a squared correlation of 1/36 (Welch 1967).
+    """
     return 2 * segments / (1 + (1 - 1 / segments) / 18)
 
 
