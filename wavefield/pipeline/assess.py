@@ -22,7 +22,7 @@ from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_record, samples
 from wavefield.pipeline.prepare import PreparedRun, expected_coverage, prepare
 from wavefield.quality.camera_motion import (
-    Instant,
+    LazyInstant,
     Synchrony,
     delays,
     level_motion,
@@ -125,7 +125,7 @@ def synchrony_of(prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int],
 
     if prepared.record is None:
         return Synchrony({})
-    instants = [Instant(partial(images, k), partial(displacement, k)) for k in frames]
+    instants = [LazyInstant(partial(images, k), partial(displacement, k)) for k in frames]
     with one_thread():  # each of them
         return delays(prepared.geometry, prepared.record, instants, rate, threads_here(prepared.workflow))
 

@@ -70,7 +70,7 @@ class Sample:
     rows: Array | None = None  # (m,): By how many rows from the middle the second camera shows it lower
 
 
-class Instant(NamedTuple):
+class LazyInstant(NamedTuple):
     """A frame, its images and how the water moves; both are read on demand."""
 
     images: Callable[[], Mapping[str, NDArray[Any] | None]]  # By camera
@@ -212,7 +212,7 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
 def delays(
     geometry: "GridGeometry",
     record: "LearnedRecord",
-    instants: Sequence[Instant],
+    instants: Sequence[LazyInstant],
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
@@ -221,7 +221,7 @@ def delays(
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
 
-    def samples_at(instant: Instant) -> list[Sample | None]:
+    def samples_at(instant: LazyInstant) -> list[Sample | None]:
         flat = _prepared(instant.images(), geometry, dict(record.beads))
         displacement = instant.displacement()
         return [sample(geometry, pair, flat, displacement) for pair in geometry.pairs]

@@ -424,7 +424,7 @@ def coherence_group(ring: xr.Dataset) -> xr.Dataset:
     # cross spectrum with z_t and power of each term; the nonlinear term is -u . grad z
     cross = xr.concat([rise_w, -rise_nl, rise_w - rise_nl], terms)
     power = xr.concat([w, nl, w + nl - 2 * w_nl.real], terms)
-    pairs = xr.DataArray([TERMS[term] for term in TERMS], dims="term")
+    pairs = xr.DataArray(list(TERMS.values()), dims="term")
     out: dict[str, Any] = {}
     for ending, x, y, xy, samples in (
         ("", rise.sum("omega"), power.sum("omega"), cross.sum("omega"), ring["samples_k"]),

@@ -220,10 +220,10 @@ def directions(
     shared between sectors by area (8 x 8 parts); the k plane's own coverage of each sector is divided out,
     so that a rectangle of nodes does not appear as a direction. The spread is sqrt(2 (1 - r1)) less the
     resolution: a Hann window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width
-    over sqrt(12). D, the harmonics and ``efth`` keep that blur. The degrees of freedom are those of the
-    energy of a sector, its cells and lines correlated by the Hann windows, fewer as the relation is a thin
-    ridge and where waves stay in the window for longer than a segment, and of the sum over all
-    sectors, which share cells, that D is a fraction of.
+    over sqrt(12). D, the harmonics and ``efth`` keep that blur. The degrees of freedom are those of a
+    sector's energy, whose cells and lines the Hann windows correlate. A thin ridge, and waves that stay in
+    the window for longer than a segment, reduce them; the sum over sectors, by which D is divided, adds its
+    own uncertainty.
 
     Examples
     --------
