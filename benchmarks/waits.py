@@ -145,7 +145,7 @@ def analysing(folder: Path, steps: int) -> Iterator[Row]:
     cube = folder / "run2.zarr"
     if not cube.exists():
         run(write_tank(folder / f"full-{steps}", Scene.load("full"), steps), cube, 2)
-    wall = seconds(wavefield("-q", "analyze", cube, "-o", folder / "waves.zarr", "--overwrite"))
+    wall = seconds(wavefield("-q", "analyze", cube, "-o", folder / "waves.zarr"))
     yield f"analyze, {steps} steps", f"{wall:.1f} s"
 
 
