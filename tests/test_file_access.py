@@ -1,15 +1,12 @@
-"""Pipes in place of files are refused at once, and files that do not answer are reported."""
+"""Pipes in place of files are refused at once."""
 
 import os
 import threading
-import time
 
 import pytest
 
-import wavefield.file_access
 from wavefield.calibration.points import read_points
-from wavefield.errors import ExperimentError, WavefieldError
-from wavefield.file_access import accessing
+from wavefield.errors import WavefieldError
 from wavefield.images import read_image
 from wavefield.pipeline import Workflow
 from wavefield.rig import Rig
@@ -54,20 +51,3 @@ def test_a_pipe_in_place_of_a_file_is_refused_at_once(tmp_path, name):
     thread.join(20)
     assert not thread.is_alive()
     assert [f"{path} is a pipe" in error for error in ended] == [True] * len(READERS[name])
-
-
-@pytest.fixture
-def impatient(monkeypatch):
-    """A watcher of its own, of shorter patience."""
-    monkeypatch.setattr(wavefield.file_access, "_POLL_S", 0.02)
-    monkeypatch.setattr(wavefield.file_access, "_watcher", None)
-
-
-def test_a_file_that_does_not_answer_is_reported_once(tmp_path, impatient, caplog):
-    with accessing(tmp_path / "slow.tif", ExperimentError):
-        time.sleep(0.5)
-    with accessing(tmp_path / "quick.tif", ExperimentError):
-        pass
-    (record,) = caplog.records
-    assert f"reading {tmp_path / 'slow.tif'} has taken over" in record.message
-    assert not wavefield.file_access._under_way

@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, Validat
 from pydantic_core import ErrorDetails
 
 from wavefield.errors import ExperimentError, WavefieldError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 
 Key = str | int
 T = TypeVar("T")
@@ -197,8 +197,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def _text(path: Path) -> str:
     try:
-        with accessing(path, ExperimentError):
-            return path.read_text(encoding="utf-8-sig")
+        refuse_pipe(path, ExperimentError)
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ExperimentError(f"{path}: no such file") from None
     except IsADirectoryError:

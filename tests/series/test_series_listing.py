@@ -146,7 +146,7 @@ def test_time_stamps_show_dropped_frames(tmp_path):
         ("0\n0.05\n", "holds 2 times, but cam1 has 3 images"),
         ("0\n0.05\n0.03\n", "must be increasing times"),
         ("0\n0.05\nlate\n", "line 3: 'late' is not one time"),
-        ("0\n0.05\n0.173\n", "do not fit a frame rate of 20.0 Hz"),
+        ("0\n0.034\n0.1\n", "do not fit a frame rate of 20.0 Hz"),
     ],
 )
 def test_time_stamps_that_do_not_fit_are_refused(tmp_path, lines, message):

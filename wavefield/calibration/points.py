@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import CalibrationError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 from wavefield.rig.lens import Array
 
 Image = NDArray[np.float32]  # (row, column), 255 where brightest
@@ -87,8 +87,8 @@ def read_points(
 
 def _lines(path: Path) -> list[str]:
     try:
-        with accessing(path, CalibrationError):
-            return path.read_text().splitlines()
+        refuse_pipe(path, CalibrationError)
+        return path.read_text().splitlines()
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such file of target points") from None
     except (OSError, UnicodeDecodeError) as error:

@@ -12,7 +12,6 @@ from filelock import FileLock, Timeout
 
 from wavefield.atomic_write import writing
 from wavefield.errors import StoreError
-from wavefield.file_access import accessing
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Lock:
         """Hold the lock of a store, or refuse at once."""
         path = store.with_name(f".{store.name}.lock")
         lock = FileLock(path, timeout=0)
-        with writing(store), accessing(store, StoreError, "locking"):
+        with writing(store):
             store.parent.mkdir(parents=True, exist_ok=True)
             if path.is_symlink() or (path.exists() and (not path.is_file() or path.stat().st_size)):
                 raise StoreError(

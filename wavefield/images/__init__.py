@@ -14,7 +14,7 @@ import tifffile
 
 from wavefield.atomic_write import Product, atomic
 from wavefield.errors import FrameError, StoreError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 from wavefield.images import tiff
 from wavefield.images.davis_image import read_buffer
 from wavefield.text import one_line
@@ -31,18 +31,18 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
     Of a file with several images the page has to be named. Raises `FrameError`.
     """
     path = Path(path)
-    with accessing(path, FrameError):
-        if path.suffix.lower() == ".im7":
-            return read_buffer(path, page or None)
-        try:
-            with path.open("rb") as stream:
-                return _read(stream, str(path), page)
-        except FileNotFoundError:
-            raise FrameError(f"{path}: no such image") from None
-        except IsADirectoryError:
-            raise FrameError(f"{path} is a folder, not an image") from None
-        except OSError as error:
-            raise FrameError(f"{path} cannot be read: {error.strerror or error}") from None
+    refuse_pipe(path, FrameError)
+    if path.suffix.lower() == ".im7":
+        return read_buffer(path, page or None)
+    try:
+        with path.open("rb") as stream:
+            return _read(stream, str(path), page)
+    except FileNotFoundError:
+        raise FrameError(f"{path}: no such image") from None
+    except IsADirectoryError:
+        raise FrameError(f"{path} is a folder, not an image") from None
+    except OSError as error:
+        raise FrameError(f"{path} cannot be read: {error.strerror or error}") from None
 
 
 def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from wavefield.errors import StoreError
-from wavefield.file_access import accessing
 from wavefield.series import Frame
 from wavefield.store.write_cube import write_chunk
 from wavefield.variables import AROUND, FrameFault, FrameStatus
@@ -241,7 +239,6 @@ class Work:
     def __call__(self, chunk: Chunk) -> Report:
         """Measure and write."""
         measured = measure_chunk(chunk, self.geometry, self.frame_rate, self.model)
-        with accessing(self.store, StoreError, "writing"):
-            write_chunk(self.store, chunk.start, measured.fields, measured.frame_status, measured.faults)
+        write_chunk(self.store, chunk.start, measured.fields, measured.frame_status, measured.faults)
         failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))
         return Report(chunk.start, chunk.stop, failed, tuple(measured.messages))

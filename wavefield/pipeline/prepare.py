@@ -308,7 +308,7 @@ def prepare(
         settings, heights = high_enough(settings, first_heights(look.read, geometry, look.steps))
     if settings != geometry.settings:
         geometry = GridGeometry(rig, grid, settings, covered)
-    departures = frame_departures(series, experiment.frame_rate)
+    departures = frame_departures(series)
     recipe = make_recipe(experiment, series, geometry, workflow.packing)
     if departures is not None:
         digest = hashlib.sha256(departures.astype("<f8").tobytes()).hexdigest()[:16]

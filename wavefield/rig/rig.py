@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from wavefield.atomic_write import Product, identity_of, write_text
 from wavefield.errors import RigError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 from wavefield.rig.camera import Camera
 from wavefield.text import html_table, one_line
 
@@ -22,8 +22,8 @@ UNITS = {"length": "m", "image": "px", "angle": "rad"}
 def read_rig_text(path: Path) -> str:
     """Text of a rig file."""
     try:
-        with accessing(path, RigError):
-            return path.read_text(encoding="utf-8", errors="replace")
+        refuse_pipe(path, RigError)
+        return path.read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
         raise RigError(
             f"{path}: no such rig file; make one with `wavefield calibrate` or state another program's"

@@ -8,35 +8,25 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import VIDEO_ENDINGS, Recording, file_of, open_recording
-from wavefield.series.formats.recording import usual_interval
+from wavefield.series.formats.recording import usual_interval, usual_intervals
 from wavefield.series.formats.video import Video
 from wavefield.series.frames import FrameSeries
-from wavefield.series.listing import Numbered
+from wavefield.series.listing import MAX_NUMBERS_PER_FRAME, Numbered
 from wavefield.series.probes import numbered_lines
 
 Times = NDArray[np.float64]
 Images = str | Sequence[str | None]
 
-MIN_INTERVALS = 3  # fewer do not show a rate
-SIGNIFICANCE = 4.0  # standard deviations
-MAX_OFFSET = 0.25  # intervals between an image's time and its place
-RATE_ERROR = 1e-3  # by which the rates of clocks differ
-MAX_PLACES_PER_IMAGE = 10  # more: several records in one file
-RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
-RATE_DISAGREEMENT = 0.01  # of a rate: clocks differ by less, and by as much a velocity would be wrong
+MAX_OFFSET = 0.25  # intervals between an image's time and its place: half-way to where places are ambiguous
+RATE_DISAGREEMENT = 0.01  # of a rate: by as much a velocity would be wrong
+ROUNDING = 1e-3  # of a rate: cameras state theirs with three digits or more
 SMALL_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # per second
 UNIT_TOLERANCE = 0.05  # of a rate that the experiment file rounds
-_EVEN = 2e-4  # intervals: smaller departures change nothing
-_RATE_ERROR = 1e-4  # of a quartz
-_DECIMALS = 7  # of departures in intervals
-_OTHER_RATE = 0.05  # by which a clock's rate and the stated one differ where frames were left out since
-_DRIFT_FRAMES = 129  # over so many frames the drift of a clock is even
-_RESOLUTIONS = (0.01, 0.001, 0.0001)  # s, to which clocks round
-_ROUNDED = 1.05  # resolutions from the lowest to the highest departure that rounding makes
+DEPARTURE_STEP = 1e-4  # intervals, to which departures are rounded: changes a velocity by as little
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Times of a camera's images in its recordings, (n,), s; None if the recordings contain no times.
+    """Times of a camera's images in its recordings, (n,), s; None if there are none or they do not increase.
 
     A video's times are those of the playback: its usual interval counts as that of the frame rate. Other
     recordings are refused if their time stamps contradict the frame rate.
@@ -52,33 +42,27 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
         recording.close()
         if not len(parts[-1]):
             return None
-    times = np.concatenate(parts) if parts else np.zeros(1)
-    if not np.ptp(times) > 0:
+    times = np.concatenate(parts) if parts else np.zeros(0)
+    if len(times) < 2 or np.diff(times).min() <= 0:
         return None
     if is_video(paths[0]):
-        usual = usual_interval(times)
-        one_clock = len(paths) == 1 and usual > 0 and np.diff(times).min() > 0
-        return times / (usual * frame_rate) if one_clock else None
+        return times / (usual_interval(times) * frame_rate) if len(paths) == 1 else None
     header = f", its header {stated:g} Hz" if stated else ""
     refuse_other_rate(times, frame_rate, f"{paths[0]}: its time stamps are at {{rate:g}} Hz{header}")
     return times
 
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
-    """Refuse a frame rate that the intervals of time stamps contradict by more than their scatter."""
-    intervals = np.diff(times)
-    if len(intervals) < MIN_INTERVALS:
+    """Refuse a frame rate that increasing time stamps, (n,), s, contradict.
+
+    The first and last stamp of n intervals are as uncertain as one interval is, so their mean 1/n of that.
+    """
+    usual = usual_intervals(times)
+    if not len(usual):
         return
-    if intervals.min() > 0:
-        usual = intervals[np.abs(intervals / np.median(intervals) - 1.0) < 0.5]  # without dropped images
-        interval, scatter = float(usual.mean()), float(usual.std()) / np.sqrt(len(usual))
-    else:  # stamps that are rounded to more than an interval
-        interval = float(np.ptp(times)) / len(intervals)
-        scatter = float(intervals.max()) / len(intervals)
-    if not interval > 0:
-        return
+    interval = float(usual.mean())
     frames = interval * frame_rate  # per interval
-    if abs(frames - 1.0) > max(RATE_DISAGREEMENT, SIGNIFICANCE * scatter / interval):
+    if abs(frames - 1.0) > max(RATE_DISAGREEMENT, float(np.ptp(usual)) / interval / len(usual)):
         rate = float(f"{1.0 / interval:.4g}")
         remedy = f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"
         for unit, per_second in SMALL_UNITS.items():
@@ -130,36 +114,36 @@ def place_by_time(
 
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
-    """Renumber frames by whole multiples of the median interval, so that dropped frames leave gaps.
+    """Renumber frames by whole multiples of the usual interval, so that dropped frames leave gaps.
+
+    Frames keep their numbers if their times are not near such multiples.
 
     Examples
     --------
     >>> place_by_intervals({0: "a", 1: "b", 2: "c", 3: "d"}, np.array([7.0, 7.1, 7.2, 7.5]))
     {0: 'a', 1: 'b', 2: 'c', 5: 'd'}
     """
-    intervals = np.diff(times)
-    if len(times) != len(numbered) or len(times) < 3 or intervals.min() <= 0:
-        return numbered
-    passed = intervals / np.median(intervals)
+    passed = np.diff(times) / usual_interval(times)
     steps = np.rint(passed)
-    uneven = np.abs(passed - steps) > MAX_OFFSET + RATE_ERROR * steps
-    if uneven.any() or steps.min() < 1 or steps.sum() > MAX_PLACES_PER_IMAGE * len(times):
+    if np.abs(passed - steps).max() > MAX_OFFSET or steps.min() < 1:
+        return numbered
+    if steps.sum() > MAX_NUMBERS_PER_FRAME * len(steps):  # several records in one file
         return numbered
     old = sorted(numbered)
     places = old[0] + np.append(0, np.cumsum(steps)).astype(int)
     return {int(place): numbered[number] for place, number in zip(places, old)}
 
 
-def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Times | None:
+def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
     """Delay of each frame behind even times, (n,), in frame intervals; None if the times are even.
 
-    The mean over the cameras' clocks, without offset and drift. Cameras are triggered together, so what
-    their clocks do not share is noise of the stamps.
+    The mean over the cameras' clocks, without offset and rate of each. Cameras are triggered together, so
+    what their clocks do not share is noise of the stamps, by which the mean is reduced.
     """
     each = [
         found
         for one in series.values()
-        if one.times is not None and (found := departures_by_clock(one.times, frame_rate)) is not None
+        if one.times is not None and (found := departures_by_clock(one.times)) is not None
     ]
     if not each:
         return None
@@ -171,56 +155,41 @@ def frame_departures(series: Mapping[str, FrameSeries], frame_rate: float) -> Ti
     if freedom and power:
         noise = float(np.nansum(np.square(stack - common))) / freedom / len(each)
         common *= max(power - noise, 0.0) / power
-    return np.round(common, _DECIMALS) if np.abs(common).max() > _EVEN else None
+    common = np.rint(common / DEPARTURE_STEP) * DEPARTURE_STEP
+    return common if common.any() else None
 
 
-def departures_by_clock(times: Times, frame_rate: float) -> Times | None:
-    """Delay of each frame by one clock, from its times (n,), s; NaN for frames without a time.
+def departures_by_clock(times: Times) -> Times | None:
+    """Delay of each frame by one clock, in intervals, from its times (n,), s; NaN for frames without a time.
 
-    None if the times are not near even intervals.
+    Delays are those from the regression line of time on frame number. They are 0 if none exceeds the digits
+    of the stamps; None if the times are not near even intervals.
 
     Examples
     --------
-    >>> departures_by_clock(np.array([0.0, 0.052, 0.1, 0.15, 0.2]), 20.0).round(3).tolist()
-    [-0.008, 0.032, -0.008, -0.008, -0.008]
+    >>> departures_by_clock(np.array([0.0, 0.052, 0.1, 0.15, 0.2])).round(3).tolist()
+    [-0.016, 0.032, -0.0, 0.008, -0.024]
     """
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:
         return None
-    place, seconds = (there - there[0]).astype(float), times[there] - times[there[0]]
-    rate = place[-1] / seconds[-1]
-    if abs(rate / frame_rate - 1.0) < _OTHER_RATE:
-        rate = frame_rate
-    found = seconds * rate - place
-    found -= _line(place, found)
-    if len(times) > 2 * _DRIFT_FRAMES:
-        import scipy.signal  # takes a second, which short records do not need
-
-        drift = scipy.signal.savgol_filter(np.interp(np.arange(len(times)), there, found), _DRIFT_FRAMES, 1)
-        found -= drift[there]
-    if np.abs(found).max() > MAX_OFFSET:
+    seconds = times[there]
+    interval, start = np.polyfit(there, seconds - seconds[0], 1)
+    late = (seconds - seconds[0] - start) / interval - there
+    if np.abs(late).max() > MAX_OFFSET:
         return None
-    if np.ptp(found) <= _ROUNDED * _resolution(times[there]) * rate:
-        found[:] = 0.0
+    if np.abs(late).max() * interval <= _resolution(seconds):
+        late[:] = 0.0
     out = np.full(len(times), np.nan)
-    out[there] = found
+    out[there] = late
     return out
 
 
-def _line(x: Times, y: Times) -> Times:
-    """Regression line of y(x); its slope is shrunk by the ratio of jitter to the rate error of a clock."""
-    x = x - x.mean()
-    mean, square = y.mean(), float(x @ x)
-    rest = y - mean - x * float(x @ y) / square
-    jitter = float(rest @ rest) / max(len(y) - 2, 1)
-    return np.asarray(mean + x * float(x @ y) / (square + jitter / _RATE_ERROR**2))
-
-
 def _resolution(times: Times) -> float:
-    """Seconds to which times are rounded; 0 if they are not."""
-    for step in _RESOLUTIONS:
+    """The power of ten, from 0.1 s to 1 us, that times are whole multiples of; 0 if they are of none."""
+    for step in 10.0 ** -np.arange(1, 7):
         if np.abs(times / step - np.rint(times / step)).max() < 1e-3:
-            return step
+            return float(step)
     return 0.0
 
 
@@ -298,4 +267,4 @@ def is_alike(one: float, other: float) -> bool:
     >>> is_alike(500.0, 500.2), is_alike(500.0, 250.0)
     (True, False)
     """
-    return abs(one - other) <= RATE_TOLERANCE * abs(other)
+    return abs(one - other) <= ROUNDING * abs(other)

@@ -117,7 +117,7 @@ class ExperimentBackend(BackendEntrypoint):
         coordinates = _coordinates(experiment, next(iter(series.values())))
         groups = {"/": xr.Dataset(coords=coordinates, attrs=_attributes(experiment))}
         measuring = {name: series[name] for name in experiment.measuring_cameras}
-        departures = frame_departures(measuring, experiment.frame_rate)
+        departures = frame_departures(measuring)
         groups |= {f"/{name}": _camera(s, departures) for name, s in series.items()}
         return {path: group.drop_vars(drop, errors="ignore") for path, group in groups.items()}
 

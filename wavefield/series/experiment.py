@@ -10,7 +10,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from wavefield.config_files import PathText, load, read_yaml
 from wavefield.errors import ExperimentError, RigError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
@@ -397,7 +397,8 @@ def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, flo
 
 def _start(path: Path) -> str:
     try:
-        with accessing(path, ExperimentError), path.open(errors="replace") as stream:
+        refuse_pipe(path, ExperimentError)
+        with path.open(errors="replace") as stream:
             return stream.read(200)
     except OSError:
         return ""  # `load_rig` reports what is wrong

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.file_access import accessing
 from wavefield.series.formats.arrays import is_remote
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
@@ -24,7 +23,7 @@ Images = str | Sequence[str | None]  # as in the experiment file
 SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
 MAX_TRIED = 20  # frames, for one that can be read
 MAX_FRAMES = 5_000_000  # of a record
-MAX_NUMBERS_PER_FRAME = 1000  # of the range of a record
+MAX_NUMBERS_PER_FRAME = 100  # of the range of a record
 FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
@@ -86,8 +85,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
 def list_folder(folder: Path, camera: str) -> list[str]:
     """Names of the files in a folder, in one listing."""
     try:
-        with accessing(folder, ExperimentError):
-            return os.listdir(folder)
+        return os.listdir(folder)
     except FileNotFoundError:
         raise ExperimentError(f"images of {camera}: there is no folder {folder}") from None
     except NotADirectoryError:

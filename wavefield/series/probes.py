@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 from wavefield.variables import annotate
 
 if TYPE_CHECKING:  # half a second to import
@@ -99,8 +99,8 @@ def read_probes(
 def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
     """Lines of a UTF-8 text with their numbers, without empty ones and comments; `what` names it."""
     try:
-        with accessing(path, ExperimentError):
-            data = path.read_bytes()
+        refuse_pipe(path, ExperimentError)
+        data = path.read_bytes()
     except OSError as error:
         raise ExperimentError(f"cannot read {what} {path}: {error.strerror}") from None
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 from wavefield.images import grey, read_image
 from wavefield.images.tiff import ENDINGS as TIFF_ENDINGS
 from wavefield.images.tiff import TiffImages
@@ -46,23 +46,24 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
     if entry.kind == "file":
         return read_image(entry.path)
     # open files keep a position, which threads must not share
-    with accessing(entry.path, FrameError), _lock:
+    refuse_pipe(entry.path, FrameError)
+    with _lock:
         return grey(_kept_open(entry.path).read(entry.image))
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
     """Kind and number of images of a single file or store."""
-    with accessing(name, FrameError):
-        path = Path(name)
-        single = file_of(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
-        if single and not path.is_dir() and not is_remote(str(name)):
-            if not path.is_file():
-                raise FrameError(f"{path}: no such image")
-            return "file", 1
-        images = _open(str(name))
-        images.close()
-        tiff_of_one = images.count == 1 and isinstance(images, TiffImages)
-        return ("file", 1) if tiff_of_one else ("images", images.count)
+    refuse_pipe(name, FrameError)
+    path = Path(name)
+    single = file_of(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
+    if single and not path.is_dir() and not is_remote(str(name)):
+        if not path.is_file():
+            raise FrameError(f"{path}: no such image")
+        return "file", 1
+    images = _open(str(name))
+    images.close()
+    tiff_of_one = images.count == 1 and isinstance(images, TiffImages)
+    return ("file", 1) if tiff_of_one else ("images", images.count)
 
 
 def _open(path: str) -> _Images:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from wavefield.atomic_write import check_replaceable, write_text
 from wavefield.errors import StoreError
-from wavefield.file_access import accessing
+from wavefield.file_access import refuse_pipe
 from wavefield.store.store_paths import beside
 from wavefield.text import full_stop, one_line
 
@@ -106,8 +106,8 @@ def read_verdict(store: str | Path) -> Verdict | None:
     """The verdict on a cube, as its run left it."""
     path = beside(Path(store), "verdict", ".json")
     try:
-        with accessing(path, StoreError):
-            data = json.loads(path.read_text(encoding="utf-8"))
+        refuse_pipe(path, StoreError)
+        data = json.loads(path.read_text(encoding="utf-8"))
         if data.pop("checksum") != _checksum(data):
             raise ValueError("its checksum is another")
         remarks = [Remark(**remark) for remark in data["remarks"]]

@@ -95,11 +95,17 @@ class RawRecording:
             self._stream = None
 
 
-def usual_interval(times: Times) -> float:
-    """Mean interval of times, s, without those across images that were dropped; 0 where it is not known."""
+def usual_intervals(times: Times) -> Times:
+    """Intervals of times, s, without those across dropped images; empty if their median is not positive."""
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0
-    return float(intervals[np.abs(intervals / middle - 1.0) < 0.5].mean()) if middle > 0 else 0.0
+    return intervals[np.abs(intervals / middle - 1.0) < 0.5] if middle > 0 else np.empty(0)
+
+
+def usual_interval(times: Times) -> float:
+    """Mean of the usual intervals of times, s; 0 if there are none."""
+    usual = usual_intervals(times)
+    return float(usual.mean()) if len(usual) else 0.0
 
 
 def refuse_index(index: int, count: int, path: Path) -> None:
