@@ -139,7 +139,6 @@ def test_results_do_not_depend_on_chunks():
     ("change", "words"),
     [
         (lambda cube: cube.isel(time=slice(4)), "4 steps"),
-        (lambda cube: cube.isel(time=slice(None, None, 2)).assign_coords(time=np.arange(5) * 0.2), "0.2 s"),
         (lambda cube: cube.drop_vars("w_std"), "w_std"),
         (lambda cube: cube.isel(x=slice(7)), "nodes"),
         (lambda cube: cube.assign(quality=cube.quality * 0), "measured"),

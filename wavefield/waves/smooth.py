@@ -1,9 +1,7 @@
 """Fields smoothed over time by the free waves that fit a few steps best."""
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import dask.array as da
@@ -13,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
+from scipy.sparse.linalg import LinearOperator, cg
 
 from wavefield.errors import CubeError
 from wavefield.one_thread import one_thread
@@ -28,27 +27,25 @@ Mask = NDArray[np.bool_]
 FIELDS = 4  # z, u, v and the rise at a fixed node: w less u . grad z
 MAX_RELATIVE_WAVELENGTH = 12.0  # waves over the longer side: longer ones are no different in the rectangle
 MAX_RELATIVE_WAVENUMBER = 0.45  # of half the sampling one: noise of neighbouring nodes is correlated
-FIRST_AMPLITUDE = 1e-3  # m and m/s, before anything is learned
-MIN_RING_INFORMATION = 0.3  # of a ring's unknowns: rings with less keep what they could hold undetected
+FIRST_AMPLITUDE = 1e-2  # m and m/s, larger than those of waves: before anything is learned
 MIN_NOISE_RATIO = 0.05  # of the stated variance: fields are not followed more closely
 MIN_RELATIVE_EIGENVALUE = 1e-3  # of the largest: plane waves that differ in the rectangle
-SINGLE_ROUNDS, ROUNDS = 7, 3  # of learning
-CURRENT_ERROR, SMALL_CURRENT = 0.2, 1e-4  # m/s: of the mean velocity of the samples; of derivatives
-MAX_ITERATIONS, TOLERANCE = 40, 1.0  # of conjugate gradients; of the energy, in squared standard deviations
+ROUNDS = 8  # of learning: spectra change by a few per cent in the last
+CURRENT_ERROR = 0.2  # m/s: standard deviation of the current about the mean velocity of the samples
 
 
 class PlaneWaves:
-    """Plane waves, eddies and constants over a rectangle and a window of times.
+    """Plane waves and constants over a rectangle and a window of times, on a current.
 
     Wave vectors lie on rings, so densely that waves may enter during the window: no period is imposed. Each
-    has a complex amplitude; a potential gives z, u, v and the rise, a stream function that the current
-    carries gives u and v of eddies.
+    has a complex amplitude, whose potential gives z, u, v and the rise. The last unknowns are the constant
+    of each field.
     """
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float
     ) -> None:
-        self.shape, self.step, self.times, self.water = shape, step, times, (depth, gamma)
+        self.shape, self.times = shape, times
         side, last = step * max(shape), float(np.abs(times).max())
         vectors: list[Array] = []
         rings: list[NDArray[np.intp]] = []
@@ -62,44 +59,32 @@ class PlaneWaves:
             rings.append(np.full(count, len(rings)))
             k += spacing
         self.kx, self.ky = np.concatenate(vectors, axis=1)
-        # a stream function is real: half of the wave vectors hold all of it
-        self.half = np.flatnonzero((self.ky > 1e-9 / step) | ((abs(self.ky) <= 1e-9 / step) & (self.kx > 0)))
         ring = np.concatenate(rings)
-        self.group = np.concatenate([ring, len(rings) + ring[self.half], 2 * len(rings) + np.arange(FIELDS)])
+        self.group = np.concatenate([ring, ring[-1] + 1 + np.arange(FIELDS)])  # unknowns of one variance
         y, x = (step * (np.arange(n) - (n - 1) / 2) for n in shape)
         turned = np.exp(1j * (y[:, None, None] * self.ky + x[:, None] * self.kx)).reshape(-1, self.kx.size)
         one = np.ones((turned.shape[0], 1))
         self.basis = np.concatenate([turned.real, one, turned.imag, 0 * one], axis=1)  # (nodes, 2 vectors)
-        self.vector = np.concatenate(
-            [np.arange(self.kx.size), self.half, np.full(FIELDS, self.kx.size)]
-        )  # of each unknown
-        self.respond(current)
+        # place of each unknown among the vectors, the last of which is zero
+        self.vector = np.minimum(np.arange(self.group.size), self.kx.size)
+        self.water = depth, gamma
+        self.set_current(current)
 
-    def respond(self, current: Array) -> None:
+    def set_current(self, current: Array) -> None:
         """Compute the fields, (fields, times, unknowns), of one unit of each unknown on a current, m/s."""
-        self.current = np.asarray(current, float)
         k, drift = np.hypot(self.kx, self.ky), self.kx * current[0] + self.ky * current[1]
         sigma = dispersion(k, *self.water)
         per_elevation = sigma / (k * np.tanh(np.minimum(k * min(self.water[0], 1e6), 300.0)))
         wave = np.stack(
             [np.ones_like(k), per_elevation * self.kx, per_elevation * self.ky, -1j * (sigma + drift)]
         )
-        zero = np.zeros(self.half.size)
-        eddy = np.stack([zero, -(self.ky / k)[self.half], (self.kx / k)[self.half], zero])
-        time = self.times[:, None]
         constant = np.broadcast_to(np.eye(FIELDS)[:, None], (FIELDS, self.times.size, FIELDS))
-        self.response = np.concatenate(
-            [
-                wave[:, None] * np.exp(-1j * (sigma + drift) * time),
-                eddy[:, None] * np.exp(-1j * drift[self.half] * time),
-                constant,
-            ],
-            axis=2,
-        )
+        turning = np.exp(-1j * (sigma + drift) * self.times[:, None])
+        self.response = np.concatenate([wave[:, None] * turning, constant], axis=2)
 
-    def fields(self, unknowns: Array, times: slice = slice(None)) -> Array:
+    def fields(self, unknowns: Array) -> Array:
         """Fields (fields, times, ny, nx) of the unknowns: real, then imaginary parts of the amplitudes."""
-        return self._sums(self.response[:, times], unknowns)
+        return self._sums(self.response, unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
         """Slopes z_x, z_y (2, ny, nx) at one time."""
@@ -109,13 +94,21 @@ class PlaneWaves:
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
 
+    def change_with_current(self, unknowns: Array) -> list[Array]:
+        """Derivatives of the fields (fields, times, ny, nx) to the current along x and y."""
+        out = []
+        for k in (self.kx, self.ky):
+            changed = np.zeros_like(self.response)
+            changed[..., : k.size] = -1j * k * self.times[:, None] * self.response[..., : k.size]
+            changed[3, :, : k.size] += -1j * k * self.response[0, :, : k.size]  # the rise by the drift
+            out.append(self._sums(changed, unknowns))
+        return out
+
     def _sums(self, response: NDArray[np.complex128], unknowns: Array) -> Array:
         real, imaginary = np.split(unknowns, 2)
         each = response * (real + 1j * imaginary)
-        n, out = self.kx.size, np.zeros((*each.shape[:2], self.kx.size + 1), complex)
-        out[..., :n] = each[..., :n]
-        out[..., self.half] += each[..., n:-FIELDS]
-        out[..., n] = each[..., -FIELDS:].sum(axis=-1)
+        n = self.kx.size
+        out = np.concatenate([each[..., :n], each[..., n:].sum(axis=-1, keepdims=True)], axis=-1)
         flat = np.concatenate([out.real, -out.imag], axis=-1).reshape(-1, self.basis.shape[1])
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
@@ -173,34 +166,21 @@ class Posterior:
         half = half.reshape(-1, *rows.shape[:2])
         return np.asarray(np.einsum("prn,psn->nrs", half, half, optimize=True))
 
-    @cached_property
-    def inverse(self) -> Array:
-        """Inverse of the matrix, in units of the prior standard deviations."""
+    def covariance_of_unknowns(self) -> Array:
+        """Covariance (2 unknowns, 2 unknowns) of the unknowns."""
         lower, _ = scipy.linalg.lapack.dpotri(self._lower, lower=True)
-        return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
+        inverse = np.tril(lower) + np.tril(lower, -1).T
+        return np.asarray(self.scale[:, None] * inverse * self.scale)
 
     def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
-        """Unknowns of fields with missing nodes, by conjugate gradients."""
-        precision = self.scale**-2
-
-        def apply(x: Array) -> Array:
-            return np.asarray(precision * x + waves.transposed(weight * waves.fields(x)))
-
+        """Unknowns of fields with missing nodes, by conjugate gradients that this estimate preconditions."""
+        size = self.scale.size
+        matrix = LinearOperator(
+            (size, size), lambda x: x / self.scale**2 + waves.transposed(weight * waves.fields(x))
+        )
         right = waves.transposed(weight * fields)
-        x = self.solve(right)
-        rest = right - apply(x)
-        search = step = self.solve(rest)
-        energy = float(rest @ step)
-        for _ in range(MAX_ITERATIONS):
-            if energy < TOLERANCE:  # of the noise's
-                break
-            moved = apply(search)
-            length = energy / float(search @ moved)
-            x, rest = x + length * search, rest - length * moved
-            step = self.solve(rest)
-            energy, before = float(rest @ step), energy
-            search = step + energy / before * search
-        return x
+        found, _ = cg(matrix, right, self.solve(right), M=LinearOperator((size, size), self.solve))
+        return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -215,70 +195,51 @@ class Learned:
     current: Array  # (2,), m/s
 
 
-def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
+def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array, mean: Array) -> Learned:
     """Learn spectrum, noise and current from windows (fields, times, ny, nx), zero outside the mask.
 
-    First from single steps without propagation, then from whole windows.
+    ``mean`` is their mean velocity (2,), m/s: the current at the start. The spectrum is learned by
+    expectation maximisation: the variance of a ring is the mean square of its estimated amplitudes and of
+    their uncertainties, round by round.
     """
     products = waves.products(mask)
-    current = first = np.mean([w[1:3, :, mask].mean(axis=(1, 2)) for w in windows], axis=0)
     # noise that looks like waves: its values on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
     eigenvalues, vectors = scipy.linalg.eigh(basis.T @ basis)
     held = eigenvalues > MIN_RELATIVE_EIGENVALUE * eigenvalues[-1]
     basis = basis @ (vectors[:, held] / np.sqrt(eigenvalues[held]))
     nodes, values, times = basis.shape[0], basis.shape[1], waves.times.size
-    noise, followed = variance * nodes / values, np.zeros(FIELDS)  # neighbouring nodes share their noise
-    misfit, taken = np.ones(FIELDS), np.zeros(FIELDS)
+    current, noise = mean, variance * nodes / values  # neighbouring nodes share their noise
     prior = np.full(waves.group.max() + 1, FIRST_AMPLITUDE**2)
-    single = copy.copy(waves)
-    single.times = np.zeros(1)
-    for model, rounds in ((single, SINGLE_ROUNDS), (waves, ROUNDS)):
-        data = windows if model is waves else [w[:, times // 2 : times // 2 + 1] for w in windows]
-        for _ in range(rounds):
-            model.respond(current)
-            posterior = Posterior(model.normal(products, noise), prior[model.group])
-            weight = mask / noise[:, None, None, None]
-            found = [posterior.solve(model.transposed(weight * one)) for one in data]
-            rest = [mask * (one - model.fields(x)) for one, x in zip(data, found)]
-            current = current + _faster(model, posterior, found, rest, weight, first - current)
-            if model is single:
-                prior = _variances(posterior, found, model.group)
-                continue
-            covariance = posterior.scale[:, None] * posterior.inverse * posterior.scale
-            for field in range(FIELDS):
-                alone = np.where(np.arange(FIELDS) == field, noise[field], np.inf)
-                followed[field] = np.sum(model.normal(products, alone) * covariance) / (values * times)
-            like_waves = [one[:, :, mask] @ basis for one in rest]
-            power = np.mean([np.sum(np.square(one), axis=(1, 2)) for one in like_waves], axis=0)
-            density = power / (values * times * (1.0 - followed))
-            total = np.mean([np.sum(np.square(one), axis=(1, 2, 3)) for one in rest], axis=0) / times
-            lost = followed * values * density
-            misfit, taken = (total + lost) / (nodes * variance), lost / (total + lost)
-            # steps share frames: by so much more of their noise is left in a mean over the window
-            alike = np.mean([np.sum(one.sum(axis=1) ** 2, axis=1) for one in like_waves], axis=0) / power
-            noise = np.maximum(density * np.maximum(alike, 1.0), MIN_NOISE_RATIO * variance)
+    for _ in range(ROUNDS):
+        waves.set_current(current)
+        posterior = Posterior(waves.normal(products, noise), prior[waves.group])
+        weight = mask / noise[:, None, None, None]
+        found = [posterior.solve(waves.transposed(weight * one)) for one in windows]
+        rest = [mask * (one - waves.fields(x)) for one, x in zip(windows, found)]
+        current = current + _faster(waves, posterior, found, rest, weight, mean - current)
+        covariance = posterior.covariance_of_unknowns()
+        square = np.mean(np.square(found), axis=0) + np.diag(covariance)
+        prior = np.bincount(waves.group, square.reshape(2, -1).mean(axis=0)) / np.bincount(waves.group)
+        followed = np.empty(FIELDS)  # share of the noise on the basis that the fit follows
+        for field in range(FIELDS):
+            alone = np.where(np.arange(FIELDS) == field, noise[field], np.inf)
+            followed[field] = np.sum(waves.normal(products, alone) * covariance) / (values * times)
+        like_waves = [one[:, :, mask] @ basis for one in rest]
+        power = np.mean([np.sum(np.square(one), axis=(1, 2)) for one in like_waves], axis=0)
+        density = power / (values * times * (1.0 - followed))
+        total = np.mean([np.sum(np.square(one), axis=(1, 2, 3)) for one in rest], axis=0) / times
+        lost = followed * values * density
+        misfit, taken = (total + lost) / (nodes * variance), lost / (total + lost)
+        # steps share frames: by so much more of their noise is left in a mean over the window
+        alike = np.mean([np.sum(one.sum(axis=1) ** 2, axis=1) for one in like_waves], axis=0) / power
+        noise = np.maximum(density * np.maximum(alike, 1.0), MIN_NOISE_RATIO * variance)
+    waves.set_current(current)
     return Learned(prior, variance, noise, misfit, taken, current)
 
 
-def _variances(posterior: Posterior, found: Sequence[Array], group: NDArray[np.intp]) -> Array:
-    """Variance of the amplitudes of each group, corrected for the fraction that the data determine."""
-    kept = np.diag(posterior.inverse)  # of the prior's variance
-
-    def total(values: Array) -> Array:
-        return np.asarray(np.bincount(group, values.reshape(2, -1).sum(axis=0)), float)
-
-    power = total(np.mean(np.square(found), axis=0))
-    measured, count = total(1.0 - kept), 2.0 * np.bincount(group)
-    uncertain = (power + total(kept * posterior.scale**2)) / count
-    return np.maximum(
-        np.where(measured > MIN_RING_INFORMATION * count, power / np.maximum(measured, 1e-9), uncertain),
-        1e-20,
-    )
-
-
 def _faster(
-    model: PlaneWaves,
+    waves: PlaneWaves,
     posterior: Posterior,
     found: Sequence[Array],
     rest: Sequence[Array],
@@ -288,16 +249,10 @@ def _faster(
     """Change of the current (2,), m/s, that best explains the residual: one Gauss-Newton step."""
     normal = np.eye(2) / CURRENT_ERROR**2
     right = expected / CURRENT_ERROR**2
-    response = model.response
-    changed = []
-    for axis in np.eye(2):
-        model.respond(model.current + SMALL_CURRENT * axis)
-        changed.append((model.response - response) / SMALL_CURRENT)
-        model.respond(model.current - SMALL_CURRENT * axis)
-    model.response = response
     for x, left in zip(found, rest):
-        by = [model._sums(one, x) for one in changed]
-        own = [one - model.fields(posterior.solve(model.transposed(weight * one))) for one in by]
+        by = waves.change_with_current(x)
+        # without what other amplitudes of the waves explain as well
+        own = [one - waves.fields(posterior.solve(waves.transposed(weight * one))) for one in by]
         normal += [[np.sum(a * weight * b) for b in by] for a in own]
         right += [np.sum(a * weight * left) for a in own]
     return np.asarray(np.linalg.solve(normal, right))
@@ -307,9 +262,7 @@ NAMES = ("z", "u", "v", "w")
 INPUTS = (*NAMES, *(f"{name}_std" for name in NAMES), "quality")
 HALF_WINDOW = 0.1  # s; chosen, as are its least and most steps
 MIN_HALF_WINDOW_STEPS, MAX_HALF_WINDOW_STEPS = 2, 10  # on either side
-MIN_STEP_RATE = 8.0  # steps per second: waves of 10 cm turn by half a period in a step
-SAMPLED_WINDOWS, LEARNED_WINDOWS = 8, 4  # windows of a record that are read; that are learned from
-MIN_RELATIVE_COVERAGE = 0.95  # of the nodes of the fullest of them
+SAMPLED_WINDOWS = 8  # of a record that are read; the fuller half of them is learned from
 MIN_MEASURED_SHARE = 0.25  # of a rectangle's: measured in all steps of those windows
 TILE_NODES = 60  # a side, at most, of a rectangle that is fitted as one
 OVERLAP_NODES = 16  # that it shares with the next
@@ -360,9 +313,8 @@ class _Smoother:
     def study(self, windows: list[Array]) -> None:
         """Learn from the fullest sample windows (9, times, ny, nx), at nodes measured in all of them."""
         parts = [self.parts(window) for window in windows]
-        shares = np.array([there.mean() for _, _, there in parts])
-        order = np.argsort(-shares, kind="stable")[:LEARNED_WINDOWS]
-        parts = [parts[i] for i in order if shares[i] >= MIN_RELATIVE_COVERAGE * shares.max()]
+        shares = [there.mean() for _, _, there in parts]
+        parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
         measured = np.mean([there.mean(axis=0) for _, _, there in parts], axis=0)
         self.mask = measured > 0.5
         at = max(self.tiles, key=lambda tile: np.sum(measured[tile] == 1.0))
@@ -375,10 +327,9 @@ class _Smoother:
         variance = np.median(
             np.concatenate([one[part][:, :, mask] for _, one, _ in parts], axis=1), axis=(1, 2)
         )
-        self.learned = learn(
-            self.waves, mask, [np.where(mask, one[part], 0.0) for one, _, _ in parts], variance
-        )
-        self.waves.respond(self.learned.current)
+        samples = [np.where(mask, one[part], 0.0) for one, _, _ in parts]
+        mean = np.mean([one[1:3, :, mask].mean(axis=(1, 2)) for one in samples], axis=0)
+        self.learned = learn(self.waves, mask, samples, variance, mean)
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
         """Factor for a tile, and the covariance (ny, nx, 6, 6) of its fields and slopes at mid-time."""
@@ -454,10 +405,9 @@ class _Smoother:
 
 @takes(a_cube)
 def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
-    """Smooth a cube over time by the free waves that fit the steps around each one best.
+    """Smooth a cube over time: at each step, the free waves that best fit the steps around it.
 
-    Never applied by itself: spectra and other estimates take the noise of steps as independent, and are made
-    of the cube itself.
+    The noise of the result is correlated in time, so compute spectra and statistics from the cube itself.
 
     Parameters
     ----------
@@ -466,36 +416,37 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
         ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. Up to eight windows of it are
         read at once to learn the spectrum, the noise and the current; lazy input gives a lazy result.
     depth : float, optional
-        Depth of the water, m; that of the cube, or deep, if not given.
+        Depth of the water, m; by default that of the cube, or deep.
 
     Returns
     -------
     Dataset
-        The same names over the same nodes and times: z, u, v, w, smoothed, their standard uncertainties, and
-        the cube's ``quality``. Values at nodes that are not flagged as measured, and steps without a full
-        window of measured neighbours in the learned region, are the cube's own. Attribute ``smoothed``.
+        z, u, v, w, smoothed, and their standard uncertainties, over the same nodes and times, with the cube's
+        ``quality``. Nodes that are not flagged as measured keep the cube's values, as do steps within a
+        window of a jump of time. Attribute ``smoothed`` says over how many steps and on which current.
 
     Raises
     ------
     CubeError
-        If a variable is missing, the record has fewer than five steps or fewer than eight a second, or too
-        few nodes are measured.
+        If a variable is missing, the record has fewer than five steps, the grid fewer than 8 nodes along a
+        side, or fewer than a quarter of the nodes are measured.
 
     Notes
     -----
-    Windows hold the steps within 0.1 s, two on either side at least. Where time jumps within a window (a
-    discontinuous step), values are the cube's own. Unknowns are the amplitudes a of free
-    waves of all directions, of eddies (a stream function that the current carries) and constants,
+    A window holds the steps within 0.1 s, at least two on either side. In it, fields are sums of free waves
+    of all directions with amplitudes a,
 
         z = sum a e, u = sum (k / |k|) (sigma / tanh |k| h) a e, w - u . grad z = sum -i omega a e,
 
-    e = exp(i (k . x - omega t)), omega = sigma + k . U, sigma by the dispersion relation. They are the most
-    probable ones, given the cube's noise and a spectrum by rings of |k| that is learned with the current U,
-    in rectangles of at most 60 nodes a side that overlap. Where what waves leave of a field exceeds its noise
-    by the factor 1 + q, averaged over the window and 3 nodes, the share q / (1 + q) of the measured value is
-    kept: with waves that first-order theory does not follow, steep ones above all, the result is the measured
-    field, and so is its standard uncertainty. Of errors that all steps share, and that are alike free waves,
-    12 % of the noise's variance are assumed. Waves shorter than 4.4 nodes are not followed.
+    e = exp(i (k . x - omega t)), omega = sigma + k . U, sigma by the dispersion relation, and one constant
+    for each field. The amplitudes are the most probable ones for the noise and the spectrum of the record.
+    Its spectrum by rings of |k|, its noise and its current U are learned from sample windows. Large grids are
+    fitted in overlapping rectangles of at most 60 nodes a side.
+
+    Where waves leave a residual whose mean square, over the window and 3 nodes, exceeds the noise by a factor
+    1 + q, the fraction q / (1 + q) of the measured value is kept. So flow that is not of free waves (steep
+    waves, eddies) stays as measured, as does its standard uncertainty. Errors that all steps share can look
+    like waves: 12 % of the noise's variance is added for them. Waves shorter than 4.4 nodes are not fitted.
 
     Examples
     --------
@@ -523,11 +474,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     fields = validate(cube, *INPUTS[:8]).transpose(*CUBE_DIMS)
     dt, dy, dx = check_axes(fields)
     steps, shape = fields.sizes["time"], (fields.sizes["y"], fields.sizes["x"])
-    if steps < 2 * MIN_HALF_WINDOW_STEPS + 1 or not dt <= 1.0 / MIN_STEP_RATE:
-        raise CubeError(
-            f"the record has {steps} steps of {dt:g} s:"
-            f" smooth needs {2 * MIN_HALF_WINDOW_STEPS + 1} steps, {MIN_STEP_RATE:g} of them a second"
-        )
+    if steps < 2 * MIN_HALF_WINDOW_STEPS + 1:
+        raise CubeError(f"the record has {steps} steps: smooth needs {2 * MIN_HALF_WINDOW_STEPS + 1}")
     if min(shape) < MIN_NODES or not np.isclose(dx, dy, rtol=0.01):
         raise CubeError(
             f"the grid has {shape[1]} x {shape[0]} nodes: smooth needs {MIN_NODES} of equal distances"
