@@ -63,7 +63,8 @@ def save_result(
 
 def table_lines(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a Markdown table."""
-    return ["| " + " | ".join(cells) + " |" for cells in (columns, ["---"] * len(columns), *rows)]
+    head, *body = ("| " + " | ".join(cells) + " |" for cells in (columns, *rows))
+    return [head, "|" + "---|" * len(columns), *body]
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

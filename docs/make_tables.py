@@ -29,25 +29,25 @@ PAGES = (
 INTERVAL = re.compile("^(low|high|dof)(_|$)")  # names of variables that the page explains once
 
 QUALITY = {
-    Quality.MEASURED: "found by matching on its own",
+    Quality.MEASURED: "measured by matching",
     Quality.FILLED: "interpolated from its neighbours",
-    Quality.OUTSIDE: "outside the field seen by the cameras",
-    Quality.REJECTED_CORRELATION: "the images do not look alike there",
-    Quality.REJECTED_EPS: "sight lines miss one another",
-    Quality.REJECTED_NEIGHBOURS: "far from its neighbours",
-    Quality.REJECTED_RANGE: "outside the range searched, or far above the waves sampled",
+    Quality.OUTSIDE: "outside the cameras' view",
+    Quality.REJECTED_CORRELATION: "low correlation between images",
+    Quality.REJECTED_EPS: "large epipolar error",
+    Quality.REJECTED_NEIGHBOURS: "outlier among its neighbours",
+    Quality.REJECTED_RANGE: "outside the search range, or waves far above the sampled ones",
     Quality.TWO_FRAME_MEAN: "z or a path from fewer than four frames",
-    Quality.FEWER_CAMERAS: "measured without a camera",
+    Quality.FEWER_CAMERAS: "one or more cameras left out",
     Quality.MASKED: "masked, or hidden from the cameras by a mask",
-    Quality.WITHOUT_1: "without the first of the cube's `cameras`; next four bits: second to fifth",
-    Quality.WITHOUT_6: "without the sixth, or one behind it",
+    Quality.WITHOUT_1: "first of the cube's `cameras` left out; next four bits: second to fifth",
+    Quality.WITHOUT_6: "sixth or a later camera left out",
 }
 STATUS = {
     FrameStatus.NOT_STARTED: "not yet measured",
     FrameStatus.DONE: "measured",
-    FrameStatus.DONE_WITH_FAULTS: "measured, without a frame or with too few nodes",
+    FrameStatus.DONE_WITH_FAULTS: "measured, but a camera's frame is missing or few nodes are valid",
     FrameStatus.FAILED: "could not be measured; NaN",
-    FrameStatus.DISCONTINUOUS: "at or beside a lost, doubled or late frame; NaN",
+    FrameStatus.DISCONTINUOUS: "at or near a lost, doubled or late frame; NaN",
 }
 
 
@@ -118,7 +118,7 @@ def waves() -> str:
         for name, rows in families.items():
             if INTERVAL.search(name) or "standard uncertainty" in rows[0].long_name:
                 continue  # the page explains them once
-            if any(row.meaning for row in rows) or group == "spectra":
+            if any(row.meaning for row in rows) or (group == "spectra" and not name.startswith("valid")):
                 variable, unit, meaning = _line(rows, name)
                 lines.append((variable, meaning + (unit and f" ({unit})")))
         table = rows_to_table(("variable", "meaning (units)"), lines) + "\n" if lines else ""

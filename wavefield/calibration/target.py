@@ -36,22 +36,22 @@ class Target:
     Parameters
     ----------
     kind : {"strings", "chessboard", "dots", "charuco", "two-level", "points"}
-        What the target shows.
+        Pattern.
     mesh : float
         Distance between neighbouring nodes, m. Two-level: between rows, half of
-        that between dots of a row; points: unit of the tables (0.001 for mm).
+        the spacing within a row; points: unit of the tables (0.001 for mm).
     shape : tuple of int, optional
         Nodes along x and y: inner corners (chessboard), squares (ChArUco).
     origin_mark : str
-        Mark of node (0, 0): disc (strings), square (two-level), ring (dots). Rings replace three dots: at the
-        origin and further along x and y.
+        Mark of node (0, 0): disc (strings), square (two-level), ring (dots). Three dots are rings: the
+        origin and one each along x and y.
     x_mark : str
-        Small disc (strings): node (1, 0). Triangle (two-level): further along x, or at (1, 0) if both marks
-        are between the dots, with the square at (0, 1).
+        Small disc (strings): at node (1, 0). Triangle (two-level): along x from the square; if both marks
+        are between the dots, triangle at (1, 0) and square at (0, 1).
     diameter : float, optional
         Diameter of a dot, m.
     dictionary : str
-        OpenCV's name of the markers; default DICT_4X4_50 (ChArUco).
+        OpenCV's name of the ChArUco markers.
     marker : float, optional
         Side of a ChArUco marker, m.
     depth : float, optional

@@ -21,9 +21,9 @@ class MatchSettings:
     Parameters
     ----------
     iterations : tuple of int
-        Steps on each pyramid level, coarsest first.
+        Gauss-Newton steps on each pyramid level, coarsest first.
     window : float
-        Side of the square with the area of the Gaussian window, px of each level.
+        Side of a square with the area of the Gaussian window, px of each level.
     smoother_sigma : float
         Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^4; 0: none.
     coarse_smoother_sigma : float
@@ -39,7 +39,7 @@ class MatchSettings:
     min_gradient_energy : float
         Blocks below this fraction of the image's median gradient energy are invalid.
     max_deviation : float
-        Blocks further than this from the median of their 5 x 5 neighbours, px, are replaced by it; in the
+        Blocks that differ by more px from the median of their 5 x 5 neighbours are replaced by it; in the
         last step they are invalid.
     """
 

@@ -53,8 +53,8 @@ class Settings:
     Parameters
     ----------
     pairs : tuple of (str, str)
-        Pairs of cameras that give z; one, the reference, is in all. Default: the middle one with each of the
-        others.
+        Pairs of cameras that give z; all contain one camera, the reference. Default: the middle camera with
+        each other one.
     velocity_cameras : tuple of str
         Two or more cameras that give u, v, w. Default: all.
     z_range : (float, float) or None
@@ -64,14 +64,14 @@ class Settings:
     bead_height : float
         Height of the visible part of a bead above the water, m; corrects u and v for its tilt, not z.
     pixel : float or None
-        Pixel of the rectified images, m. Default: that of the camera that resolves least, or down to half
-        of it where blocks of five would be wider than 0.8 grid steps.
+        Pixel of the rectified images, m. Default: that of the coarsest camera, reduced to as little as half
+        if blocks of 5 px would exceed 0.8 grid steps.
     eps_limit : float
         Matches beyond this many times the rms of the epipolar error are rejected.
     row_delays : tuple of (str, float)
         Camera and ``row_time`` in frame intervals; `run` fills it in.
     vibration : {"leave", "correct"}
-        correct: turn each frame back by its epipolar error (constant, tilt, roll).
+        correct: remove constant, tilt and roll of each frame's epipolar error.
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings

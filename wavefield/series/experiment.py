@@ -62,12 +62,12 @@ class Experiment(RecordSection):
     rest: PathText | dict[str, PathText] | None = Field(
         default=None,
         examples=['"rest/{camera}/img_{frame:05d}.tif"'],
-        description="images of still water, which correct and level the rig",
+        description="images of still water, to correct and level the rig",
     )
     rig: PathText | dict[str, PathText] | None = Field(
         default=None,
         examples=["rig.yaml"],
-        description="file of this program or another",
+        description="rig file, of wavefield or another program",
     )
     surface: SurfaceSection | None = None
     velocity: VelocitySection | None = None
@@ -83,7 +83,7 @@ class Experiment(RecordSection):
     mask: dict[str, list[masks.MaskSection]] = Field(
         default_factory=dict,
         examples=["{cam1: masks/cam1.png, water: {polygon: [[-0.1, 0], [0.1, 0], [0, 0.1]]}}"],
-        description="what is not water; see Masks",
+        description="areas that are not water; see Masks",
     )
     probes: ProbesSection | None = Field(default=None, examples=["probes.csv"])
     smooth: bool = Field(default=False, description="write `smooth.zarr` after each run")

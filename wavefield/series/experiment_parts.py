@@ -30,7 +30,7 @@ class CameraSection(ConfigSection):
         ge=-1e-2,
         le=1e-2,
         examples=["8e-6"],
-        description="rolling shutter: delay of a row after the one above, s",
+        description="rolling shutter: delay from one row to the next, s",
     )
 
     @model_validator(mode="before")
@@ -96,23 +96,23 @@ class CalibrationSection(ConfigSection):
     model: str = Field(
         default="auto",
         examples=["f tilt k1"],
-        description="free terms of the cameras; auto: those that predict best",
+        description="lens terms to fit; auto: those that predict left-out views best",
     )
     target_std: float = Field(
         default=0.0,
         ge=0,
         examples=["0.001"],
-        description="standard uncertainty of the target's nodes, m; their offsets are fitted",
+        description="standard uncertainty of the target's nodes, m",
     )
     heights: dict[str, float] = Field(
         default_factory=dict,
         examples=["{z_1: -0.003, z_2: 0.0, z_3: 0.003}"],
-        description="z of a target moved along z, m, by pose",
+        description="z of each pose, m, if the target moves along z",
     )
     camera_distance: dict[str, float] = Field(
         default_factory=dict,
         examples=["{cam1: 4.5}"],
-        description="measured distance from the origin, m; checks the mesh",
+        description="distance of a camera from the origin, m, to check the mesh",
     )
 
 

@@ -97,7 +97,7 @@ register(
         "frames that velocity and rate of rise come from",
         dtype="uint8",
         meaning="6: six frames, least noise; 7: six frames, exact to the fifth degree in time; 4: four "
-        "frames; 2: one step; 1: instantaneous velocities. Fewer are used beside lost frames and at the ends",
+        "frames; 2: one step; 1: instantaneous velocities. Fewer are used near lost frames and at the ends",
         extra={
             "flag_values": [1, 2, 4, 6, EXACT_SIX],
             "flag_meanings": "instantaneous one_step four_frames six_frames_smooth six_frames_exact",
@@ -108,7 +108,7 @@ register(
         "m",
         "surface elevation",
         standard_name="water_surface_height_above_reference_datum",
-        meaning="at mid-time, from six frames, in a frame that moves with the mean flow",
+        meaning="at mid-time, from six frames, in axes that move with the mean flow",
         extra={"ancillary_variables": "z_std z_level_std quality", "frames": 2 * AROUND + 2, "moving": 1},
     ),
     _cube(
@@ -134,7 +134,7 @@ register(
     ),
     _cube("eps_y", "m", "stereo mismatch across the sight line"),
     _cube("eps_piv", "pixel", "misfit of the cameras' displacements"),
-    _cube("z_std", "m", "standard uncertainty of z", meaning="without that of its zero, `z_level_std`"),
+    _cube("z_std", "m", "standard uncertainty of z", meaning="excludes `z_level_std`"),
     Variable(
         "z_level_std",
         (),

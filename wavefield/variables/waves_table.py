@@ -104,8 +104,8 @@ for _end, _text in (("", "E(k, omega)"), ("_k", "E(k)"), ("_omega", "E(omega)"))
     _interval = ((f"dof{_end}", "1", _dof), (f"low{_end}", "1", LOW), (f"high{_end}", "1", HIGH))
     rows("spectra", _of_quantity, *_interval)
 _valid_k = (
-    "where the measurement keeps half of a wave or more",
-    "the spectra are corrected there; only with a gain; false for rise and nl, which are never corrected",
+    "where the measurement keeps at least half of the amplitude",
+    "spectra are corrected there; only with a gain; false for rise and nl",
 )
 rows("spectra", ("quantity", "k"), ("valid_k", "1", *_valid_k), dtype="bool")
 rows(
@@ -149,10 +149,7 @@ rows(
 # ---- /coherence ----
 rows("coherence", ("k",), ("valid", "1", "where the waves exceed the noise"), dtype="bool")
 for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
-    _common = (
-        "complex; real part: mean over both signs of omega; w and nl add up to tot, so that the modulus of w"
-        " may exceed 1"
-    )
+    _common = "complex; real part: mean over both signs of omega; w and nl add up to tot; may exceed 1"
     rows(
         "coherence",
         ("term", *_dims),
@@ -162,7 +159,7 @@ for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
     )
     for _name, _text, _note in (
         ("gamma2", "coherence of z_t with the term, magnitude squared", ""),
-        ("samples", "effective independent samples", "fewer where both have their energy in the same cells"),
+        ("samples", "effective independent samples", "fewer if both have their energy in the same few cells"),
         ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
     ):
         rows("coherence", ("term", *_dims), (f"{_name}{_ending}", "1", _text, _note), family=_name)
@@ -190,17 +187,17 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "z is at frame times; nl is (u - U) . grad z, U the mean current. `E` is integrated over the"
-    " angle of k; the azimuthal mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by each method,"
-    " corrected for the response in time (with a gain also for the matching windows).",
-    "coherence": "Of the rise z_t + U . grad z with w, with -(u - U) . grad z and with their sum. `gamma2` is"
-    " the squared coherence; of unrelated signals its mean is 1 / `samples`, and it exceeds `level` in 5 % of"
-    " cases.",
-    "kinematics": "The balance z_t = w - u . grad z at sampled steps.",
+    "spectra": "z is at frame times; nl is (u - U) . grad z, with the mean current U. `E` is integrated over"
+    " the angle of k; its azimuthal mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by each"
+    " method, corrected for the response in time and, with a gain, in space.",
+    "coherence": "Coherence of the rate of rise z_t + U . grad z with w, with -(u - U) . grad z and with"
+    " their sum. `gamma2` is the squared coherence. For unrelated signals its mean is 1 / `samples`, and it"
+    " exceeds `level` in 5 % of cases.",
+    "kinematics": "The kinematic condition z_t = w - u . grad z at sampled steps.",
     "statistics": "Distributions and moments of z and of the displacements over one step.",
-    "dispersion": "Only the theory where the dispersion relation could not be fitted.",
-    "fusion": "Noise of stereo and of the integrated w, and their best combination.",
-    "direction": "On the ridge, at all frequencies that segment and grid resolve; NaN below the noise."
+    "dispersion": "If no current could be fitted, only the theory is stored.",
+    "fusion": "Noise of stereo z and of integrated w, and their best combination.",
+    "direction": "On the dispersion relation, at frequencies that segment and grid resolve; NaN below noise."
     " wavespectra reads it: `xarray.open_dataset(store, engine='zarr', group='direction').spec`.",
-    "higher_order": "Missing where the record holds fewer than four segments.",
+    "higher_order": "Missing if the record has fewer than four segments.",
 }
