@@ -1,1 +1,1 @@
-"""The commands, grouped by what they work on; their heavy imports happen when they are called."""
+"""The command line, grouped by subject; heavy imports happen when a command is called."""

@@ -1,1 +1,1 @@
-"""Where the work runs: processes, Dask clusters and Slurm jobs behind one map; locks, logs and signals."""
+"""Where the work runs: processes, Dask clusters and Slurm jobs behind one map; locks, logs, signals."""

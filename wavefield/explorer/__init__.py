@@ -1,1 +1,1 @@
-"""Looking at a cube, and at an experiment while its cameras write: interactive pages on the loopback."""
+"""Interactive pages, served locally: a cube, or an experiment while its cameras write."""

@@ -1,4 +1,4 @@
-"""Displacement of image A to image B on a lattice of blocks, from arrays alone.
+"""Displacement from image a to image b on a lattice of blocks, from arrays alone.
 
 `prepare` an image, `match` two of them. The measurement goes on from there: it evaluates blocks again at a
 displacement (pyramid.py), weighs them against a learned spectrum (spectrum.py, learned_spectrum.py,

@@ -1,4 +1,4 @@
-"""Cubes: mapping the measurement over a series, and the store that it ends in."""
+"""From a series of frames to a cube: learn the record, measure all steps, assess them, analyse waves."""
 
 from wavefield.lazy_names import lazy_names
 

@@ -1,1 +1,1 @@
-"""What is wrong with cameras and records: delay, motion, blur, outlier cameras, consistency of pairs."""
+"""Faults of cameras and records: delay, motion, blur, outlier cameras, inconsistent pairs."""

@@ -1,4 +1,4 @@
-"""From cubes to spectra, nonlinear term and coherence: estimators with their error bars.
+"""From cubes to spectra, nonlinear term and coherence: estimators with confidence intervals.
 
 Input is a cube z, z_t, u, v, w (time, y, x), metres and seconds. Functions take and give labelled xarray
 objects; lazy input gives lazy results, reduced in one pass over Welch segments.
