@@ -1,4 +1,4 @@
-"""`wavefield export`, `catalog` and `rig`: to and from other programs."""
+"""`wavefield export`, `catalog` and `rig`: exchange with other programs."""
 
 import warnings
 from pathlib import Path
@@ -47,6 +47,7 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 
 def _slice(words: str | None) -> slice | None:
+    """Return the slice of words such as 0:500:5."""
     if words is None:
         return None
     try:
@@ -62,7 +63,7 @@ def _slice(words: str | None) -> slice | None:
 
 @click.group()
 def catalog() -> None:
-    """Keep many experiments and their cubes in one list."""
+    """Keep many experiments and their cubes in one file."""
 
 
 @catalog.command(epilog="\b\nExample:\n  wavefield catalog add campaign.yaml run07/experiment.yaml")
@@ -85,7 +86,7 @@ _PROGRAMS = ("wavefield", "uvmat", "opencv", "matlab")
 
 
 class _Files(click.Group):
-    """A group whose first word may be a file: then the file is shown or converted."""
+    """A group of commands that runs `convert` if its first word is a file."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):
@@ -132,7 +133,7 @@ Examples:
     help="Whose format to write.",
 )
 @click.option("--size", multiple=True, help="Image size where the file does not state it: WxH or camera=WxH.")
-@click.option("--unit", help="Unit of length, or metres of one, where it is not stated in the file or usual.")
+@click.option("--unit", help="Unit of length, or its size in metres, if neither file nor format defines it.")
 def convert(
     files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str | None
 ) -> None:
@@ -171,6 +172,7 @@ def convert(
 
 
 def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:
+    """Return the image size of each camera from words such as 1024x1024 and cam1=1024x1024."""
     out: dict[str, tuple[int, int]] = {}
     for entry in given:
         name, _, words = entry.rpartition("=")

@@ -1,4 +1,4 @@
-"""What commands do with a catalog: the same with each of its runs, one after the other."""
+"""Commands that accept a catalog work on its runs, one after the other."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -16,14 +16,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class CommandSource:
-    """What a command works on: an experiment, a cube, or a catalog with some of its runs."""
+    """The argument of a command: an experiment, a cube, or a catalog and some of its runs."""
 
     path: Path
     entries: tuple[str, ...]  # Runs of a catalog; all if none is named
     parameters: dict[str, str]  # Values of the catalog's parameters
 
     def is_catalog(self) -> bool:
-        """Whether it is a catalog; runs of anything else are wrong use."""
+        """Return whether the path is a catalog; raise UsageError if runs of something else are named."""
         from wavefield.pipeline import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
@@ -33,7 +33,7 @@ class CommandSource:
         return False
 
     def cubes(self) -> list[tuple[str, Path]]:
-        """Names and newest cubes of a catalog's runs."""
+        """Return the names of a catalog's runs and the paths of their newest cubes."""
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [
@@ -42,12 +42,12 @@ class CommandSource:
         ]
 
     def for_each_cube(self, work: Callable[[Path], int]) -> int:
-        """Work on a cube, or on those of a catalog's runs; returns the exit status."""
+        """Work on the cube, or on the cube of each run of a catalog; return the exit status."""
         return each(self.cubes(), with_cube(work)) if self.is_catalog() else work(find_cube(self.path))
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Values of a catalog's parameters, from words such as ``location=/disk2``."""
+    """Return the values of a catalog's parameters, given by words such as ``location=/disk2``."""
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -55,7 +55,7 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the argument `source`, with runs and parameters where it is a catalog."""
+    """Return a decorator that gives a command the argument `source`, a `CommandSource`."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
@@ -87,7 +87,10 @@ def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., 
 
 
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
-    """Work on every run and print which; an error of one does not keep the others."""
+    """Work on every run and print its name; an error in one does not stop the others.
+
+    Returns the exit status of all of them.
+    """
     statuses = []
     for number, (run, item) in enumerate(runs, 1):
         if not quiet:
@@ -101,12 +104,12 @@ def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bo
 
 
 def worst(statuses: Sequence[int]) -> int:
-    """The exit status of several: 1 before 3 before 0."""
+    """Return the worst exit status of several: 1 (failed), then 3 (remarks), then 0."""
     return 1 if 1 in statuses else max(statuses, default=0)
 
 
 def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
-    """The same for `each`, with an error where a run has no cube yet."""
+    """Return the work as `each` calls it; it raises StoreError if a run has no cube yet."""
 
     def checked(run: str, cube: Path) -> int:
         if not cube.is_dir():

@@ -1,4 +1,4 @@
-"""`wavefield check` and `explain`: what is there, what is missing or wrong, what a run will cost."""
+"""`wavefield check` and `explain`: inspect an experiment before the run, and explain remarks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from wavefield.pipeline.prepare import PreparedRun
     from wavefield.series import Experiment
 
-TRIAL_SECONDS = 600.0  # a run that takes longer is better tried on some frames first
+TRIAL_SECONDS = 600.0  # before a longer run `check` proposes a trial with some of the frames
 
 
 @click.command(
@@ -46,11 +46,10 @@ def check(
 ) -> None:
     """Show what is there, what is missing, and what a run will cost.
 
-    Counts the frames of each camera, lists missing ones, computes how much of the grid all cameras see,
-    measures a few steps to estimate the time, memory and disk of the whole run, and compares the cameras'
-    images to find one that is mirrored, swapped, late, reversed, blurred, covered, or has moved. Writes
-    nothing. The exit status is 1 where something prevents a run, 3 where the verdict has
-    remarks that matter.
+    Counts the frames of each camera, lists missing ones, and computes how much of the grid all cameras see.
+    Measures a few steps to estimate time, memory and disk space of the run. Compares the cameras' images to
+    find a camera that is mirrored, swapped, late, reversed, blurred, covered, or has moved. Writes nothing.
+    The exit status is 1 if something prevents a run, 3 if the verdict has remarks that matter.
     """
     from wavefield import pipeline
     from wavefield.execution.process import keep_memory
@@ -91,7 +90,7 @@ def check(
 
 
 def _next(found: Check, source: Path, rig: Path | None) -> None:
-    """Print what follows: a calibration, a correction, a trial of a long run, or the run."""
+    """Print the next command: a calibration, `check` after a correction, a trial, or the run."""
     if found.problems:
         if not found.rig and any("wavefield calibrate" in problem for problem in found.problems):
             print_next("calibrate", source)
@@ -121,7 +120,7 @@ def _report(
 
 
 def _pairs_table(prepared: PreparedRun) -> str:
-    """What `diagnose` finds around the middle of the record, a line per error."""
+    """Return a table of the differences between pairs of cameras in the middle of the record."""
     from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.field import pixel_size
 
@@ -145,7 +144,7 @@ def _pairs_table(prepared: PreparedRun) -> str:
 
 
 def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
-    """Which waves these images carry, with how much noise, and how wide beads are."""
+    """Return lines on the noise, the shortest waves that are resolved, and the size of the beads."""
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
     lines = [f"  standard uncertainty, two frames, px: {noise}"]
     carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())

@@ -1,6 +1,6 @@
-"""The command line: thin; each command calls one public function of a room.
+"""The command line; each command calls a public function of the package.
 
-Exit status: 0 done, 1 a run that failed (one sentence gives the reason), 2 wrong use, 3 remarks that matter,
+Exit status: 0 done, 1 failed (one sentence gives the reason), 2 wrong use, 3 done with remarks that matter,
 130 interrupted.
 """
 
@@ -53,7 +53,7 @@ class _GroupInOrder(click.Group):
 
 def _print_version(context: click.Context, option: click.Parameter, asked: bool) -> None:
     if asked:
-        click.echo(f"wavefield {wavefield.__version__}")  # asking for it takes longer than all of --help
+        click.echo(f"wavefield {wavefield.__version__}")  # slow to look up, so not at every start
         context.exit()
 
 
@@ -77,14 +77,14 @@ def cli(quiet: bool, verbose: bool, debug: bool) -> None:
     """Water-surface elevation and velocity from two or more cameras, and the waves in them."""
     level = logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING
     handler = logging.StreamHandler()
-    handler.setLevel(level)  # a run lowers its logger's level for the log beside the store
+    handler.setLevel(level)  # a run lowers the level of its logger for the log file next to the cube
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     logger = logging.getLogger("wavefield")
     logger.handlers[:] = [handler]
     logger.setLevel(level)
     context = click.get_current_context()
     context.meta["wavefield.quiet"] = quiet
-    context.meta["wavefield.command"] = main  # the demo gives commands of its own
+    context.meta["wavefield.command"] = main  # `wavefield demo` runs other commands
 
 
 for _command in (
@@ -117,7 +117,7 @@ def _one_line_warning(message, category, filename, lineno, file=None, line=None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line."""
+    """Run a command with these arguments, by default those of the process; return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:
@@ -133,14 +133,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("wavefield: interrupted; the same command resumes", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of a pipe has gone: nothing more to print, not even at exit
+        sys.stderr.close()  # the reader of the pipe has ended: print nothing more, not even at exit
         return 1
     except OSError as error:
         if debug:
             traceback.print_exc()
         print(f"wavefield: {error.filename or 'the output'}: {error.strerror or error}", file=sys.stderr)
         if error.filename is None:
-            sys.stdout = None  # what is left of it cannot be printed at exit either
+            sys.stdout = None  # Python would try to print the rest at exit
         return 1
     except Exception as error:
         if debug:
@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _sentence(error: Exception) -> str:
-    """What happened, and what to do."""
+    """Return a sentence on an error, with a remedy."""
     if isinstance(error, WavefieldError):
         return str(error)
     if isinstance(error, MemoryError):

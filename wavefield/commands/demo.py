@@ -1,4 +1,4 @@
-"""`wavefield simulate` and `demo`: an experiment with exact truth, and the errors of its cube."""
+"""`wavefield simulate` and `demo`: a simulated experiment, and the errors of its cube."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,16 +12,18 @@ from wavefield.errors import WavefieldError
 if TYPE_CHECKING:
     import xarray as xr
 
-MARGIN = 0.04  # m; errors are counted this far inside the edge of what was measured
 
-# variable: label, and what the paper reports on its own tests, mm and px of 1.8 mm
+# by variable: label, and errors in the tests of the paper, in mm and in px of 1.8 mm
 PAPER = {"z": ("z", "0.2-0.7", "0.13-0.4")} | {n: (f"{n} dt", "0.3-0.5", "0.3") for n in "uvw"}
 
 
 def run_demo(
     directory: Path, command: Callable[[list[str]], int], scene: str = "demo", *, quiet: bool = False
 ) -> None:
-    """Simulate, calibrate, check, run, analyse, report, compare."""
+    """Simulate, calibrate, check, run, analyse and report into a folder, then print the errors.
+
+    `command` runs one command and returns its exit status. Raises WavefieldError if one fails.
+    """
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
         ["simulate", scene, directory],
@@ -44,22 +46,23 @@ def run_demo(
 
 
 def comparison(store: Path, directory: Path) -> str:
-    """Errors of a cube against the truth of its simulated experiment, next to the paper's."""
+    """Return a table with the errors of the cube of a simulated experiment, next to those of the paper."""
     import numpy as np
 
     from wavefield.pipeline import open_run
     from wavefield.reports import errors_against
     from wavefield.rig import Rig
     from wavefield.rig.field import pixel_size
+    from wavefield.tank.plan import EDGE
 
     run = open_run(store, experiment=directory / "experiment.yaml")
     cube = run.cube
     assert run.truth is not None  # the demo wrote it
-    errors = inside(errors_against(cube, run.truth), MARGIN)
+    errors = inside(errors_against(cube, run.truth), EDGE)
     pixel = pixel_size(Rig.load(directory / "truth" / "rig.yaml"), run.grid)
     rate = float(cube.attrs["frame_rate"])
     lines = [
-        f"rms error against the truth, {MARGIN * 100:g} cm inside the edge, 1 px = {1e3 * pixel:.2f} mm",
+        f"rms error against the truth, {EDGE * 100:g} cm inside the edge, 1 px = {1e3 * pixel:.2f} mm",
         "",
         "           this demo            the paper",
         "            mm      px          mm        px",
@@ -74,7 +77,7 @@ def comparison(store: Path, directory: Path) -> str:
 
 
 def inside(errors: "xr.Dataset", margin: float) -> "xr.Dataset":
-    """Errors (time, y, x) without those near the edge of the grid or of the field that was ever measured."""
+    """Return errors (time, y, x) with NaN within a margin, m, of the edge and of nodes never measured."""
     import numpy as np
     from scipy.ndimage import binary_erosion
 
@@ -98,7 +101,7 @@ def demo(directory: Path, scene: str) -> None:
 
     Writes a simulated three-camera experiment of 40 steps to DIRECTORY, calibrates the cameras from its
     target images, measures the surface and its velocity, analyses the waves, writes the report, and prints
-    the errors beside those of the paper. Takes a few minutes and needs nothing but this package.
+    the errors next to those of the paper. Takes a few minutes and needs no other data.
     """
     meta = click.get_current_context().meta
     run_demo(directory, meta["wavefield.command"], scene, quiet=meta["wavefield.quiet"])
@@ -132,8 +135,8 @@ Examples:
 def simulate(scene: str, directory: Path) -> None:
     """Write a simulated experiment: images, targets, probes, truth.
 
-    SCENE is a YAML file or the name of a scene below; DIRECTORY is made. Use it to plan an experiment: which
-    camera angle, how many beads, what error.
+    SCENE is a YAML file or the name of a scene below. Makes DIRECTORY. Use it to plan an experiment: which
+    camera angle and how many beads lead to which error.
     """
     from wavefield import tank
     from wavefield.tank.scene_parts import PlatformRig

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """First and last frame, from words such as 0:49."""
+    """Return the first and last frame of words such as 0:49."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)
@@ -45,7 +45,7 @@ def _range(context: click.Context, parameter: click.Parameter, value: str | None
 
 
 def _trial(source: Path, frames: tuple[int, int], output: Path | None) -> tuple[Experiment, Path]:
-    """The experiment cut to some of its frames, and the cube that they go to."""
+    """Return the experiment limited to some of its frames, and the path of a cube for them."""
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment
     from wavefield.series.experiment_parts import FramesSection
@@ -97,15 +97,14 @@ def run(
 ) -> None:
     """Measure an experiment, or all or some entries of a catalog.
 
-    A run that was interrupted resumes when the same command is given again, or the command
-    with its cube. The exit status is 1 where nothing could be measured, 3 where the verdict has remarks that
-    matter.
+    To resume a run that was interrupted, give the same command again, or name its cube. The exit status is 1
+    if nothing could be measured, 3 if the verdict has remarks that matter.
     """
     from wavefield import pipeline
     from wavefield.execution.process import keep_memory
     from wavefield.pipeline.running import ASSESSING
 
-    keep_memory()  # where it measures in this very process
+    keep_memory()  # for runs without worker processes
     if output is None and is_store(source.path):
         output = source.path
     path = experiment_file(source.path)
@@ -117,7 +116,7 @@ def run(
                 raise click.UsageError("a trial is of one experiment: leave out --frames, or name its file")
 
             def report_progress(done: int, total: int, sentence: str) -> None:
-                progress.stage = f"Measuring {sentence.split(':')[0]}"  # which run of how many
+                progress.stage = f"Measuring {sentence.split(':')[0]}"  # such as "run07 (2 of 5)"
                 progress(done, total)
 
             states = pipeline.run_catalog(
@@ -149,7 +148,7 @@ def run(
 
 
 def _after(found: Status, measured_now: bool = False) -> str:
-    """The command that follows a run; a light sheet has no waves to analyse."""
+    """Return the command that follows a run; a light sheet has no waves to analyse."""
     sheet = found.verdict and any(one.kind == "light sheet" for one in found.verdict.remarks)
     if measured_now:
         return "report" if sheet else "analyze"
@@ -157,7 +156,7 @@ def _after(found: Status, measured_now: bool = False) -> str:
 
 
 def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> str:
-    """The first command whose product is not beside a cube; look if all are."""
+    """Return the first command whose product is not next to the cube yet; `look` if all are there."""
     product = {"analyze": ("waves", ".zarr"), "report": ("report", ".html")}
     return next((name for name in commands if not beside(cube, *product[name]).exists()), "look")
 
@@ -169,7 +168,7 @@ def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> st
 def status(context: click.Context, store: Path, as_json: bool) -> None:
     """Show the progress of a run, failed frames, and the verdict.
 
-    The exit status is 3 where the verdict has remarks that matter, 1 where nothing could be measured.
+    The exit status is 3 if the verdict has remarks that matter, 1 if nothing could be measured.
     """
     from wavefield.pipeline import status as run_status
 
@@ -193,7 +192,7 @@ Examples:
 def verify(context: click.Context, source: campaign_commands.CommandSource) -> None:
     """Verify that stored results are complete and unchanged.
 
-    Reads everything. The exit status is 1 where something is damaged. Damaged chunks of a cube are marked as
+    Reads everything. The exit status is 1 if something is damaged. Damaged chunks of a cube are marked as
     not measured: the next `wavefield run` measures them again.
     """
     from wavefield.store.verify import verify as verify_store
@@ -215,9 +214,9 @@ def verify(context: click.Context, source: campaign_commands.CommandSource) -> N
 def init(folder: Path, output: Path | None) -> None:
     """Propose an experiment file for a folder of images.
 
-    Finds the numbered images of each camera, with a comment on each. What cannot be found in a folder (frame
-    rate, depth) is marked TO FILL IN; calibration, rest and probes are lines to complete. Never overwrites a
-    file.
+    Finds the numbered images of each camera and adds a comment on each. Values that a folder does not reveal
+    (frame rate, depth) are marked TO FILL IN; complete the lines on calibration, rest and probes. Never
+    overwrites a file.
     """
     from wavefield.atomic_write import write_text
     from wavefield.errors import ExperimentError
@@ -246,10 +245,10 @@ Examples:
 @EXPERIMENT
 @frames_option(200, "How many to average.", least=2)
 def background(experiment: Path, frames: int) -> None:
-    """Average the frames of each camera, to subtract what is fixed.
+    """Average the frames of each camera, to subtract the fixed background.
 
-    Writes background/CAMERA.tif beside the experiment file. Frames are read less these images once the
-    experiment file names them with `background:`.
+    Writes background/CAMERA.tif next to the experiment file. To subtract these images from every frame, name
+    them in the experiment file with `background:`.
     """
     from wavefield.series import Experiment
     from wavefield.series.mean_images import write_backgrounds

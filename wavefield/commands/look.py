@@ -1,4 +1,4 @@
-"""`wavefield look` and `wavefield follow`: interactive pages of a cube, and of cameras at work."""
+"""`wavefield look` and `wavefield follow`: interactive pages of a cube, and of cameras that record."""
 
 import os
 from pathlib import Path
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _PORT = click.option(
     "--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free."
 )
-LAST = 19  # niceness of a process that takes what the others leave
+LAST = 19  # lowest scheduling priority of a process (niceness)
 
 
 def serve(server: "PageServer") -> None:
@@ -28,7 +28,7 @@ def serve(server: "PageServer") -> None:
 
 
 def announce(url: str, port: int) -> None:
-    """Print the address of a page, with how to reach it from another machine."""
+    """Print the address of a page, and how to reach it from another machine."""
     click.echo(f"Open {url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):
         click.echo(
@@ -37,9 +37,9 @@ def announce(url: str, port: int) -> None:
         )
 
 
-def give_way(steps_to_come: int) -> None:
-    """Let a run that may be at work on this machine go first: the page should not slow it down."""
-    if steps_to_come and hasattr(os, "nice"):  # Windows has none
+def lower_priority(steps_to_come: int) -> None:
+    """Give this process the lowest priority if a run may still be measuring steps of the cube."""
+    if steps_to_come and hasattr(os, "nice"):  # Windows has no niceness
         os.nice(LAST - os.nice(0))
 
 
@@ -59,15 +59,15 @@ def look(source: Path, run: str | None, port: int | None) -> None:
     """Serve an interactive page of a cube.
 
     It shows maps, series, spectra, camera images and waves. The page can be opened from this machine only.
-    While the cube is being written, the page shows new steps as they come. For a catalog name the RUN, unless
-    only one of its runs has a cube.
+    While the cube is being written, the page shows new steps as they come. With a catalog, name the RUN
+    unless only one of its runs has a cube.
     """
     from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import session_server
 
     session = LookSession(find_cube(source, run))
     record = session.record
-    give_way(record.layout.steps - record.steps_done)
+    lower_priority(record.layout.steps - record.steps_done)
     server = session_server(session, port)
     session.load()
     serve(server)
@@ -86,9 +86,9 @@ Examples:
 def follow(experiment: Path, rig: Path | None, port: int | None) -> None:
     """Monitor cameras while they record: newest map, status lights.
 
-    Measures the newest complete set of frames as often as it can, and shows how many it skips. The lights
-    show brightness, saturation, seeding, focus, synchronisation, consistency and coverage; most of them work
-    before there is a rig. Writes nothing.
+    Measures the newest complete set of frames as often as it can, and shows how many sets it skips. Lights
+    rate brightness, saturation, seeding, focus, synchronisation, consistency and coverage; most of them do
+    not need a rig. Writes nothing.
     """
     from wavefield.explorer.follow import follow_server
     from wavefield.explorer.live import Follower

@@ -1,4 +1,4 @@
-"""Progress of long work, on a terminal or in a log, and the line `Next:` that ends a command."""
+"""Progress of long work, on a terminal or in a log, and the line `Next:` at the end of a command."""
 
 import shlex
 import shutil
@@ -15,10 +15,10 @@ from wavefield.text import short_path, spell_time
 
 
 class Progress:
-    """Shows how far a stage is and how long it still takes.
+    """Prints how much of a stage is done and how long the rest will take.
 
     Call it with the number of parts done and of all parts. On a terminal it redraws one line; in a log it
-    prints a plain line at the start, at each quarter, once a minute, and at the end.
+    prints a line at the start, at each quarter, once a minute, and at the end.
     """
 
     def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
@@ -31,13 +31,13 @@ class Progress:
     def _begin(self, stage: str, unit: str) -> None:
         self.stage, self.unit = stage, unit
         self.start = time.monotonic()
-        self.first: tuple[float, int] | None = None  # time and count at the first call
-        self.paced: tuple[float, int] | None = None  # the same when the first part was done
+        self.first: tuple[float, int] | None = None  # time and parts done at the first call
+        self.paced: tuple[float, int] | None = None  # time and parts done after the first new part
         self.last_line, self.last_quarter = -1e9, -1
         self.done, self.total = 0, 0
 
     def stage_of(self, stage: str, unit: str = "") -> Callable[[int, int], None]:
-        """A callable like this one for a later stage, which begins when it is first called."""
+        """Return a function to call in a later stage; its first call ends the present stage."""
 
         def report(done: int, total: int) -> None:
             if self.stage != stage:
@@ -53,12 +53,12 @@ class Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
-        """Print how far the work is."""
-        if not total:  # a stage of one part
+        """Print how many parts of `total` are done; no line for a stage without parts."""
+        if not total:
             return
         now = time.monotonic()
         self.done, self.total = int(done), int(total)
-        if self.first is None:  # steps that a resumed run found done have no part in its speed
+        if self.first is None:  # steps that were done before a resumed run do not count for its speed
             self.first = (now, self.done)
         if self.paced is None and self.done > self.first[1]:
             self.paced = (now, self.done)
@@ -78,11 +78,14 @@ class Progress:
         return f"{self.done} of {self.total}{' ' + self.unit if self.unit else ''} ({share} %)"
 
     def _left(self, now: float) -> str:
-        """Time that is left, from the parts after the first, which includes compilation; empty before."""
+        """Return the estimated time left, or "" while it is unknown.
+
+        The first part does not count, because it includes compilation.
+        """
         if self.first is None or self.paced is None or not self.paced[1] < self.done < self.total:
             return ""
         spent, first = now - self.paced[0], self.paced[0] - self.first[0]
-        if spent < first / 2:  # other workers finish their first parts
+        if spent < first / 2:  # other workers are still at their first parts
             return ""
         pace = spent / (self.done - self.paced[1])
         return f", {spell_time(pace * (self.total - self.done))} left"
@@ -110,7 +113,7 @@ class Progress:
 
 
 def command_line(*words: object) -> str:
-    """A command as a shell reads it.
+    """Return a command of wavefield as a line for the shell.
 
     Examples
     --------
@@ -121,7 +124,7 @@ def command_line(*words: object) -> str:
 
 
 def print_next(*words: object, first: str = "") -> None:
-    """Print the command that usually follows, after what is to be done first; nothing with `--quiet`."""
+    """Print the command that usually follows, after what to do first, if anything; not with `--quiet`."""
     context = click.get_current_context(silent=True)
     if not (context and context.meta.get("wavefield.quiet")):
         shown = (short_path(word) if isinstance(word, Path) else word for word in words)

@@ -1,4 +1,4 @@
-"""`wavefield calibrate`, `refine`, `rig level`, `rig sheet`: rigs from targets, still water, sea or sheet."""
+"""`wavefield calibrate`, `refine`, `rig level` and `rig sheet`: make and correct rigs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,15 +22,15 @@ Examples:
 )
 @EXPERIMENT
 @click.option("-o", "--output", type=FILE, help="Rig file to write.")
-@click.option("--anyway", is_flag=True, help="Write the rig although it is refused; the file states why.")
+@click.option("--anyway", is_flag=True, help="Write a rig that is refused, with the reason in the file.")
 @click.pass_context
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
     """Calibrate the cameras, the rig, from target images.
 
     Reads the section `calibration` of EXPERIMENT, finds the target in its tilted and flat views, solves for
-    all cameras together, and writes the rig and a report with pictures. Where the experiment names a
-    still-water record (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
-    trusted the exit status is 1 and the report lists the target images to retake.
+    all cameras together, and writes the rig and a report with pictures. If the experiment names a still-water
+    record (`rest:`), it also corrects the rig and moves z = 0 to the water. If the rig cannot be trusted, the
+    exit status is 1 and the report lists the target images to retake.
     """
     from wavefield.atomic_write import Product, check_writable
     from wavefield.calibration.target_images import calibrate_experiment
@@ -87,8 +87,8 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
 @click.command(
     epilog="""\b
 Examples:
-  wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # the level alone
-  wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
+  wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # only the level
+  wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # only lenses known
 """
 )
 @EXPERIMENT
@@ -97,7 +97,7 @@ Examples:
 @click.option(
     "--distance",
     type=click.FloatRange(min=0, min_open=True),
-    help="Between two cameras, m: the second camera's pose is recomputed from features that both see.",
+    help="Distance between two cameras, m. Recomputes the second camera's pose from features that both see.",
 )
 @frames_option(20, "How many instants to use.")
 def level(
@@ -107,11 +107,11 @@ def level(
     distance: float | None,
     frames: int,
 ) -> None:
-    """Place and level cameras by the sea that they see.
+    """Level cameras, and find their relative pose, from images of the sea.
 
-    For moving water of natural texture. Features that the cameras share are triangulated at many instants;
-    the plane through them becomes z = 0, whatever frame the rig is in. For water at rest seeded with beads
-    `wavefield refine` is the better way.
+    For moving water with natural texture. Triangulates features that the cameras share at many instants; the
+    plane through them becomes z = 0, whatever axes the rig had. For still water seeded with beads use
+    `wavefield refine`.
     """
     from wavefield.calibration.level_on_water import level_experiment
 
@@ -134,10 +134,10 @@ Examples:
 @NEW_RIG
 @frames_option(50, "How many instants to use.")
 def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
-    """Bring z = 0 to a light sheet by its particles.
+    """Move z = 0 to a light sheet, found from its particles.
 
-    Also corrects a camera that has moved. The cameras' images of one instant, dewarped to z = 0, are
-    correlated; where they disagree, the sheet is not at the target's plane or a camera has moved.
+    Correlates the cameras' images of one instant, dewarped to z = 0. Where they disagree, the sheet is not in
+    the target's plane or a camera has moved; both are corrected.
     """
     from wavefield.calibration.light_sheet import find_sheet
 
@@ -162,8 +162,8 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     """Correct and level a rig with still-water images.
 
     EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Shows whether a camera has moved
-    since the calibration, turns it back so that sight lines meet, brings z = 0 to the water's plane, and
-    writes the new rig.
+    since the calibration, rotates it so that sight lines meet again, moves z = 0 to the plane of the water,
+    and writes the new rig.
     """
     from wavefield.pipeline.still_water import level_at_rest, plane_sentence
     from wavefield.series import Experiment
@@ -178,14 +178,14 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
 
 
 def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
-    """Print what was found, and write the rig."""
+    """Print the sentence `found`, and write the rig."""
     click.echo(found)
     rig.save(output, source_of_experiment(experiment, output))
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
-    """Refuse, before the work, to write over anything but an earlier rig of this experiment."""
+    """Raise StoreError, before the work, if the output is not free or an earlier rig of this experiment."""
     from wavefield.atomic_write import Product, check_writable
     from wavefield.series import Experiment
 

@@ -1,4 +1,4 @@
-"""What a command works on: an experiment file, its folder or its cube, whichever of them is given."""
+"""Arguments and options that commands share; an experiment may be given as its file, folder or cube."""
 
 import os
 from collections.abc import Callable
@@ -19,12 +19,15 @@ NEW_RIG = click.option("-o", "--output", required=True, type=FILE, help="Rig to 
 
 
 def is_store(path: Path) -> bool:
-    """Whether a path is a Zarr store rather than a folder that holds one."""
+    """Return whether a path is a Zarr store itself, not a folder that contains one."""
     return path.is_dir() and (path.suffix == ".zarr" or (path / "zarr.json").is_file())
 
 
 def source_of_experiment(experiment: Path, output: Path) -> str:
-    """Identity of an experiment as the source of a file: its name, and its place relative to the file."""
+    """Return the identity that a file stores of its experiment: the name, and the path relative to the file.
+
+    A later command overwrites the file only for the same experiment.
+    """
     from wavefield.atomic_write import identity_of
     from wavefield.series import Experiment
 
@@ -34,7 +37,10 @@ def source_of_experiment(experiment: Path, output: Path) -> str:
 
 
 def experiment_file(source: Path) -> Path:
-    """The experiment file (or the catalog) that is given, or that of a folder or a cube."""
+    """Return the experiment file of a folder or cube; a file, also a catalog, is returned as it is.
+
+    Raises ExperimentError if there is none, or several.
+    """
     if source.is_file():
         return source
     if is_store(source):
@@ -63,13 +69,16 @@ STORE = click.argument("store", metavar=CUBE, type=PATH, callback=lambda _, __, 
 
 
 def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command], Command]:
-    """The option of how many frames to use."""
+    """Return the option `--frames`, the number of frames to use."""
     count = click.IntRange(min=least)
     return click.option("--frames", default=default, show_default=True, type=count, help=words)
 
 
 def find_cube(source: Path, run: str | None = None) -> Path:
-    """The cube that is given, or that of an experiment file, of a folder or of a catalog's run."""
+    """Return the cube of an experiment file, a folder or a run of a catalog; a cube is returned as it is.
+
+    Raises StoreError if there is none.
+    """
     if source.is_file():
         from wavefield.pipeline import catalog
 
@@ -98,7 +107,7 @@ def find_cube(source: Path, run: str | None = None) -> Path:
 
 
 def _experiments(folder: Path) -> list[Path]:
-    """The experiment files in a folder; that of the usual name alone, where it is there."""
+    """Return the experiment files in a folder; only `experiment.yaml` if it is there."""
     usual = folder / "experiment.yaml"
     if usual.is_file():
         return [usual]
@@ -107,6 +116,7 @@ def _experiments(folder: Path) -> list[Path]:
 
 
 def _names_cameras(path: Path) -> bool:
+    """Return whether a YAML file is an experiment file, or names one."""
     from wavefield.config_files import read_yaml
 
     try:

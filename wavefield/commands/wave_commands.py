@@ -43,8 +43,8 @@ def analyze(
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
-    It also fits the dispersion relation, combines z and w, and computes directions and bicoherence. Writes
-    one Zarr store; `xarray.open_datatree` reads it. For a catalog: the waves of every run.
+    Also fits the dispersion relation, combines z and w, and computes directions and bicoherence. Writes one
+    Zarr store, which `xarray.open_datatree` reads. For a catalog, it analyses every run.
     """
     if output and source.is_catalog():
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
@@ -54,6 +54,7 @@ def analyze(
 
 
 def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Path | None) -> int:
+    """Analyse one cube, here or on the workers of a workflow; return the exit status."""
     from wavefield.pipeline import analyze_on_workers, open_run
     from wavefield.pipeline.analysis import analyze as analyze_cube
     from wavefield.store.ledger import unfinished_note
@@ -87,7 +88,8 @@ Examples:
 def report(context: click.Context, source: campaign_commands.CommandSource, output: Path | None) -> None:
     """Write the report of a cube: one HTML file that opens offline.
 
-    For a catalog: the report of every run, and next to the catalog (or as -o) one page that compares them.
+    For a catalog, it writes the report of every run, and next to the catalog (or as -o) a page that compares
+    the runs.
     """
     from wavefield.reports.compose import report as write
 
@@ -123,8 +125,8 @@ def report(context: click.Context, source: campaign_commands.CommandSource, outp
 def paper(store: Path, rest: Path | None, output: Path | None) -> None:
     """Write the figures and numbers of the method's paper.
 
-    One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, still water, the
-    pairs of cameras over the whole record, and a table with the paper's numbers. Needs the waves that
+    One HTML file with a snapshot, distributions, spectra, nonlinear term and coherence, probes, still water,
+    differences between pairs of cameras, and a table with the paper's numbers. Needs the waves that
     `wavefield analyze` writes.
     """
     from wavefield.reports.paper import paper as write
@@ -140,10 +142,10 @@ def paper(store: Path, rest: Path | None, output: Path | None) -> None:
 @STORE
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Zarr store to write.")
 def smooth(store: Path, output: Path | None) -> None:
-    """Smooth z, u, v, w over time by free waves.
+    """Smooth z, u, v, w over time with a model of free waves.
 
     Writes a Zarr store of the same variables with their standard uncertainties; xarray reads it.
-    Spectra are made of the cube itself.
+    Compute spectra from the cube itself: the noise of smoothed fields is correlated.
     """
     from wavefield.pipeline.analysis import write_smoothed
 

@@ -1,7 +1,4 @@
-"""The frames of a camera with the nodes of the grid and their quality.
-
-Masks are drawn here, too: clicked corners become lines for the experiment file.
-"""
+"""The frames of a camera with the nodes of the grid, and masks drawn by clicking their corners."""
 
 import json
 from collections.abc import Callable
@@ -18,7 +15,7 @@ from numpy.typing import NDArray
 from wavefield.explorer import parts
 from wavefield.explorer.parts import Place, plain, words_of
 from wavefield.explorer.record import LookSession, nearest
-from wavefield.figures.display import KINDS, quality_kind
+from wavefield.figures.display import KINDS, MARKS_ACROSS, quality_kind
 from wavefield.rig import Camera
 from wavefield.series.masks import WATER
 
@@ -30,13 +27,13 @@ _HOW = (
 
 
 def outlines_of(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
-    """Outlines (n, 2), columns and rows in px, of what is masked in an image (row, column)."""
+    """Return the outlines, each (n, 2) columns and rows in px, of the masked parts of an image."""
     found, _ = cv2.findContours(covered.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     return [np.asarray(outline[:, 0], np.int32) for outline in found if len(outline) > 2]
 
 
 class MaskPanel:
-    """The clicked corners, by camera or on the water, and the lines of an experiment file that mask them."""
+    """Collects clicked corners of masks, and shows the lines to add to the experiment file."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
@@ -50,7 +47,7 @@ class MaskPanel:
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
 
     def show(self, place: Place) -> None:
-        """The corners are the same at every place."""
+        """Do nothing: masks do not depend on the state of the page."""
 
     def add(self, image: str, corner: Corner) -> None:
         """Add a corner: px in the image of a camera, or metres on the water."""
@@ -58,11 +55,11 @@ class MaskPanel:
             self._keep([*self._corners, (image, corner)])
 
     def polygon(self, image: str) -> list[Corner]:
-        """The corners in the image of a camera or on the water."""
+        """Return the corners in the image of a camera (px) or, for `WATER`, on the water (metres)."""
         return [corner for name, corner in self._corners if name == image]
 
     def closed_line(self, image: str) -> dict[str, list[float]]:
-        """Those corners as columns x and y of a closed line."""
+        """Return these corners as columns x and y of a closed line."""
         corners = self.polygon(image)
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
@@ -78,7 +75,7 @@ class MaskPanel:
 
 
 def mask_lines(polygons: dict[str, list[Corner]]) -> str:
-    """The entry of an experiment file that masks polygons, in px of a camera's image or m on the water.
+    """Return the entry `mask` of an experiment file for polygons by camera (px) or on the water (m).
 
     Examples
     --------
@@ -94,9 +91,7 @@ def mask_lines(polygons: dict[str, list[Corner]]) -> str:
     return "\n".join(lines)
 
 
-MAX_SCREEN_PX = 1100  # along the longer side
-_NODES = 34  # drawn along the longer side of the grid
-_GRID_LINES = 9  # lines drawn in each direction
+MAX_SCREEN_PX = 1000  # along the longer side of an image, which is sent to the browser for every step
 _MOTION = ("u", "v", "w")
 Fields = dict[str, NDArray[np.floating]]
 Image = NDArray[Any]
@@ -109,11 +104,12 @@ made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset
 """
 
 
-def shrink(image: Image, max_px: int = MAX_SCREEN_PX) -> tuple[NDArray[np.uint8], int]:
-    """A frame (row, column) for the screen, in 8 bits, and how many of its pixels one of the screen averages.
+def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
+    """Return a frame (row, column) averaged over n x n pixels to fit a screen, in 8 bits, and n.
+
     Grey levels are stretched from the 0.5 % to the 99.5 % quantile of the brightness.
     """
-    factor = max(1, -(-max(image.shape) // max_px))
+    factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
     small = np.asarray(image[:h, :w], np.float32)
     if factor > 1:
@@ -123,14 +119,14 @@ def shrink(image: Image, max_px: int = MAX_SCREEN_PX) -> tuple[NDArray[np.uint8]
 
 
 def keep_pixels_square(made: figure) -> None:
-    """Let the browser show the whole image of `fit_image` with square pixels."""
+    """Let the browser keep pixels square when the figure or the image of `fit_image` changes its size."""
     square = CustomJS(args={"made": made}, code=_SQUARE)
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
 
 
 def fit_image(made: figure, shape: tuple[int, ...]) -> None:
-    """Fit the view to an image (row, column), px, if its shape has changed."""
+    """Fit the axes to an image of this shape (rows, columns) if it differs from that of the last image."""
     height, width = shape
     if made.tags != [width, height]:
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
@@ -138,13 +134,12 @@ def fit_image(made: figure, shape: tuple[int, ...]) -> None:
         made.tags = [width, height]
 
 
-def show_frame(made: figure, source: ColumnDataSource, image: Image, max_px: int = MAX_SCREEN_PX) -> int:
-    """Show a frame, shrunk, in the pixels of the camera; returns how many of them one of the screen averages.
-    Bokeh draws row 0 at y, and the axis points downwards: dh is positive.
-    """
+def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
+    """Show a frame on axes in the camera's pixels; return n of the n x n pixels that are averaged."""
     fit_image(made, image.shape)
-    small, factor = shrink(image, max_px)
+    small, factor = shrink(image)
     h, w = small.shape
+    # Bokeh draws row 0 at y, and the axis points downwards: dh is positive
     source.data = {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
     return factor
 
@@ -152,7 +147,11 @@ def show_frame(made: figure, source: ColumnDataSource, image: Image, max_px: int
 def visible_nodes(
     camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
-    """Nodes (ny, nx) in the first frame of a step, as a camera shows them: pixels X, Y (n,)."""
+    """Return the n nodes of a step that a camera sees in its first frame.
+
+    `fields` are z, u, v, w and quality (ny, nx) at x, y (ny, nx). Returns x, y (metres), the column X and
+    row Y (px) of the water that passes the node at mid-time, and the kind of quality, each (n,).
+    """
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]
     X, Y = camera.project(*(p - h for p, h in zip((x, y, z), half)))
@@ -164,12 +163,12 @@ def visible_nodes(
 
 
 class CameraPanel:
-    """Frames of the cameras."""
+    """The frame of one camera, with the nodes in it."""
 
     def __init__(self, session: LookSession, events: parts.PanelEvents) -> None:
         self._session, self._picked, self._took_corner = session, events.picked, events.took_corner
         run = session.run
-        self._nodes: Fields = {}  # as `visible_nodes`, of the displayed frame
+        self._nodes: Fields = {}  # result of `visible_nodes` for the displayed frame
         cameras = [name for name in run.frames if run.rig is None or name in run.rig.cameras]
         self.camera = Select(
             title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera"
@@ -215,7 +214,7 @@ class CameraPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the image of the chosen camera at a step."""
+        """Show the image of the chosen camera at the step of the page."""
         name = parts.chosen(self.camera)
         if not name:
             return
@@ -247,8 +246,8 @@ class CameraPanel:
         record, overlay = self._session.record, parts.chosen(self.overlay)
         fields = {name: record.field(name, place.step) for name in ("z", *_MOTION, "quality")}
         x, y = np.meshgrid(record.x, record.y)
-        every = max(1, -(-max(x.shape) // _NODES))
-        thin = slice(every // 2, None, every), slice(every // 2, None, every)
+        every = max(1, round(max(x.shape) / MARKS_ACROSS))
+        all_, thin = slice(None), (slice(every // 2, None, every),) * 2
         self._nodes = visible_nodes(
             camera, x[thin], y[thin], {name: field[thin] for name, field in fields.items()},
             1.0 / record.frame_rate,
@@ -260,10 +259,9 @@ class CameraPanel:
             self.sources["nodes"].data = {key: drawn[key] for key in ("X", "Y", "kind")}
         z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
         lines = []
-        if overlay != "nothing":
-            rows, columns = (np.unique(np.linspace(0, n - 1, _GRID_LINES).astype(int)) for n in z.shape)
-            lines = [camera.project(x[j], y[j], z[j]) for j in rows]
-            lines += [camera.project(x[:, i], y[:, i], z[:, i]) for i in columns]
+        if overlay != "nothing":  # the outline of the grid on the water
+            sides = ((0, all_), (-1, all_), (all_, 0), (all_, -1))
+            lines = [camera.project(x[side], y[side], z[side]) for side in sides]
         self.sources["grid"].data = {"xs": [X for X, _ in lines], "ys": [Y for _, Y in lines]}
         parts.clear(self.sources["node"])
         if place.node is not None:
@@ -276,6 +274,6 @@ class CameraPanel:
         if name and self._took_corner(name, float(event.x), float(event.y)):
             return
         nodes = self._nodes
-        if nodes and nodes["X"].size:  # the nearest node that is drawn gives the point on the water
+        if nodes and nodes["X"].size:  # pick the drawn node nearest to the click
             k = int(np.argmin(np.hypot(nodes["X"] - event.x, nodes["Y"] - event.y)))
             self._picked(float(nodes["x"][k]), float(nodes["y"][k]))

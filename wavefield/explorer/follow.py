@@ -1,4 +1,4 @@
-"""The page of `wavefield follow`: map, cameras and lights while the cameras write."""
+"""The page of `wavefield follow`: map, images and status lights while the cameras record."""
 
 from contextlib import suppress
 from typing import Any
@@ -16,20 +16,18 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer import parts
 from wavefield.explorer.cameras import keep_pixels_square, show_frame
 from wavefield.explorer.lights import StatusLight, red_lights
-from wavefield.explorer.live import FollowedSet, Follower
+from wavefield.explorer.live import POLL_S, FollowedSet, Follower
 from wavefield.explorer.map import arrows, top_speed
 from wavefield.explorer.parts import plain
 from wavefield.explorer.server import PageServer, make_server
 from wavefield.figures.display import display
 from wavefield.text import spell_time
 
-_REFRESH_MS = 200
-_MAX_CAMERA_PX = 800  # three images next to each other, in detail
 _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
 def lights_table(lights: tuple[StatusLight, ...]) -> str:
-    """Lights as an HTML table: a row per quantity, a column per camera; pairs and rig below."""
+    """Return lights as an HTML table: rows are quantities, columns cameras; pairs and rig follow below."""
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}
@@ -40,7 +38,7 @@ def lights_table(lights: tuple[StatusLight, ...]) -> str:
 
 
 class CameraView:
-    """The newest image of one camera."""
+    """The figure of the newest image of one camera."""
 
     def __init__(self, name: str) -> None:
         self.source = parts.make_sources(name, image=parts.IMAGE)["image"]
@@ -53,17 +51,17 @@ class CameraView:
         self.figure.image("image", source=self.source, color_mapper=parts.grey_mapper())
 
     def show(self, image: NDArray[Any]) -> None:
-        """Show an image."""
-        show_frame(self.figure, self.source, image, _MAX_CAMERA_PX)
+        """Show an image (row, column)."""
+        show_frame(self.figure, self.source, image)
 
 
 class FollowPage:
-    """One reader's page."""
+    """The page of a recording experiment in one browser tab."""
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
         self._follower = follower
-        self._count = -1  # sets published when the page was last drawn
-        self._shown: tuple[object, ...] = ()  # lights and words drawn last
+        self._count = -1  # `Follower.count` when the page was last drawn
+        self._shown: tuple[object, ...] = ()  # lights and sentence that were drawn last
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights"}
         self.words = {key: parts.words_of(name, html=True) for key, name in names.items()}
         self.variable = Select(
@@ -113,7 +111,7 @@ class FollowPage:
         parts.apply_template(
             document, title, "follow", ("controls", "views", "picked", "cameras"), keys=False
         )
-        document.add_periodic_callback(self.refresh, _REFRESH_MS)
+        document.add_periodic_callback(self.refresh, int(1000 * POLL_S))
         self.refresh()
 
     # -- showing ---------------------------------------------------------------------------------------
@@ -123,7 +121,7 @@ class FollowPage:
         self.refresh()
 
     def refresh(self) -> None:
-        """Show what is new."""
+        """Draw what has changed since the last call."""
         latest = self._follower.latest
         if latest is None:
             trouble = "<br>".join(map(plain, self._follower.watch.trouble.values()))
@@ -186,14 +184,14 @@ class FollowPage:
 
 
 def _large(heading: str, colour: str, words: str) -> str:
-    """A heading in a colour, and words (HTML) after it."""
+    """Return HTML: a heading in a colour, followed by words that are HTML already."""
     return f"<b style='font-size: 19px; color: {colour}'>{plain(heading)}</b> &nbsp; {words}"
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
-    """A server of the page of an experiment that is being recorded."""
+    """Return a server of the page of a recording experiment, as `make_server` does."""
     probes = None
-    with suppress(WavefieldError):  # they are only marked on the map
+    with suppress(WavefieldError):  # the page only marks them on the map
         if follower.experiment.probes:
             probes = follower.experiment.read_probes()
     return make_server(lambda document: FollowPage(follower, probes).attach(document), port)

@@ -1,4 +1,4 @@
-"""Status lights of lamps, lenses, beads, cameras and rig: numbers of the arriving frames in, words out."""
+"""Status lights of `wavefield follow`: rate lamps, lenses, beads, cameras and rig by the arriving frames."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
@@ -16,9 +16,9 @@ State = Literal["good", "doubtful", "bad", "unknown"]
 Limits = tuple[float, float]  # for doubtful, for bad
 _CELL_PX = 16  # every cell of this size should contain a bead
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)  # largest grey levels of 8, 10, 12, 14 and 16 bits
-_BEAD_SIZE_PX = 1024  # size of the part in which the beads are measured
-_MIN_CELLS = 0.02  # smallest fraction of cells with beads for which a bead size is found
-_BRIGHT = 5.5  # standard deviations of the noise above the background
+_BEAD_SIZE_PX = 1024  # the size of beads is measured in a corner of this size, which takes 20 ms
+
+_BRIGHT = 5.5  # a bead exceeds the background by this many standard deviations of the noise
 Image = NDArray[Any]
 T = TypeVar("T")
 _RANK: dict[State, int] = {"good": 0, "unknown": 1, "doubtful": 2, "bad": 3}
@@ -29,15 +29,15 @@ _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "
 
 @dataclass(frozen=True)
 class LightLimits:
-    """Limits of the lights, for doubtful and for bad."""
+    """Limits beyond which a light is doubtful and bad."""
 
     saturated: Limits = (0.01, 0.05)  # fraction of pixels
     cells: Limits = (0.6, 0.3)  # fraction of cells with beads
     bead_size: Limits = (2.5, np.inf)  # standard deviation, px
-    silence: Limits = (2.0, 5.0)  # without a new frame, beyond a few intervals of the frames, s
+    silence: Limits = (2.0, 5.0)  # time without a new frame, less a few frame intervals, s
     delay: Limits = (0.5, 1.0)  # behind the other cameras, s
-    eps_y: Limits = (0.5, 1.0)  # mismatch of sight lines, px
-    matched: Limits = (0.5, 0.2)  # fraction of the visible blocks
+    eps_y: Limits = (0.5, 1.0)  # distance between sight lines of two cameras, px
+    matched: Limits = (0.5, 0.2)  # fraction of the visible blocks that match
     eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
     coverage: Limits = (0.6, 0.3)  # fraction of measured nodes
     range_used: Limits = (0.8, 0.95)  # largest elevation, as a fraction of the searched range
@@ -45,7 +45,7 @@ class LightLimits:
 
 @dataclass(frozen=True)
 class RelativeLimits:
-    """Limits of the lights relative to the first steps."""
+    """Limits as ratios to the first steps, at which a light becomes doubtful and bad."""
 
     brightness: Limits = (0.5, 0.5)  # of beads and of background: a lamp is off
     cells: Limits = (0.7, 0.4)
@@ -55,15 +55,15 @@ class RelativeLimits:
     coverage: Limits = (0.9, 0.7)
 
 
-ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames, not about their content
+ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames rather than their content
 LIMITS, RELATIVE = LightLimits(), RelativeLimits()
 INTERVALS = 5  # frame intervals without a new frame that are still normal
-MIN_EPS_Y_PX = 0.15  # smallest reference for the mismatch, px
+MIN_EPS_Y_PX = 0.15  # smaller first distances of sight lines are raised to this before a ratio is taken
 
 
 @dataclass(frozen=True)
 class StatusLight:
-    """One light."""
+    """One status light."""
 
     name: str  # what is assessed, such as "focus"
     camera: str  # a camera or a pair "a-b"; empty for all together
@@ -73,18 +73,18 @@ class StatusLight:
 
 @dataclass(frozen=True)
 class FrameFeatures:
-    """Features of one frame."""
+    """Brightness, seeding and focus of one frame."""
 
-    dark: float  # grey levels below which 0.1 %, 50 % and 99.9 % of the pixels are
-    background: float
-    peak: float
+    dark: float  # 0.1 % quantile of the grey levels
+    background: float  # median of the grey levels
+    peak: float  # 99.9 % quantile of the grey levels
     saturated: float  # fraction of pixels at the full scale
     cells: float  # fraction of cells of 16 px that contain a bead
-    bead_size: float  # standard deviation of the images of beads, px; NaN without beads
+    bead_size: float  # standard deviation of the images of beads, px; NaN with too few of them
 
 
 def frame_features(image: Image) -> FrameFeatures:
-    """Features of a frame (row, column)."""
+    """Return brightness, seeding and focus of a frame (row, column)."""
     sample = image[::3, ::3]
     dark, background, peak = (float(v) for v in np.percentile(sample, [0.1, 50.0, 99.9]))
     brightest = float(image.max())
@@ -97,13 +97,13 @@ def frame_features(image: Image) -> FrameFeatures:
     h, w = (n - n % _CELL_PX for n in image.shape)
     cells = image[:h, :w].reshape(h // _CELL_PX, _CELL_PX, w // _CELL_PX, _CELL_PX).max(axis=(1, 3))
     seeded = float(np.mean(cells.astype(np.float32) - background > _BRIGHT * noise))
-    size = blur(image[:_BEAD_SIZE_PX, :_BEAD_SIZE_PX]) if seeded > _MIN_CELLS else np.nan
+    size = blur(image[:_BEAD_SIZE_PX, :_BEAD_SIZE_PX]) if seeded > LIMITS.cells[1] else np.nan
     return FrameFeatures(dark, background, peak, saturated, seeded, size)
 
 
 @dataclass(frozen=True)
 class StepSummary:
-    """Numbers of one measured step on the rig and the water."""
+    """Misfit, coverage and height of one measured step."""
 
     eps_piv: float  # misfit of the cameras' displacements, rms, px
     coverage: float  # fraction of measured nodes
@@ -112,14 +112,14 @@ class StepSummary:
 
 @dataclass(frozen=True)
 class PairSummary:
-    """Consistency of a pair of cameras on one frame."""
+    """Consistency of a pair of cameras at one instant."""
 
-    eps_y: float  # mismatch of sight lines, rms, px
+    eps_y: float  # distance between their sight lines, rms, px
     matched: float  # fraction of the visible blocks that match
 
 
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
-    """Numbers of a measured step from its fields (ny, nx) and the searched range of z, metres."""
+    """Return the summary of a measured step from its fields (ny, nx) and the searched range of z, metres."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -137,19 +137,19 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 
 @dataclass
 class Baseline:
-    """Medians of the first steps: the state that the lights compare with."""
+    """Medians of the first steps, which relative limits refer to."""
 
     n_steps: int = 4
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add the numbers (a dataclass) of a camera or pair while its first steps are collected."""
+        """Add the summary (a dataclass of numbers) of a camera or pair, until `n_steps` are collected."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def of(self, kind: type[T], name: str = "") -> T | None:
-        """The medians of the numbers of a camera or pair; None before the first steps are complete."""
+        """Return the medians of a kind of summary for a camera or pair; None until `n_steps` are there."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -158,7 +158,10 @@ class Baseline:
 
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
-    """Brightness, saturation, seeding and focus of one camera."""
+    """Return the lights of brightness, saturation, seeding and focus of one camera.
+
+    `first` are the medians of its first steps, if there are any yet.
+    """
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:
@@ -188,7 +191,10 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
-    """Whether a camera was moved: the sight lines of a pair miss each other, or its blocks do not match."""
+    """Return the light of a pair, bad if sight lines miss each other or blocks do not match.
+
+    Both happen after a camera was moved.
+    """
     state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
     if first is not None:
         rise = _ratio(now.eps_y, max(first.eps_y, MIN_EPS_Y_PX))
@@ -201,8 +207,10 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
 def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
-    """Two lights per camera: do frames still arrive, and is its newest as recent as those of the others?
-    silent: s without a new frame; written: when the newest one was, s; newest: its number; frame_rate: Hz.
+    """Return two lights per camera: whether frames still arrive, and whether they lag behind other cameras.
+
+    `silent` is the time since its newest frame was noticed, s; `written` the time at which that frame was
+    written, s since the epoch; `newest` its number; `frame_rate` in Hz.
     """
     out = []
     for camera, since in silent.items():
@@ -221,7 +229,7 @@ def arrival_lights(
 
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
-    """Misfit, coverage and range of a measured step."""
+    """Return the lights of misfit, coverage and range of z of a measured step."""
     coverage = _state(now.coverage, LIMITS.coverage)
     if first is not None:
         coverage = _worse(coverage, _state(_ratio(now.coverage, first.coverage), RELATIVE.coverage))
@@ -234,17 +242,18 @@ def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:
-    """The bad lights, root causes first."""
+    """Return the bad lights, causes before their consequences."""
     bad = [light for light in lights if light.state == "bad"]
     return sorted(bad, key=lambda light: _ORDER.index(light.name))
 
 
 def _ratio(value: float, reference: float) -> float:
+    """Return the ratio to a reference; 1 if the reference is zero."""
     return value / reference if abs(reference) > 1e-9 else 1.0
 
 
 def _state(value: float, limits: Limits) -> State:
-    """State of a value that must stay below its limits, or above them if that for bad is the lower one."""
+    """Return the state of a value that must stay below its limits, or above them if they decrease."""
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad

@@ -1,4 +1,4 @@
-"""The work behind `wavefield follow`: the newest frames watched, measured and assessed."""
+"""The work behind `wavefield follow`: find, measure and rate the newest frames of a recording experiment."""
 
 import logging
 import os
@@ -30,19 +30,17 @@ from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
 _STEPS_BACK = 3  # older steps tried if the newest frames cannot be read yet
-_MAX_DELAY_S = 1.0  # a camera further behind the others counts as stopped
-_STEPS = 2  # the newest steps, from which the record is learned
-_MIN_PAUSE_S = 5.0  # between two learnings
-_PAUSE_PER_DURATION = 10.0  # pause over the duration of the learning, which delays the measurement
+_STEPS = 2  # the wave and noise model is estimated from this many of the newest steps
+_PAUSE_PER_ESTIMATE = 10.0  # pause between two estimates of the model over the time that one takes
+POLL_S = 0.2  # between looks for new frames, and between looks of a page for new results
 Fields = dict[str, NDArray[Any]]
 Frames = Mapping[str, NDArray[Any] | None]
 Masks = Mapping[str, NDArray[np.bool_]]
-_PAUSE_S = 0.15  # between polls of the folders
 
 
 @dataclass(frozen=True)
 class FrameSet:
-    """The newest two frames of every camera that still sends."""
+    """The two newest frames of every camera that still records."""
 
     number: int  # of the first frame
     images: dict[str, tuple[NDArray[Any], NDArray[Any]]]  # both frames, by camera
@@ -50,19 +48,19 @@ class FrameSet:
 
 
 class FolderWatch:
-    """The frames of an experiment as they arrive."""
+    """Watches the image folders of an experiment for new frames."""
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
         self.newest: dict[str, int] = {}  # number of the newest frame of each camera
         self.written: dict[str, float] = {}  # when that was written, s since the epoch
-        self.trouble: dict[str, str] = {}
+        self.trouble: dict[str, str] = {}  # why the folder of a camera cannot be listed
         self._polled = time.monotonic()
-        self._noticed = dict.fromkeys(experiment.cameras, self._polled)  # when the newest frame was
+        self._noticed = dict.fromkeys(experiment.cameras, self._polled)  # when the newest frame was found
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the folders."""
+        """List the folders and note the newest frame of each camera."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -79,13 +77,14 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """Time since the newest frame of each camera was noticed, at the last poll, s."""
+        """Return the time from the discovery of the newest frame of each camera to the last poll, s."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """The newest step after a number of which all cameras that still send have both frames."""
+        """Return the newest two frames after a number; None if the recording cameras have none in common."""
         latest = max(self.written.values(), default=0.0)
-        sending = [name for name, when in self.written.items() if latest - when <= _MAX_DELAY_S]
+        longest = lights.LIMITS.delay[1]  # a camera further behind the others counts as stopped
+        sending = [name for name, when in self.written.items() if latest - when <= longest]
         if not sending:
             return None
         top = min(self.newest[name] for name in sending) - 1
@@ -102,7 +101,7 @@ class FolderWatch:
             return None
         try:
             return read_entry(frames[number]), read_entry(frames[number + 1])
-        except FrameError:  # not written to its end yet
+        except FrameError:  # the camera is still writing it
             return None
 
 
@@ -114,7 +113,7 @@ def _written(entry: FrameEntry) -> float:
 
 
 class LiveMeasurement:
-    """Measures single steps as they arrive, once it has a rig for them."""
+    """Measures single steps as they arrive, as soon as the experiment has a rig."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None) -> None:
         self._experiment, self._rig = experiment, rig
@@ -127,7 +126,10 @@ class LiveMeasurement:
         self.trouble = ""  # why nothing is measured
 
     def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
-        """Fields (ny, nx) of a step and their summary; nothing without a rig, which `trouble` explains."""
+        """Return the fields (ny, nx) of a step by name, and their summary.
+
+        Without a rig, or after an error, they are empty and None, and `trouble` holds the reason.
+        """
         firsts = {name: both[0] for name, both in frames.images.items()}
         sizes = {name: (image.shape[1], image.shape[0]) for name, image in firsts.items()}
         if self.learner is None or (self.trouble and sizes != self._sizes):
@@ -154,7 +156,7 @@ class LiveMeasurement:
         return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
-        """Consistency of each pair of cameras on the second frame; nothing without a rig."""
+        """Return the consistency of each pair of cameras at the second frame; empty without a rig."""
         if self.learner is None:
             return {}
         geometry = self.learner.geometry
@@ -174,12 +176,12 @@ class LiveMeasurement:
         return out
 
     def _bare(self, name: str, image: NDArray[Any]) -> NDArray[Any]:
-        """An image of a camera with its background subtracted, as in a run."""
+        """Return an image of a camera with its background subtracted, as in a run."""
         background = self._backgrounds.get(name)
         return image if background is None else subtracted(image, background)
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
-        """Compute the geometry for images like these."""
+        """Load the rig and compute geometry and masks for images of these sizes; errors go to `trouble`."""
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -209,7 +211,7 @@ class LiveMeasurement:
 
 
 class Learner:
-    """What is learned of a record as it is now; `model` is None before the first frames."""
+    """Keeps a wave and noise model of the newest frames; `model` is None before the first ones."""
 
     def __init__(self, geometry: GridGeometry, frame_rate: float) -> None:
         self.geometry, self._frame_rate = geometry, frame_rate
@@ -218,7 +220,10 @@ class Learner:
         self._next_s = 0.0
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
-        """Learn from both frames of a step, unless the last time is too recent: learning delays the step."""
+        """Add both frames of a step and estimate the model again, unless it was estimated recently.
+
+        An estimate delays the measurement of the step.
+        """
         self._steps.append((frames, masks))
         begun = time.monotonic()
         if self.model is not None and begun < self._next_s:
@@ -231,12 +236,12 @@ class Learner:
         except (WavefieldError, ValueError) as error:  # the model stays
             log.warning("nothing was learned from these frames: %s", error)
         now = time.monotonic()
-        self._next_s = now + max(_MIN_PAUSE_S, _PAUSE_PER_DURATION * (now - begun))
+        self._next_s = now + _PAUSE_PER_ESTIMATE * (now - begun)
 
 
 @dataclass(frozen=True)
 class FollowedSet:
-    """The newest frames and what was measured in them."""
+    """The newest frames, the fields measured from them, and the lights."""
 
     number: int  # of the first frame
     images: Mapping[str, NDArray[Any]]  # the second frame, by camera
@@ -249,7 +254,7 @@ class FollowedSet:
 
 
 class Follower:
-    """Follows an experiment in a thread of its own."""
+    """Watches, measures and rates an experiment in its own thread; pages read `latest`."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
         self.experiment = experiment
@@ -259,20 +264,20 @@ class Follower:
         self._measurer = LiveMeasurement(experiment, rig)
         self._baseline = lights.Baseline()
         self._stop = threading.Event()
-        self._first: int | None = None  # number of the first frame that was taken
+        self._first: int | None = None  # number of the first frame that was measured
         self._measured = 0
         self._thread = threading.Thread(target=self._work, daemon=True, name="follow")
 
     @property
     def nodes(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Nodes along x and y, metres; empty without a rig."""
+        """Positions of the nodes along x (nx,) and y (ny,), metres; empty without a rig."""
         learner = self._measurer.learner
         if learner is None:
             return np.empty(0), np.empty(0)
         return learner.geometry.grid.x_nodes, learner.geometry.grid.y_nodes
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -293,15 +298,15 @@ class Follower:
                     self.latest = replace(self.latest, trouble=words)
                     self.count += 1
             if not new:
-                self._stop.wait(_PAUSE_S)
+                self._stop.wait(POLL_S)
 
     def poll(self) -> bool:
-        """List the folders once, and measure the newest frames if they are new."""
+        """List the folders once and measure the newest frames; return whether there were new ones."""
         self.watch.poll()
         frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
         if frames is not None:
             self._take(frames)
-        elif self.latest is not None:  # a camera that has stopped shows without a new set
+        elif self.latest is not None:  # the lights show a stopped camera although no new frames arrive
             others = (light for light in self.latest.lights if light.name not in lights.ARRIVALS)
             self.latest = replace(self.latest, lights=(*self._arrivals(), *others))
         return frames is not None

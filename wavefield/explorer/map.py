@@ -1,4 +1,4 @@
-"""The map of a variable with arrows of the velocity."""
+"""The map of one variable, with arrows of the horizontal velocity."""
 
 from collections.abc import Callable, Sequence
 
@@ -23,30 +23,34 @@ from numpy.typing import NDArray
 from wavefield.explorer import parts
 from wavefield.explorer.parts import Place, number
 from wavefield.explorer.record import CubeRecord
-from wavefield.figures.display import KINDS, display, drawn_kind, limit
+from wavefield.figures.display import KINDS, MARKS_ACROSS, display, drawn_kind, limit
 
 Field = NDArray[np.floating]
 _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
-_ARROWS = 24  # along the longer side of the grid
 _HEAD = 0.32  # length of an arrow's head over that of the arrow
 
 
 def map_aspect(ratio: float) -> float:
-    """Width to height of a map with axes and colour bar that a field of this ratio fills at 900 px."""
+    """Return width over height of a map figure, axes and colour bar included, for a field of this ratio.
+
+    The field fills the figure if that is 900 px wide.
+    """
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
 
 def top_speed(u: Field, v: Field) -> float:
-    """Speed of the longest arrows of a velocity field, m/s; 0 where nothing was measured."""
+    """Return the 98 % quantile of the speed of a velocity field, m/s; 0 if nothing was measured."""
     speed = np.hypot(u, v)
     return limit(speed, 98) if np.isfinite(speed).any() else 0.0
 
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
-    """Arrows xs, ys (7 n,), metres, of u, v (ny, nx), m/s, some 24 along the longer side; metres per m/s.
-    Each of n arrows has six points and a NaN that separates it from the next.
+    """Return n velocity arrows as lines x, y (7 n,), metres, and their scale, metres of arrow per m/s.
+
+    u, v (ny, nx) are in m/s, at nodes x (nx,) and y (ny,). An arrow of the speed `fastest`, m/s, is a little
+    longer than the distance between arrows. Each arrow has six points, and a NaN separates it from the next.
     """
-    every = max(1, round(max(len(x), len(y)) / _ARROWS))
+    every = max(1, round(max(len(x), len(y)) / MARKS_ACROSS))
     thin = slice(every // 2, None, every)
     gap = every * float(np.mean(np.diff(x)))
     metres = 1.2 * gap / fastest if fastest > 0 else 0.0
@@ -63,7 +67,7 @@ def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Fiel
 
 
 class MapPanel:
-    """The map of one variable."""
+    """The map of one variable; `picked` is called with x and y, metres, at each click."""
 
     def __init__(self, record: CubeRecord, picked: Callable[[float, float], None]) -> None:
         self._record = record
@@ -110,7 +114,7 @@ class MapPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Draw a step."""
+        """Draw the variable and step of a page state."""
         record, shown = self._record, display(place.show)
         values = record.field(place.show, place.step)
         if place.show == "quality":
@@ -135,17 +139,17 @@ class MapPanel:
         self.mark(place.node)
 
     def _name_values(self, place: Place, code: str) -> bool:
-        """Name the value under the pointer, formatted by a script; returns whether the name has changed."""
+        """Set the tooltip of the map, whose value a script formats; return whether it has changed."""
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
         changed = bool(self.hover.tooltips != rows)
-        if changed:  # what is set is sent
+        if changed:  # every assignment is sent to the browser
             self.hover.formatters = {"@image": CustomJSHover(code=code)}
             self.hover.tooltips = rows
         return changed
 
     def limits(self, place: Place) -> tuple[float, float]:
-        """Ends of the colour scale, in the displayed unit: as entered, or fitted to the first step shown."""
+        """Return the ends of the colour scale in the displayed unit: entered, or fitted to the first step."""
         name = place.coloured
         if name not in self._fitted:
             values = self._record.field(name, place.step)
@@ -156,7 +160,7 @@ class MapPanel:
         return place.limits or self._fitted[name]
 
     def refit(self, place: Place) -> None:
-        """Fit the colours, and the arrows, again to the next step that is shown."""
+        """Forget the fitted scales of colours and arrows: the next step that is shown sets them."""
         self._fitted.pop(place.coloured, None)
         self._fastest = 0.0
 
@@ -176,9 +180,9 @@ class MapPanel:
     def mark(self, node: tuple[float, float] | None) -> None:
         """Draw the picked node."""
         data = {"x": [node[0]], "y": [node[1]]} if node else {"x": [], "y": []}
-        if dict(self.sources["node"].data) != data:  # each source that is sent is painted
+        if dict(self.sources["node"].data) != data:  # the browser repaints every source that it receives
             self.sources["node"].data = data
 
     def mark_probes(self, names: Sequence[str], x: Field, y: Field) -> None:
-        """Draw the positions of probes, metres."""
+        """Draw probes with their names at x, y (n,), metres."""
         self.sources["probes"].data = parts.probe_columns(names, x, y, float(np.mean(self._record.x)))

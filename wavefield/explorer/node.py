@@ -1,4 +1,4 @@
-"""Time series at a node with their uncertainty and quality, its spectrum, and a wave probe beside it."""
+"""Time series at one node with uncertainty and quality, their spectrum, and a wave probe near the node."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,36 +20,43 @@ Array = NDArray[np.floating]
 MAX_PROBE_DISTANCE_M = 0.05  # a probe farther away measures other phases of short waves
 _MAIN = ("z", "u", "v", "w")
 _SERIES_PX = 84  # height of a series
-LONGEST_BRIDGED_GAP = 2  # steps: as in the analysis, longer gaps split a record
-MIN_STEPS_OF_SPECTRUM = 32
-_CONFIDENCE = 0.95
+MIN_STEPS_OF_SPECTRUM = 32  # the shortest Welch window
 
 
 class Spectrum(NamedTuple):
-    """A one-sided spectrum with its confidence interval."""
+    """A one-sided power spectrum with its confidence interval."""
 
     frequency: Array  # (n,): Hz; without 0
-    density: Array  # (n,): unit of the values squared, per Hz; its sum times the step is the variance
+    density: Array  # (n,): unit of the values squared per Hz; sum times frequency step is the variance
     low: float  # the true density is in [low, high] times the density with 95 % confidence
     high: float
 
 
 def longest_run(values: Array) -> Array:
-    """Longest stretch of a series (n,) without a gap of more than two steps; shorter ones are filled."""
+    """Return the longest part of a series (n,) without a gap of more than two steps.
+
+    Shorter gaps are interpolated, as in `wavefield analyze`.
+    """
+    from wavefield.waves.record import LONGEST_BRIDGE  # takes a second to import
+
     finite = np.flatnonzero(np.isfinite(values))
     if not finite.size:
         return np.empty(0)
-    pieces = np.split(finite, np.flatnonzero(np.diff(finite) > LONGEST_BRIDGED_GAP + 1) + 1)
+    pieces = np.split(finite, np.flatnonzero(np.diff(finite) > LONGEST_BRIDGE + 1) + 1)
     longest = max(pieces, key=lambda piece: int(piece[-1] - piece[0]))
     steps = np.arange(longest[0], longest[-1] + 1)
     return np.asarray(np.interp(steps, longest, values[longest]))
 
 
 def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
-    """Welch spectrum of the longest run of a series (n,); None for less than 32 steps without a gap.
-    Hann windows that overlap by half, at least eight where the record allows it.
+    """Return the Welch spectrum of the `longest_run` of a series (n,), or None below 32 steps.
+
+    Hann windows overlap by half. Their length is `segment_s`, s, by default such that there are eight or
+    more. `dt` is the time step, s.
     """
-    from scipy import signal, stats  # takes most of a second to import
+    from scipy import signal  # takes most of a second to import
+
+    from wavefield.waves.welch import interval
 
     run = longest_run(np.asarray(values, float))
     if run.size < MIN_STEPS_OF_SPECTRUM:
@@ -61,8 +68,7 @@ def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectr
     frequency, density = signal.welch(run, fs=1 / dt, nperseg=segment, detrend="constant")
     count = max(1, (run.size - segment // 2) // (segment - segment // 2))
     dof = 2.0 * count * 18.0 / 19.0 if count > 1 else 2.0  # Hann windows that overlap by half
-    tails = stats.chi2.ppf([0.5 + _CONFIDENCE / 2, 0.5 - _CONFIDENCE / 2], dof)
-    low, high = dof / tails
+    low, high = interval(dof)
     return Spectrum(frequency[1:], density[1:], float(low), float(high))
 
 
@@ -79,7 +85,7 @@ class NearProbe(NamedTuple):
 
 
 def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float) -> NearProbe | None:
-    """The nearest of the probes to a point, metres, if it is within reach."""
+    """Return the probe nearest to a point, or None if it is farther away than `reach` (all in metres)."""
     if probes is None:
         return None
     distance = np.nan_to_num(np.hypot(probes.probe_x.values - x, probes.probe_y.values - y), nan=np.inf)
@@ -88,7 +94,7 @@ def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float)
 
 
 class NodePanel:
-    """The values of the cube at one node."""
+    """Series, quality and spectrum of the cube at the node that was picked."""
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
@@ -97,8 +103,8 @@ class NodePanel:
         self._main = tuple(name for name in _MAIN if name in record.stored)
         self.words = parts.words_of("node_words", "Click a node of the map.", html=True)
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
-        # One source per figure: what arrives together is painted once, and all of it must fit a browser's
-        # buffer of 128 kB, or half of it is painted first.
+        # One source per figure. The browser paints what arrives together once, but only if it fits into its
+        # buffer of 128 kB; otherwise it paints half of it first.
         series = {f"{name}_series": "t value low high" for name in self._main}
         more = {"quality": "left right kind", "probe_series": "t value"}
         spectra = {"spectrum": "f e low high", "probe_spectrum": "f e"}
@@ -163,7 +169,7 @@ class NodePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the node of a place."""
+        """Show values, series and spectrum at the node of the page."""
         self.show_step(place)
         if self._node is not None:
             self._show_series()
@@ -171,7 +177,7 @@ class NodePanel:
             self._show_spectrum()
 
     def show_step(self, place: Place) -> None:
-        """Show the values at the node at another step: the series stay."""
+        """Show the values at the node at the step of the page; the series stay as they are."""
         record, self._node = self._record, place.node
         self.now.location = float(record.time[place.step])
         if self._node is None:
@@ -191,19 +197,22 @@ class NodePanel:
         )
 
     def _index(self, y: Array, x: Array) -> tuple[int, int]:
-        """Row and column of the picked node on a grid."""
+        """Return row and column of the picked node on axes y and x."""
         assert self._node is not None
         return nearest(y, self._node[1]), nearest(x, self._node[0])
 
     def _near(self) -> NearProbe | None:
-        """The probe at the picked node of the cube, not at that of the thinner preview."""
+        """Return the probe near the picked node of the cube itself, not of the coarser preview."""
         record = self._record
         j, i = self._index(record.y, record.x)
         spacing = abs(float(record.x[-1] - record.x[0])) / max(record.x.size - 1, 1)
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """A stored variable at the nearest node of the preview, (time,), in a displayed unit, or its own."""
+        """Return a variable at the nearest node of the preview, (time,), in the displayed unit of `unit_of`.
+
+        That is by default the unit of the variable itself.
+        """
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 
@@ -220,7 +229,7 @@ class NodePanel:
         self._show_probe()
 
     def _show_probe(self) -> None:
-        """Draw the elevation at the probe over that of the node."""
+        """Draw the elevation of the probe over that of the node; clear it without a probe."""
         data: dict[str, Array] = {"t": np.empty(0), "value": np.empty(0)}
         found = self._near()
         if found is not None:
@@ -274,7 +283,7 @@ class NodePanel:
             self._show_probe_spectrum(near, float(1 / found.frequency[0]))
 
     def _show_probe_spectrum(self, near: NearProbe, segment_s: float) -> None:
-        """Show the spectrum of a probe over the time of the cube, with segments as long as the node's."""
+        """Show the spectrum of a probe during the cube, with segments of the same length in seconds."""
         time, t = self._record.time, near.probe.time.values
         within = (t >= time[0]) & (t <= time[-1])
         values = near.probe.elevation.values[within] * display("z").factor
@@ -287,7 +296,7 @@ class NodePanel:
 
 
 def _reading(name: str, values: dict[str, float]) -> str:
-    """The value of a variable in words, with its uncertainty where it has one."""
+    """Return the value of a variable as text, with its uncertainty if there is one."""
     shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
     if not np.isfinite(value):
         return f"{name} none"

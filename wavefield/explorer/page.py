@@ -1,4 +1,4 @@
-"""The page of `wavefield look`: its head, its controls, and the panels of one reader."""
+"""The page of `wavefield look` in one browser tab: verdict, controls and panels."""
 
 import re
 import threading
@@ -29,8 +29,8 @@ from wavefield.variables import FrameStatus
 if TYPE_CHECKING:
     import xarray as xr
 
-PICKED = ("node", "mask")  # tabs beside the views
-DRAGS = [("move", "pan"), ("mask", "mask")]
+PICKED = ("node", "mask")  # tabs beside the tabs of `TABS`
+DRAGS = [("move", "pan"), ("mask", "mask")]  # what clicks do: value and label of the options
 _RECHECK_MS = 2000  # between checks of the ledger of a cube that is being written
 _STATUS_WORDS = {
     FrameStatus.NOT_STARTED: " – not measured yet",
@@ -44,7 +44,8 @@ _VERDICT = Environment(autoescape=True).from_string(
 {%- if count %} ({{ count }}){% endif %}</summary><ul style="margin: 2px 0; padding-left: 18px">
 {% for remark in remarks %}<li>{{ remark }}</li>{% endfor %}</ul></details>"""
 )
-# Playback in the browser: the next step is requested when this one has arrived, so that no requests pile up.
+# Playback in the browser. It requests a step when the one before it has arrived, so that requests do not
+# pile up.
 _PLAY = """
 const next = () => {
   if (!play.active) return
@@ -64,7 +65,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 class LookPage:
-    """One reader's page."""
+    """The page of a cube in one browser tab, in the state `place`."""
 
     def __init__(self, session: LookSession, place: Place) -> None:
         self.session, self.place = session, place
@@ -88,8 +89,8 @@ class LookPage:
         self._listen()
         self._document: Document | None = None
         self._scheduled: set[str] = set()  # names of the drawings to be done
-        self._chunks_shown = -1  # of the preview
-        self._status_shown = -1  # ledger entry of the step on the map
+        self._chunks_shown = -1  # number of chunks of the preview when series were last drawn
+        self._status_shown = -1  # status of the step on the map when it was last drawn
         self._setting_limits = False  # True while the program, not the reader, sets them
 
     # -- what is on the page ---------------------------------------------------------------------------
@@ -167,7 +168,7 @@ class LookPage:
             document.on_event(DocumentReady, lambda event: self._ready())
 
     def _ready(self) -> None:
-        """Show the picked node, then what belongs to the cube: that takes a second to import."""
+        """Show the picked node first, then probes, masks and verdict, which take a second to import."""
         self._soon(self._show_picked)
 
         def read() -> None:
@@ -179,7 +180,7 @@ class LookPage:
         threading.Thread(target=read, daemon=True, name="context").start()
 
     def _show_context(self) -> None:
-        """Show the probes, masks and verdict that belong to the cube; a trouble with one is a sentence."""
+        """Show the probes, masks and verdict of the cube; an error in one of them becomes a sentence."""
         run = self.session.run
         try:
             if run.probes is not None:
@@ -194,7 +195,7 @@ class LookPage:
         self._soon(self._show_picked)
 
     def _show_probes(self, probes: "xr.Dataset") -> None:
-        """Draw the probes on the map, and compare the node with one beside it."""
+        """Draw the probes on the map, and give them to the node panel for comparison."""
         record = self.session.record
         names, x, y = probes.probe.values.astype(str), probes.probe_x.values, probes.probe_y.values
         self.node.probes = probes
@@ -215,7 +216,7 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """The value of a list or of the slider, if it is valid: a browser can send anything."""
+        """Return the value of a list or of the slider, limited to valid ones: a browser can send anything."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -223,19 +224,19 @@ class LookPage:
 
     def _entered(self, name: str) -> None:
         changed: dict[str, Any] = {name: self.entered(name)}
-        if name == "show":  # other limits fit
+        if name == "show":  # each variable has its own colour scale
             changed["limits"] = None
         self.change(**changed)
 
     def _clicked(self, x: float, y: float) -> None:
-        """A click on the map: a corner of a mask, or a node."""
+        """Take a click on the map as a corner of a mask or as the choice of a node."""
         from wavefield.series.masks import WATER
 
         if not self._take_corner(WATER, x, y):
             self.pick(x, y)
 
     def pick(self, x: float, y: float) -> None:
-        """Show the node that was picked on the map or in an image."""
+        """Show the node nearest to (x, y), metres, which was picked on the map or in an image."""
         self.place = replace(self.place, node=(x, y))
         self.picked.active = PICKED.index("node")
         self.map.mark(self.place.node)
@@ -248,7 +249,7 @@ class LookPage:
             self.picked.active = PICKED.index("mask")
 
     def _take_corner(self, image: str, x: float, y: float) -> bool:
-        """Take a click as the corner of a mask, if masks are being drawn."""
+        """Add a click to the mask if masks are being drawn; return whether it was added."""
         if self.entered("drag") != "mask":
             return False
         self._open_masks()
@@ -275,7 +276,7 @@ class LookPage:
     # -- drawing ---------------------------------------------------------------------------------------
 
     def _soon(self, draw: Callable[[], None]) -> None:
-        """Draw at the next tick, once for all changes until then."""
+        """Schedule a drawing for the next tick, once however often it is asked for until then."""
         name = draw.__name__
         if self._document is None or name in self._scheduled:
             return
@@ -296,7 +297,7 @@ class LookPage:
             self._show_head()
 
     def redraw(self) -> None:
-        """Show the place anew."""
+        """Draw everything in the present state."""
         step, record = self.place.step, self.session.record
         if self._error:
             self._error = ""
@@ -331,14 +332,14 @@ class LookPage:
         self.link.text = self.place.query()
 
     def _show_picked(self) -> None:
-        """Show the open tab beside the views."""
+        """Draw the open tab of `PICKED`."""
         kind = PICKED[int(self.picked.active)]
         panel: Panel = self.node if kind == "node" else self.masks()
         panel.show(self.place)
         self.link.text = self.place.query()
 
     def _show_masks(self) -> None:
-        """Draw the corners that are clicked, and the masks of the experiment file."""
+        """Draw the corners that were clicked, and the masks of the experiment file."""
         from wavefield.series.masks import WATER, footprints
 
         if self.masks.made:
@@ -357,7 +358,7 @@ class LookPage:
     # -- the head --------------------------------------------------------------------------------------
 
     def _show_head(self) -> None:
-        """Show how far the run and the reading of its preview are."""
+        """Show how many steps are measured and how much of the preview is read."""
         record, preview = self.session.record, self.session.record.preview
         done, steps = record.steps_done, record.layout.steps
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
@@ -371,7 +372,7 @@ class LookPage:
         self.state.text = f"{self._error} {words}".strip()
 
     def _show_verdict(self) -> None:
-        """Show the verdict that the run left, with its remarks folded."""
+        """Show the verdict of the run; a click unfolds its remarks."""
         try:
             found = read_verdict(self.session.record.path)
         except WavefieldError as error:
@@ -389,11 +390,12 @@ class LookPage:
     # -- while the cube is being written ---------------------------------------------------------------
 
     def recheck(self) -> None:
-        """Read the ledger again, and show what is new; other pages of the server may have noticed first."""
+        """Read the status of the steps again and draw what has changed."""
         record = self.session.record
         if record.steps_done < record.layout.steps and record.refresh():
             self.session.load()
             self._show_verdict()
+        # another page of this server may have read the new status first
         if int(record.ledger[self.place.step]) != self._status_shown:
             self.redraw()
         chunks = record.preview.count
@@ -405,7 +407,7 @@ class LookPage:
         self._show_head()
 
 
-# the panels of tabs that are opened later: slow to import, with OpenCV and the experiment's files
+# Panels of tabs that are opened later. They are imported then, because OpenCV and others take a second.
 
 
 def _cameras(session: LookSession, events: PanelEvents) -> Any:

@@ -1,4 +1,4 @@
-"""What the panels share: the place that a page shows, figures of one style, sources, colour bars, series."""
+"""Parts that the panels share: the state of a page, figures in one style, data sources, long series."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -43,7 +43,7 @@ Value = str | int | tuple[float, ...] | None
 
 @dataclass(frozen=True)
 class Place:
-    """A view of a cube: show=z&step=12&node=0.1,-0.2."""
+    """The state of a page, which its link stores as a query such as show=z&step=12&node=0.1,-0.2."""
 
     show: str = "w"  # variable of the map
     step: int = 0  # index of the step
@@ -54,7 +54,7 @@ class Place:
 
     @property
     def coloured(self) -> str:
-        """The variable where one with a scale is needed: w in place of the quality."""
+        """Variable that the colour scale belongs to; w while the map shows the quality, which has none."""
         return "w" if self.show == "quality" else self.show
 
     @property
@@ -63,7 +63,7 @@ class Place:
         return display(self.coloured).colour_map
 
     def query(self) -> str:
-        """The part of a link after the question mark; defaults are left out."""
+        """Return the query of a link to this state; defaults other than variable and step are left out."""
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -77,7 +77,10 @@ class Place:
     def read(
         cls, query: Mapping[str, str], names: Sequence[str] = (), steps: int = 0, first: int = 0
     ) -> "Place":
-        """Inverse of `query` for a cube with these variables and steps; ignores what is not valid."""
+        """Read the names and values of a query, and ignore values that are not valid.
+
+        `names` are the cube's variables, `steps` their number of steps, `first` the step shown by default.
+        """
         out = cls(step=first, show="w" if "w" in names or not names else names[0])
         choices = _CHOICES | {"show": tuple(names)}
         for name, text in query.items():
@@ -88,7 +91,7 @@ class Place:
 
 
 def _parse(name: str, text: str, choices: Mapping[str, Sequence[str]]) -> Value:
-    """A part of a query as a value of its field; None if it is not valid."""
+    """Return the value of one field of a query; None if it is not valid."""
     try:
         if name == "step":
             return int(text)
@@ -98,14 +101,14 @@ def _parse(name: str, text: str, choices: Mapping[str, Sequence[str]]) -> Value:
             return (a, b) if valid else None
     except ValueError:
         return None
-    allowed = choices.get(name, ("",))  # an unknown name has no valid value but the default
+    allowed = choices.get(name, ("",))  # an unknown name has no valid value
     return text if text and (text in allowed or not allowed) else None
 
 
 INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
 SKY, YELLOW = "#56B4E9", "#F0E442"
-MOST_POINTS = 8000  # points of a line: enough to zoom in, and drawn at once
-IMAGE = "image x y dw dh"  # columns of a source of an image
+MOST_POINTS = 8000  # points of a line: enough for zooming in, few enough to draw without a delay
+IMAGE = "image x y dw dh"  # columns of the data source of an image
 _PALETTES = {SIGNED: palettes.RdBu11, POSITIVE: palettes.Cividis256}
 _KEYS = (
     ("← →", "step"), ("space", "play"), ("1–3", "views"), ("M", "mask"), ("P", "pick"), ("A", "arrows"),
@@ -125,12 +128,12 @@ Series = NDArray[np.floating]
 
 
 class Panel(Protocol):
-    """What fills a tab."""
+    """The content of a tab."""
 
     layout: UIElement  # its figures and widgets
 
     def show(self, place: Place) -> None:
-        """Show a place."""
+        """Update the figures to the state of the page."""
         ...
 
 
@@ -139,16 +142,17 @@ P = TypeVar("P", bound=Panel)
 
 @dataclass(frozen=True)
 class PanelEvents:
-    """What the page does when something happens in a panel."""
+    """Functions of the page that its panels call."""
 
-    picked: Callable[[float, float], None]  # a place on the water, metres
-    took_corner: Callable[[str, float, float], bool]  # a click in an image, perhaps a corner of a mask
-    masks_changed: Callable[[], None]
-    image_chosen: Callable[[], None]  # another camera, frame or overlay
+    picked: Callable[[float, float], None]  # with x and y, metres, when the reader picks a point
+    # with camera, column and row of a click; returns whether the click became a corner of a mask
+    took_corner: Callable[[str, float, float], bool]
+    masks_changed: Callable[[], None]  # when corners of a mask were added or removed
+    image_chosen: Callable[[], None]  # when another camera or overlay was chosen
 
 
 class LazyPanel(Generic[P]):
-    """A panel that is made when its tab is first opened; until then the tab says that it is loading."""
+    """A panel that is made when its tab is first opened; until then the tab shows "Loading"."""
 
     def __init__(self, make: Callable[[], P]) -> None:
         loading = words_of("", _LOADING, html=True)
@@ -159,11 +163,11 @@ class LazyPanel(Generic[P]):
 
     @property
     def made(self) -> bool:
-        """Whether the tab was opened."""
+        """Whether the panel exists, because its tab was opened."""
         return self._made is not None
 
     def __call__(self) -> P:
-        """The panel, in its tab."""
+        """Return the panel; the first call makes it and puts it into the tab."""
         if self._made is None:
             self._made = self._make()
             self.body.children = [self._made.layout]
@@ -171,7 +175,7 @@ class LazyPanel(Generic[P]):
 
 
 def make_figure(name: str, **settings: object) -> figure:
-    """A figure in the style of the pages: as wide as its place, light grid, no toolbar."""
+    """Return a figure in the style of the pages: full width, light grid, no toolbar."""
     settings = _DEFAULTS | settings
     if isinstance(settings["tools"], str):
         wheels = [tool for tool in settings["tools"].split(",") if tool.endswith("wheel_zoom")]
@@ -192,7 +196,7 @@ def make_figure(name: str, **settings: object) -> figure:
 
 
 def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
-    """Tabs with titles, never wider than their place; hidden ones take neither room nor time."""
+    """Return tabs with titles; their content never widens the page, and hidden content is not laid out."""
     tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
@@ -204,7 +208,7 @@ def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UI
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
-    """Empty data sources called `prefix_key`; the names of their columns are separated by spaces.
+    """Return empty data sources named `prefix_key`, by key; the value of a key lists its columns.
 
     Examples
     --------
@@ -224,7 +228,7 @@ def clear(*sources: ColumnDataSource) -> None:
 
 
 def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
-    """Call a function with each click: Bokeh has another event for a second click within 0.3 s."""
+    """Call a function at every click; Bokeh reports a second click within 0.3 s as another event."""
     for event in (Tap, DoubleTap):
         made.on_event(event, handle)
 
@@ -232,14 +236,14 @@ def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
 def add_hover(
     made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
 ) -> None:
-    """Show names, values and units of what is under the pointer."""
+    """Add a tooltip for the point under the pointer; each row is a name and a format of Bokeh."""
     drawn = list(renderers) or "auto"
     made.add_tools(HoverTool(tooltips=list(rows), mode=mode, renderers=drawn, line_policy="nearest"))
 
 
 @cache
 def asset(name: str) -> str:
-    """The text of a file among the assets of this package."""
+    """Return the text of a file in the folder `assets`."""
     return files("wavefield.explorer").joinpath(f"assets/{name}").read_text(encoding="utf-8")
 
 
@@ -251,8 +255,10 @@ def apply_template(
     keys: bool = True,
     aspect: float = 1.3,
 ) -> None:
-    """Give a document its frame: the roots named in `places` below a heading, with the list of the keys.
-    The views are as wide as a map of an aspect (width to height) can be without reaching below the window.
+    """Set the HTML template of a document: heading, roots by name (`places`), list of keyboard keys.
+
+    `aspect` is the width of the map over its height. It limits the width of the tabs so that the map fits
+    into the height of the window.
     """
     document.title = f"{heading} – wavefield {command}"
     document.template = Environment(autoescape=True).from_string(asset("page.html"))
@@ -267,35 +273,35 @@ def apply_template(
 
 
 def words_of(name: str, text: str = "", html: bool = False) -> Div:
-    """A line of text as wide as its place; what is put into HTML must be escaped first."""
+    """Return a paragraph of text of full width; with `html` the caller must escape the text."""
     return Div(
         text=text, name=name, sizing_mode="stretch_width", render_as_text=not html, disable_math=True
     )  # fmt: skip
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with significant digits and a typographic minus sign."""
+    """Return a number as text with significant digits and a typographic minus sign."""
     return f"{value:.{digits}g}".replace("-", "\u2212")
 
 
 def plain(words: object) -> str:
-    """Words as HTML without tags."""
+    """Return text with the characters that HTML reserves escaped."""
     return escape(str(words), quote=False)
 
 
 def alert(error: Exception) -> str:
-    """An error as HTML that screen readers announce."""
+    """Return an error as HTML that screen readers announce."""
     return f'<span role="alert">{plain(error)}</span>'
 
 
 def chosen(choice: Select) -> str:
-    """The value of a list if it is one of its options, else the first: a browser can send any other."""
+    """Return the value of a list; the first option if the browser sent a value that is not an option."""
     values = [option if isinstance(option, str) else str(option[0]) for option in choice.options]
     return str(choice.value) if choice.value in values else next(iter(values), "")
 
 
 def named(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Options of a list of variables, each with its meaning."""
+    """Return the options of a list of variables, each with its meaning."""
     return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
 
 
@@ -309,13 +315,16 @@ def draw_band(made: figure, source: ColumnDataSource, x: str, y: str, **line: ob
 
 
 def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: str, size: int) -> None:
-    """Draw a ring on a white ground around a point."""
+    """Draw a ring with a white outline around each point of a source."""
     for ring, width in (("white", 5.0), (colour, 2.3)):
         made.scatter(x, y, source=source, size=size, fill_color=None, line_color=ring, line_width=width)
 
 
 def probe_columns(names: Sequence[str], x: Series, y: Series, middle: float) -> dict[str, list[object]]:
-    """Columns of a source of probes; names right of the middle go to the left, where the map has room."""
+    """Return the columns of a source for `draw_probes`, from positions (n,) in metres.
+
+    The name of a probe stands on its right, or on its left beyond x = `middle`, where it stays on the map.
+    """
     right = [float(at) > middle for at in x]
     return {
         "x": list(x),
@@ -327,7 +336,7 @@ def probe_columns(names: Sequence[str], x: Series, y: Series, middle: float) -> 
 
 
 def draw_probes(made: figure, source: ColumnDataSource) -> None:
-    """Draw probes with their names, from `probe_columns`."""
+    """Draw a triangle and the name of each probe in a source that `probe_columns` filled."""
     made.scatter("x", "y", source=source, marker="triangle", size=11, fill_color=YELLOW, line_color=INK)
     made.text(
         "x", "y", "name", source=source, x_offset="offset", y_offset=4, text_align="align",
@@ -349,22 +358,22 @@ def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -
 
 @cache
 def palette(colour_map: str) -> list[str]:
-    """256 colours of one of the two colour maps of the figures."""
+    """Return 256 colours of a colour map by its matplotlib name, "RdBu_r" or "cividis"."""
     return list(palettes.interp_palette(_PALETTES[colour_map], 256))
 
 
 def quality_mapper() -> LinearColorMapper:
-    """Colours of the kinds of quality."""
+    """Return the mapper from the index of a kind of quality to its colour."""
     return LinearColorMapper(palette=[colour for _, _, colour in KINDS], low=-0.5, high=len(KINDS) - 0.5)
 
 
 def grey_mapper() -> LinearColorMapper:
-    """Grey levels from 0 to 255."""
+    """Return the mapper of grey levels from 0 to 255."""
     return LinearColorMapper(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
 
 
 def colour_bar(mapper: LinearColorMapper) -> ColorBar:
-    """A colour bar for the right side of a figure."""
+    """Return a colour bar for the right side of a figure."""
     return ColorBar(
         color_mapper=mapper, width=14, padding=8, margin=0, major_label_text_font_size="11px",
         ticker=BasicTicker(desired_num_ticks=7), formatter=NumeralTickFormatter(format="0.[000]"),
@@ -372,7 +381,7 @@ def colour_bar(mapper: LinearColorMapper) -> ColorBar:
 
 
 def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
-    """Columns of an image (ny, nx) whose pixels are centred on nodes."""
+    """Return the columns of a source for values (ny, nx) as pixels centred on the nodes x (nx,), y (ny,)."""
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
         "image": [np.ascontiguousarray(values, np.float32)],
@@ -387,8 +396,10 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 
 def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
-    """Series (n,) thinned for a screen to the lowest and the highest value of each bin, in their order.
-    Returns x and the series at the samples where the first of them has these extremes, (m,).
+    """Thin long series (n,) so that their extremes stay visible on a screen.
+
+    Of each bin of samples it keeps the two at which the first series is lowest and highest. Returns x and all
+    series at the samples that are kept, (m,), in order; series of at most `MOST_POINTS` are unchanged.
     """
     if x.size <= MOST_POINTS:
         return (x, *series)
@@ -404,14 +415,15 @@ def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
 
 
 def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
-    """Lower and upper edge (n,) of the band of uncertainty around a series (n,); NaN in gaps.
-    A thinned series alternates between crests and troughs: its band also encloses the neighbours.
+    """Return the edges (n,) of the band value - std to value + std; NaN in gaps.
+
+    A series thinned by `envelope` alternates between crests and troughs. Its band is widened to enclose the
+    neighbours: an alternating band would hide the line, and a browser takes seven times as long to fill it.
     """
     low, high = value - std, value + std
     if not thinned:
         return low, high
     gap = np.isnan(low)
-    # a band that alternates with the line would hide it, and takes a browser seven times as long to fill
     low = np.fmin.reduce(sliding_window_view(np.pad(low, 1, "edge"), 3), axis=1)
     high = np.fmax.reduce(sliding_window_view(np.pad(high, 1, "edge"), 3), axis=1)
     return np.where(gap, np.nan, low), np.where(gap, np.nan, high)

@@ -1,6 +1,6 @@
-"""The cube behind a page: any variable at any step, its thinned preview in memory, and what belongs to it.
+"""The cube that a page shows: fields at any step, series from a thinned copy in memory, and its run.
 
-The preview is int16 (variable, y, x, time): value = scale * stored, -32768 is missing.
+The thinned copy, the preview, is int16 (variable, y, x, time): value = scale * stored, -32768 is missing.
 """
 
 import threading
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
 from wavefield.figures.display import BALANCE, DERIVED
+from wavefield.store.layout import MISSING
 from wavefield.store.preview import read_steps, read_thinned, thinning
 from wavefield.store.read import open_group, read_array, read_layout
 from wavefield.store.store_paths import beside
@@ -23,20 +24,19 @@ from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus
 if TYPE_CHECKING:  # slow to import: the first map does not need it
     from wavefield.pipeline import Run
 
-MISSING = -32768
 _CACHED_FIELDS = 160  # steps of single variables in memory
 _STEPS_PER_READ = 8  # a chunk of the store holds so many or more
 
 
 def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
-    """Values of 16-bit integers in units of scale; NaN where missing."""
+    """Return stored 16-bit integers times their scale; NaN where missing."""
     values = stored.astype(np.float32) * np.float32(scale)
     values[stored == MISSING] = np.nan
     return values
 
 
 def nearest(positions: NDArray[np.floating], requested: float) -> int:
-    """Index of the position nearest to the requested one."""
+    """Return the index of the position nearest to the requested one."""
     return int(np.argmin(np.abs(positions - requested)))
 
 
@@ -58,7 +58,7 @@ class CubeRecord:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Stored variables, and those derived from them."""
+        """Names of the stored variables and of those that can be derived from them."""
         return self.stored + (DERIVED if set(BALANCE) <= set(self.stored) else ())
 
     @property
@@ -72,7 +72,7 @@ class CubeRecord:
         return str(self.group.attrs["experiment"])
 
     def refresh(self) -> bool:
-        """Read the ledger again; returns whether it has changed."""
+        """Read the status of the steps again; return whether it has changed."""
         ledger = read_array(self.group, self.path, "frame_status")
         changed = ledger != self.ledger
         for key in [key for key in self._cache if changed[key[1]]]:
@@ -86,12 +86,12 @@ class CubeRecord:
         return int(np.count_nonzero(self.ledger))
 
     def first_step(self) -> int:
-        """The first step that was measured, or 0."""
+        """Return the first step that was measured, or 0."""
         measured = np.isin(self.ledger, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
         return int(np.argmax(measured))
 
     def field(self, name: str, step: int) -> NDArray[np.float32]:
-        """A variable at one step, (ny, nx), in stored units."""
+        """Return a variable at one step, (ny, nx), in the units of the store."""
         if name in DERIVED:
             return self._derived(name, step)
         with self._lock:
@@ -107,7 +107,7 @@ class CubeRecord:
         return out
 
     def _derived(self, name: str, step: int) -> NDArray[np.float32]:
-        """A variable that `terms` derives, at one step."""
+        """Return a derived variable at one step, (ny, nx)."""
         from wavefield.waves.motion import terms
 
         fields = {stored: self.field(stored, step) for stored in BALANCE}
@@ -130,25 +130,25 @@ class Preview:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Which chunks the cube has."""
+        """Whether each chunk of the cube is measured, (chunks,)."""
         ledger = self._record.ledger
         return np.array([bool(ledger[a:b].all()) for a, b in self._record.layout.chunks()])
 
     @property
     def complete(self) -> bool:
-        """Whether all that is measured is in memory."""
+        """Whether all measured chunks are in memory."""
         return bool((self.loaded | ~self.measured).all())
 
     @property
     def count(self) -> int:
-        """Number of chunks in memory: what is drawn from them is drawn anew when it changes."""
+        """Number of chunks in memory; pages draw series again when it changes."""
         return int(self.loaded.sum())
 
     def load(self) -> None:
-        """Read the chunks that are not in memory."""
+        """Read the measured chunks that are not in memory yet."""
         with self._lock:
             measured = self.measured
-            self.loaded &= measured  # chunks that are being measured again are read again
+            self.loaded &= measured  # a chunk that is being measured again must be read again
             bounds = self._record.layout.chunks()
             for index in np.flatnonzero(measured & ~self.loaded):
                 start, stop = bounds[index]
@@ -160,16 +160,16 @@ class Preview:
                 self.loaded[index] = True
 
     def stored(self, name: str) -> NDArray[np.int16]:
-        """One variable, (y, x, time), as stored; missing where it is not read yet."""
+        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` where it is not read yet."""
         return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
-        """A variable at one node of the preview, (time,), in stored units."""
+        """Return a variable at one node of the preview, (time,), in the units of the store."""
         return decode(self.stored(name)[j, i], self.thin.scales[self.thin.names.index(name)])
 
 
 class LookSession:
-    """What all pages of one server share: a cube, also an unfinished or damaged one, and its run."""
+    """The cube and run that all pages of one server share; the cube may be unfinished or damaged."""
 
     def __init__(self, path: str | Path) -> None:
         self.record = CubeRecord(path)
@@ -177,23 +177,23 @@ class LookSession:
 
     @cached_property
     def run(self) -> "Run":
-        """Rig, experiment, images, waves and probes of the cube; slow to import, so after the first map."""
+        """Rig, experiment, images, waves and probes of the cube; slow, so not used for the first map."""
         import xarray as xr
 
         from wavefield.pipeline import Run
 
         record = self.record
         coords = {name: getattr(record, name) for name in CUBE_DIMS}
-        status = {"frame_status": ("time", record.ledger)}  # the waves are checked against it
+        status = {"frame_status": ("time", record.ledger)}  # `Run` checks the waves against it
         axes = xr.Dataset(status, coords, dict(record.group.attrs))
         return Run(axes, record.path, self.waves_path)
 
     def reopen(self) -> None:
-        """Read the run again when it is next used: its files have changed."""
+        """Read the files of the run again when they are next used, because they have changed."""
         self.run = replace(self.run)
 
     def load(self) -> threading.Thread:
-        """Read the preview in the background."""
+        """Read the preview in a thread, which is returned."""
         thread = threading.Thread(target=self.record.preview.load, daemon=True, name="preview")
         thread.start()
         return thread

@@ -1,4 +1,4 @@
-"""The server of the pages: on the loopback only, behind a secret address, every file from this machine."""
+"""Serve the pages: reachable from this machine only, at a secret address, with no file from the internet."""
 
 import asyncio
 import errno
@@ -35,16 +35,16 @@ _HOSTS = ("localhost", "127.0.0.1")
 
 
 def record_place(session: LookSession, query: dict[str, str]) -> Place:
-    """The place of a link to a cube."""
+    """Return the page state that the query of a link asks for, limited to what the cube has."""
     record = session.record
     return Place.read(query, record.names, record.layout.steps, record.first_step())
 
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
-    """The measured node nearest to the middle of the grid, x and y in metres."""
+    """Return x and y, metres, of the measured node nearest to the middle of the grid."""
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
-    with suppress(StoreError):  # the map reports it
+    with suppress(StoreError):  # the map reports a damaged step
         measured = np.isfinite(record.field(record.stored[0], step))
         distance = np.where(measured, distance, np.inf if measured.any() else distance)
     j, i = np.unravel_index(np.argmin(distance), distance.shape)
@@ -52,7 +52,7 @@ def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
 
 
 class Refused(RequestHandler):
-    """Refuses requests without the token or from elsewhere."""
+    """Refuses requests that lack the token or come from another machine or website."""
 
     def prepare(self) -> None:
         """Answer with status 403."""
@@ -63,8 +63,10 @@ class Refused(RequestHandler):
 
 
 class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has no types
-    """An application whose every address begins with a token, as ``/TOKEN/ws``.
-    A cookie of localhost goes to other users' servers, too, and is not sent from another site's notebook.
+    """Bokeh application whose addresses all begin with a secret token, such as ``/TOKEN/ws``.
+
+    A cookie would not do: browsers send it to the servers of other users of this machine as well, and do not
+    send it when a notebook of another site shows the page in a frame.
     """
 
     def __init__(self, make_page: Callable[[Document], None]) -> None:
@@ -78,7 +80,7 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
         )
 
     def find_handler(self, request: HTTPServerRequest, **more: Any) -> HTTPMessageDelegate:
-        """Route a request, of any kind, that the guard lets through."""
+        """Return Bokeh's handler of a request, or `Refused` if the request is not allowed."""
         allowed = self._allows(request)
         found: HTTPMessageDelegate = (
             super().find_handler(request, **more) if allowed else self.get_handler_delegate(request, Refused)
@@ -86,7 +88,8 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
         return found
 
     def _allows(self, request: HTTPServerRequest) -> bool:
-        """Whether a request has the token, names this machine as host, and comes from this page or from none.
+        """Return whether a request has the token, is sent to this machine, and comes from its own page.
+
         Any port is accepted, because an SSH tunnel may use another one.
         """
         given = request.path.split("/")[1] if request.path.startswith("/") else ""
@@ -98,7 +101,7 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
 
 
 class PageServer(BaseServer):  # type: ignore[misc]
-    """A server of pages."""
+    """HTTP server of the pages."""
 
     _tornado: GuardedTornado
 
@@ -109,7 +112,10 @@ class PageServer(BaseServer):  # type: ignore[misc]
 
 
 def make_server(make_page: Callable[[Document], None], port: int | None) -> PageServer:
-    """A server on the loopback, at the first free port of the default ones if none is given."""
+    """Return a server for this machine at a port, by default the first free one of `DEFAULT_PORTS`.
+
+    `make_page` fills the Bokeh document of each browser tab. Raises WavefieldError if no port is free.
+    """
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
         try:
@@ -131,7 +137,7 @@ def make_server(make_page: Callable[[Document], None], port: int | None) -> Page
 
 
 def session_server(session: LookSession, port: int | None = None) -> PageServer:
-    """A server of the page of a cube."""
+    """Return a server of the page of a cube; each browser tab starts in the state that its link asks for."""
 
     def make_page(document: Document) -> None:
         arguments = document.session_context.request.arguments or {}
@@ -145,7 +151,7 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 
 class ServedPage:
-    """A page and its server in a thread of its own, for notebooks, which show it as a frame."""
+    """A page whose server runs in its own thread, so that a notebook can show the page in a frame."""
 
     def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()
@@ -204,7 +210,7 @@ def look(cube: str | Path, *, port: int | None = 0) -> ServedPage:
     cube : path
         Store written by `run`, finished or not.
     port : int, optional
-        Where the page is served, on the loopback only; by default any that is free.
+        Port of the page, which only this machine can open; by default any free one.
 
     Returns
     -------
@@ -214,7 +220,7 @@ def look(cube: str | Path, *, port: int | None = 0) -> ServedPage:
     Raises
     ------
     StoreError
-        If it is not there or is not a cube.
+        If there is no such store, or it is not a cube.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Waves: E(k, omega) with a curve of the dispersion relation, and E(kx, ky) at one frequency."""
+"""The tab of waves: E(k, omega) with the dispersion relation, and E(kx, ky) at one frequency."""
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Decimal logarithm of a density relative to its largest value, cut off below."""
+    """Return log10 of a density relative to its largest value, at least -`DECADES`; NaN without any."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
@@ -30,12 +30,15 @@ def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
-    """Frequency in Hz, (omega(k) + k U) / 2 pi, of waves k (rad/m) along a current U (m/s), at rest."""
+    """Return the frequency, Hz, at a fixed point: (omega(k) + k U) / 2 pi.
+
+    The waves k, rad/m, travel along a current U, m/s, in water of a depth in metres.
+    """
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
 
 class WavePanel:
-    """The results of `wavefield analyze`."""
+    """The spectra that `wavefield analyze` wrote, with sliders for current and depth."""
 
     def __init__(self, session: LookSession) -> None:
         self._session = session
@@ -107,7 +110,7 @@ class WavePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the waves, as soon as there are some; they are those of the whole record."""
+        """Show the spectra of the whole record, as soon as they exist; they do not depend on the step."""
         if self._spectra is not None:
             return
         session = self._session
@@ -134,7 +137,7 @@ class WavePanel:
         density = log_density(energy.values)
         self.sources["image"].data = parts.image_data(density, cycles, hertz)
         shortest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
-        drawn = cycles[(density > -DECADES).any(axis=0)]  # no colours beyond
+        drawn = cycles[(density > -DECADES).any(axis=0)]  # wavenumbers above the lowest colour
         end = min(float(drawn[-1] if drawn.size else cycles[-1]), 1.25 * shortest)
         self.figures["spectrum"].x_range.update(start=0, end=end)
         self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
@@ -152,7 +155,7 @@ class WavePanel:
         self._show_circle()
 
     def choose(self, frequency: float) -> None:
-        """Show the map nearest to a frequency, Hz."""
+        """Show the map of E(kx, ky) at the stored frequency nearest to one in Hz."""
         if self._spectra is None or "omega_map" not in self._spectra.coords:
             return
         hertz = self._spectra.omega_map.values / (2 * np.pi)

@@ -1,4 +1,4 @@
-"""How a variable is displayed: unit, colours, ends of its scale; the quality of a node in words."""
+"""How variables are displayed: units, colours and limits of colour scales; the quality of a node in words."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,8 +11,9 @@ from wavefield.variables import TABLE, Quality
 SIGNED, POSITIVE = "RdBu_r", "cividis"  # colour maps that keep their order for colour-blind readers
 BALANCE = ("z", "z_t", "u", "v", "w")  # the variables of the kinematic condition
 DERIVED = ("vorticity", "divergence", "residual")  # computed from those
+MARKS_ACROSS = 24  # arrows or dots drawn along the longer side of a grid, so that each can be told apart
 
-# stored unit: factor to the displayed unit, displayed unit
+# by stored unit: factor to the displayed unit, and that unit
 _UNITS = {
     "m": (100.0, "cm"),
     "m s-1": (100.0, "cm/s"),
@@ -23,7 +24,7 @@ _UNITS = {
 
 
 def limit(values: ArrayLike, percent: float = 99.5) -> float:
-    """Half-width of a balanced colour scale."""
+    """Return the half-width of a balanced colour scale: a percentile of the magnitudes; 1 without values."""
     finite = np.abs(np.asarray(values, float))
     finite = finite[np.isfinite(finite)]
     return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
@@ -31,7 +32,7 @@ def limit(values: ArrayLike, percent: float = 99.5) -> float:
 
 @dataclass(frozen=True)
 class Display:
-    """Unit, colours and name of one variable for readers."""
+    """Name, unit and colours with which one variable is displayed."""
 
     name: str
     factor: float  # from the stored unit to the displayed one
@@ -39,7 +40,7 @@ class Display:
 
     @property
     def in_unit(self) -> str:
-        """The unit in brackets, after a space; empty for pure numbers."""
+        """The unit in brackets with a space before it; empty for pure numbers."""
         return f" ({self.unit})" if self.unit else ""
 
     @property
@@ -54,17 +55,19 @@ class Display:
 
     @property
     def signed(self) -> bool:
-        """Whether it has a sign, so that its colours are balanced about zero."""
+        """Whether the variable can be negative; its colours are then balanced about zero."""
         return not self.name.endswith("_std") and self.name not in ("eps_piv", "quality")
 
     @property
     def colour_map(self) -> str:
-        """Its matplotlib colour map, whose order colour-blind readers keep."""
+        """The matplotlib colour map, which colour-blind readers can read as well."""
         return SIGNED if self.signed else POSITIVE
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
-        """Ends of a colour scale for displayed values, without the largest half percent; two digits.
-        An unsigned scale begins at zero, or at its smallest values where all are above half of its end.
+        """Return the lower and upper end of the colour scale for values in the displayed unit, to two digits.
+
+        The upper end is the 99.5 % quantile of the magnitudes. The scale of an unsigned variable begins at
+        zero, or at its smallest values if these exceed half of the upper end.
         """
         half = float(f"{limit(values):.2g}")
         if self.signed:
@@ -75,14 +78,14 @@ class Display:
 
 
 def display(name: str) -> Display:
-    """How a variable of the table is displayed: elevation in cm, its uncertainty and misfits in mm."""
+    """Return how a variable is displayed: z in cm, uncertainties and misfits in mm, velocities in cm/s."""
     units = TABLE[name].units
-    if units == "m" and name != "z":  # uncertainties and mismatches are small
+    if units == "m" and name != "z":
         return Display(name, 1000.0, "mm")
     return Display(name, *_UNITS[units])
 
 
-# one kind for each node, the first that applies: bit of `quality`, in words, colour (of Okabe and Ito's)
+# The kind of a node is the first that applies: bit of `quality`, words, colour (of Okabe and Ito 2008)
 KINDS: tuple[tuple[str, str, str], ...] = (
     ("OUTSIDE", "outside the view", "#d9d9d9"),
     ("MASKED", "masked", "#000000"),
@@ -97,7 +100,10 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """Index into `KINDS` of each node, by the gravest of its bits; their number where none is set."""
+    """Return the index into `KINDS` of the first kind whose bit is set, or `len(KINDS)` if none is.
+
+    The result has the shape of `quality`.
+    """
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):
         out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
@@ -105,6 +111,6 @@ def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def drawn_kind(quality: NDArray[Any]) -> NDArray[np.float32]:
-    """The same for pictures: NaN where nothing applies."""
+    """Return `quality_kind` as floats for a picture, NaN where no bit is set."""
     kinds = quality_kind(quality)
     return np.where(kinds < len(KINDS), kinds, np.nan).astype(np.float32)

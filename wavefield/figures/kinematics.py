@@ -40,8 +40,8 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's maps of eta, u . grad eta and the error field. The residual has the scale of
-    the nonlinear term, for comparison.
+    Corresponds to the paper's maps of eta, u . grad eta and the error field. The residual and the nonlinear
+    term share one colour scale.
     """
     from wavefield.waves.motion import kinematics_at  # imports compiled kernels
 
@@ -70,9 +70,9 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's coherence curves, with its common normalisation, on the left; the standard
-    magnitude-squared coherence with its level of chance on the right. Lines are thin and pale where the
-    store marks the spectra as not valid.
+    Left: coherence with the common normalisation of the paper, as in its figure. Right: the standard
+    magnitude-squared coherence, with the level that unrelated signals exceed in 5 % of cases. Lines are thin
+    and pale at wavenumbers that the store marks as not valid.
     """
     figure, [[left, right]] = panels(2)
     k, valid = cycles(coherence), coherence["valid"].values if "valid" in coherence else None
@@ -86,7 +86,7 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
 
 
 def plane_coherence_maps(plane: xr.Dataset) -> Figure:
-    """Coherence with the sum at each wave vector, and the three curves averaged after the ratio.
+    """Coherence of z_t with w - u . grad z at each wave vector, and curves averaged over the angle.
 
     Parameters
     ----------
@@ -96,6 +96,10 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
+
+    Notes
+    -----
+    The curves average the coherence itself over the angle of k, not the spectra that it is the ratio of.
     """
     figure, [[left, right]] = panels(2, height=4.4)
     kx, ky = (plane[name].values / (2 * np.pi) for name in ("kx", "ky"))
@@ -124,7 +128,7 @@ def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Shaded: the 95 % interval. The term is relative to the mean current, which adds none of its own.
+    Shaded: the 95 % interval. The nonlinear term is (u - U) . grad z, with the mean current U.
     """
     figure, axes = panels(2)
     top = 0.0

@@ -1,4 +1,4 @@
-"""Distributions of what was measured, its coverage, faults, misfits, uncertainties and errors."""
+"""Coverage and faults of a cube; maps of misfits and uncertainties; distributions of fields and errors."""
 
 import numpy as np
 import xarray as xr
@@ -34,14 +34,14 @@ _REASONS = {
 
 
 def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
-    """Fraction of values with each mark, averaged over some dimensions of the bit mask (time, y, x)."""
+    """Return the fraction of values with each bit of `_REASONS`, averaged over some dimensions."""
     return xr.Dataset(
         {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
     )
 
 
 def coverage_map(cube: xr.Dataset) -> Figure:
-    """Share of time in which each node was measured, and in which it was filled.
+    """Maps of the fraction of time in which each node was measured, and in which it was interpolated.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def coverage_map(cube: xr.Dataset) -> Figure:
 
 
 def fault_history(cube: xr.Dataset) -> Figure:
-    """Fractions of the nodes in view that were measured and rejected over time, and the status of each step.
+    """Fraction of the visible nodes that were measured, filled or rejected at each step, and its status.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # older cubes hold 8 bits
+    nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # cubes of early versions store 8 bits
     visible = (((cube.quality & nothing) == 0) & (cube.quality != 0)).mean(("y", "x")).compute()
     shares = _quality_shares(cube.quality, ("y", "x")).compute()
     figure, axes = panels(1, 2, width=10.4, height=2.3)
@@ -91,7 +91,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
 
 
 def misfit_maps(cube: xr.Dataset) -> Figure:
-    """Root mean square in time of the stereo mismatch eps_y and of the PIV misfit eps'.
+    """Maps of the rms in time of eps_y, the mismatch of sight lines, and eps', that of displacements.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def misfit_maps(cube: xr.Dataset) -> Figure:
 
 
 def uncertainty_maps(cube: xr.Dataset) -> Figure:
-    """Median in time of the standard uncertainties of z, u, v and w.
+    """Maps of the median in time of the standard uncertainties of z, u, v and w.
 
     Parameters
     ----------
@@ -128,7 +128,8 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
 
 
 def _median_in_time(field: xr.DataArray) -> xr.DataArray:
-    stride = -(-field.sizes["time"] // 200)  # the median of 200 steps is good to a few percent
+    """Return the median over up to 200 steps, which is accurate to a few percent."""
+    stride = -(-field.sizes["time"] // 200)
     part = field.isel(time=slice(None, None, stride)).load()
     values = np.ma.filled(
         np.ma.median(np.ma.masked_invalid(part.values), axis=part.get_axis_num("time")), np.nan
@@ -139,7 +140,7 @@ def _median_in_time(field: xr.DataArray) -> xr.DataArray:
 def _draw_density(
     axes: Axes, values: np.ndarray, unit: str, name: str, style: dict[str, object], span: float
 ) -> float:
-    """Draw the density of values within `span` of their mean; gives their standard deviation."""
+    """Draw the probability density of values within `span` of their mean; return their standard deviation."""
     finite = values[np.isfinite(values)]
     sigma, mean = (float(finite.std()), float(finite.mean())) if finite.size else (0.0, 0.0)
     bins = np.linspace(mean - span, mean + span, 121) if span else np.linspace(-1, 1, 121)
@@ -158,24 +159,24 @@ def _draw_gaussian(axes: Axes, sigma: float, mean: float, span: float) -> None:
 
 
 def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
-    """Displacements in one step times a factor, by component."""
+    """Return the displacements of one step times a factor, (time, y, x), by the name of the velocity."""
     rate = float(cube.attrs["frame_rate"])
     return {name: factor / rate * cube[name].values.astype(float) for name in _DISPLACEMENTS}
 
 
 def _largest_std(fields: dict[str, np.ndarray]) -> float:
-    """Largest standard deviation of the fields that have values; 1 if none has."""
+    """Return the largest standard deviation of the fields; 1 if none has values."""
     return max((float(np.nanstd(f)) for f in fields.values() if np.isfinite(f).any()), default=0.0) or 1.0
 
 
 def distributions(cube: xr.Dataset) -> Figure:
-    """Densities of z and of the displacements in one step, with the Gaussian of the same spread.
+    """Probability densities of z and of the displacements in one step, with Gaussians of the same variance.
 
     Parameters
     ----------
     cube : Dataset, (time, y, x)
-        A cube with z (m) and u, v, w (m s-1) and the attribute frame_rate (Hz); a long one may be thinned in
-        time before.
+        A cube with z (m) and u, v, w (m s-1) and the attribute frame_rate (Hz). Thin a long one in time
+        first: all values are loaded.
 
     Returns
     -------
@@ -183,7 +184,7 @@ def distributions(cube: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's distributions of z, dx, dy and dz.
+    Corresponds to the paper's distributions of z, dx, dy and dz.
     """
     figure, [[left, right]] = panels(2)
     z = 100 * cube.z.values.astype(float)
@@ -201,7 +202,7 @@ def distributions(cube: xr.Dataset) -> Figure:
 
 
 def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
-    """Densities of z and of the displacements over still water.
+    """Probability densities of z and of the displacements in one step for still water.
 
     Parameters
     ----------
@@ -216,8 +217,8 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's figure at rest: z - z_rest with and without each node's mean over time, and
-    dx, dy, dz.
+    Corresponds to the paper's figure of water at rest: z - z_rest with and without each node's mean over
+    time, and dx, dy, dz.
     """
     figure, [[left, right]] = panels(2, height=4.6)
     z = 1e3 * (rest.z.values.astype(float) - level)
@@ -236,7 +237,7 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
 
 
 def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
-    """Densities of the errors of z and of the displacements against the truth.
+    """Probability densities of the errors of z and of the displacements of a simulated experiment.
 
     Parameters
     ----------
@@ -251,7 +252,7 @@ def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's test on synthetic images and of its test with water at rest.
+    Corresponds to the paper's tests with synthetic images and with water at rest.
     """
     figure, axes = panels(2)
     moved = {_DISPLACEMENTS[name]: values for name, values in _displacements(errors, 1 / pixel).items()}

@@ -1,4 +1,4 @@
-"""The cameras: their places, their views and their frames."""
+"""Drawings of the cameras and their fields of view, and images with the grid."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from wavefield.rig import Rig
 
 
 def rig_views(rig: Rig, grid: Grid) -> Figure:
-    """The rig from the side and from above.
+    """Drawing of the rig from the side and from above, with the cameras' fields of view.
 
     Parameters
     ----------
@@ -27,14 +27,14 @@ def rig_views(rig: Rig, grid: Grid) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's sketch of the set-up.
+    Corresponds to the paper's sketch of the set-up.
     """
     figure, axes = panels(2, height=4.0)
     side, above = axes[0]
     y0 = np.mean(grid.y)
     outline = _rectangle(grid.x, grid.y)
     corners = np.concatenate([outline, *(camera.corners(0.0) for camera in rig.cameras.values())])
-    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)  # lines would cross a name inside
+    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)  # names go outside these lines
     side.plot(grid.x, [0, 0], color="0.2", linewidth=3)
     above.plot(*outline.T, color="0.2", linewidth=2, label="grid on the water at rest")
     for style, (name, camera) in zip(LINES[1:] * len(rig), rig.cameras.items(), strict=False):
@@ -62,12 +62,12 @@ def rig_views(rig: Rig, grid: Grid) -> Figure:
 
 
 def _rectangle(x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.float64]:
-    """Corners of a rectangle, (5, 2), the first one again at the end."""
+    """Return the corners of a rectangle as a closed line, (5, 2)."""
     return np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1]), (x[0], y[0])], float)
 
 
 def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Figure:
-    """One frame of each camera with the outline of the grid, and a zoom on the seeding.
+    """One frame of each camera with the outline of the grid, and an enlarged part that shows the seeding.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
 
     Notes
     -----
-    Counterpart of the paper's snapshot of camera 3 and its zoom on the particles.
+    Corresponds to the paper's snapshot of camera 3 with enlarged particles.
     """
     figure, axes = panels(len(frames), 2, width=4.0, height=3.7)
     x, y = grid.x_nodes, grid.y_nodes

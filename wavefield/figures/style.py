@@ -1,7 +1,7 @@
 """Sizes, colours, maps and axes that all figures share.
 
-Colour maps: red-blue, balanced about zero, for signed fields; cividis for positive ones. Both keep their
-order for colour-blind readers. Lines differ by dash as well as by colour.
+Signed fields are drawn in red and blue, balanced about zero, positive ones in cividis; colour-blind readers
+can read both. Lines differ by dash as well as by colour.
 """
 
 import io
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefield.figures.display import POSITIVE, SIGNED, limit
 
-# Okabe and Ito's colours that contrast with white, each with its own dash
+# those colours of Okabe and Ito (2008) that contrast with white, each with its own dash
 LINES: tuple[dict[str, Any], ...] = (
     {"color": "#000000", "linestyle": "-"},
     {"color": "#0072B2", "linestyle": "-"},
@@ -46,14 +46,14 @@ _RC: Any = {
 
 
 class NotebookFigure(Figure):
-    """A figure that a notebook shows by itself, whatever its backend."""
+    """A matplotlib figure that a notebook displays without pyplot."""
 
     def _repr_png_(self) -> bytes:
         return file_of(self, dpi=100)
 
 
 def file_of(figure: Figure, kind: str = "png", **settings: Any) -> bytes:
-    """A figure as the content of a PNG or SVG file."""
+    """Return the content of a PNG or SVG file of a figure; settings are those of `Figure.savefig`."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind, **settings)
     return buffer.getvalue()
@@ -62,7 +62,7 @@ def file_of(figure: Figure, kind: str = "png", **settings: Any) -> bytes:
 def panels(
     columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1, projection: str | None = None
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """A figure with panels, axes (rows, columns), without any global state."""
+    """Return a figure and its axes (rows, columns), without pyplot; sizes of one panel are in inches."""
     with matplotlib.rc_context(_RC):
         figure = NotebookFigure(figsize=(width * columns, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": projection})
@@ -72,14 +72,14 @@ def panels(
 def map_panels(
     field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """A figure with panels, axes (rows, columns), of the shape of a field's rectangle (y, x)."""
+    """Return a figure and its axes (rows, columns), shaped to show maps of a field (y, x)."""
     wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
     height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
     return panels(columns, rows, width=width, height=height)
 
 
 def edges(centres: np.ndarray) -> np.ndarray:
-    """Edges, (n + 1,), of the cells around equally spaced centres, (n,)."""
+    """Return the edges (n + 1,) of the cells around equally spaced centres (n,)."""
     centres = np.asarray(centres, float)
     step = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) or 1.0
     return np.concatenate([centres - step / 2, centres[-1:] + step / 2])
@@ -96,7 +96,7 @@ def draw_cells(
     cmap: str,
     extend: str = "both",
 ) -> None:
-    """Draw values (y, x) of cells around their centres, with a colour bar as high as the panel."""
+    """Draw values (ny, nx) as cells around their centres x (nx,), y (ny,), with a colour bar."""
     drawn = axes.pcolormesh(
         edges(x), edges(y), np.ma.masked_invalid(values), norm=norm, cmap=cmap, rasterized=True
     )
@@ -120,7 +120,10 @@ def draw_map(
     title: str = "",
     norm: Normalize | None = None,
 ) -> None:
-    """Draw a field (y, x) over the physical plane, with its colour bar; linear between a scale's ends."""
+    """Draw a map of a field (y, x) times a factor, with a colour bar.
+
+    The colours are linear between the ends `scale`, by default balanced about zero; `norm` replaces both.
+    """
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
         half = limit(values)
@@ -135,33 +138,33 @@ def draw_map(
 def draw_positive_map(
     axes: Axes, field: xr.DataArray, label: str, factor: float = 1.0, percent: float = 99
 ) -> None:
-    """Draw a field (y, x) without negative values, on a scale up to a percentile."""
+    """Draw a map of a positive field (y, x) times a factor, on a colour scale from 0 to a percentile."""
     top = factor * limit(field, percent)
     draw_map(axes, field, label, factor=factor, cmap=POSITIVE, scale=(0, top))
 
 
 def rms_in_time(field: xr.DataArray) -> xr.DataArray:
-    """Root mean square over time of a field (time, y, x)."""
+    """Return the root mean square over time, (y, x), of a field (time, y, x)."""
     return ((field.astype(float) ** 2).mean("time") ** 0.5).compute()
 
 
 def moment_title(snapshot: xr.Dataset) -> str:
-    """Time of a snapshot, for a title."""
+    """Return the time of a snapshot as a title, such as "t = 0.125 s"; empty if it is unknown."""
     return f"t = {round(float(snapshot.time), 3):g} s" if "time" in snapshot.coords else ""
 
 
 def hertz(group: xr.Dataset | xr.DataArray) -> np.ndarray:
-    """Frequencies of a group of a wave store, Hz."""
+    """Return the frequencies of a group of a wave store, (n,), Hz."""
     return np.asarray(group.omega.values / (2 * np.pi))
 
 
 def cycles(group: xr.Dataset | xr.DataArray) -> np.ndarray:
-    """Wavenumbers of a group of a wave store, cycles per metre."""
+    """Return the wavenumbers of a group of a wave store, (n,), cycles per metre."""
     return np.asarray(group.k.values / (2 * np.pi))
 
 
 def positive(values: ArrayLike) -> np.ndarray:
-    """Values for a logarithmic axis: NaN where not positive."""
+    """Return values for a logarithmic axis, with NaN in place of those that are not positive."""
     array = np.asarray(values)
     return np.where(array > 0, array, np.nan)
 
@@ -175,8 +178,9 @@ def draw_curves(
     log: str = "",
     valid: np.ndarray | None = None,
 ) -> None:
-    """Draw curves over x by their labels, each in its style; `log` names logarithmic axes, such as "xy".
-    Where they are not `valid` (n,), they are thin and pale.
+    """Draw labelled curves (n,) over x (n,), each in the next style.
+
+    `log` names the logarithmic axes, such as "xy". Curves are thin and pale where `valid` (n,) is False.
     """
     for style, (label, values) in zip(styles, curves.items(), strict=False):
         drawn = positive(values) if "y" in log else np.asarray(values)
@@ -188,7 +192,7 @@ def draw_curves(
 
 
 def plain_axes(axes: Axes, **legend: object) -> None:
-    """Give a line plot a light grid, and a legend of its named lines outside, where no line crosses it."""
+    """Give a line plot a light grid, and a legend outside the axes, where no line crosses it."""
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
     if labels := axes.get_legend_handles_labels()[1]:
@@ -200,26 +204,26 @@ def plain_axes(axes: Axes, **legend: object) -> None:
 def finish(
     axes: Axes, xlabel: str, ylabel: str, legend: Mapping[str, object] | None = None, **properties: object
 ) -> None:
-    """Label the axes of a line plot and set other properties; then grid and legend."""
+    """Set the labels and other properties of a line plot, then its grid and legend."""
     axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     plain_axes(axes, **(legend or {}))
 
 
 def frequency_axis(axes: Axes) -> None:
-    """Label a logarithmic axis with 1, 2 and 5: powers of ten over a decade or two run into each other."""
+    """Label a logarithmic axis of one or two decades with 1, 2 and 5 times powers of ten."""
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def round_down(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that does not exceed a value."""
+    """Return the largest of 1, 2, 5 times a power of ten that does not exceed a positive value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 
 
 def densities(values: ArrayLike, bins: np.ndarray) -> np.ndarray:
-    """Probability density of values in bins between edges (n + 1,), per unit of the values, (n,)."""
+    """Return the probability density (n,) of the finite values in bins with edges (n + 1,)."""
     finite = np.asarray(values, float).ravel()
     finite = finite[np.isfinite(finite)]
     counts, _ = np.histogram(finite, bins)

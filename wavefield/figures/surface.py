@@ -1,4 +1,4 @@
-"""The surface and its velocity at one moment."""
+"""Pictures of the surface and its velocity at one moment."""
 
 from typing import Any
 
@@ -10,11 +10,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from wavefield.figures.display import SIGNED, limit
+from wavefield.figures.display import MARKS_ACROSS, SIGNED, limit
 from wavefield.figures.style import draw_map, map_panels, moment_title, panels, round_down
 
-MAX_POLYGONS = 70  # per axis in 3D: more takes seconds without a visible difference
-ARROWS_ACROSS = 26
+MAX_POLYGONS = 70  # along each axis of the 3D view; more take seconds without a visible difference
 
 
 def surface_3d(snapshot: xr.Dataset) -> Figure:
@@ -31,7 +30,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's 3D snapshot. Heights are exaggerated: compare the axes.
+    Corresponds to the paper's 3D snapshot. Heights are exaggerated: see the axes.
     """
     stride = {d: slice(None, None, -(-snapshot.sizes[d] // MAX_POLYGONS)) for d in ("y", "x")}
     part = snapshot[["z", "w"]].isel(stride).transpose("y", "x")
@@ -46,7 +45,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
     corners = np.stack([x, y, z], axis=-1)
     quads = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2)
     quads = quads.reshape(-1, 4, 3)
-    # matplotlib computes with uninitialised memory where faces have fewer corners
+    # matplotlib uses uninitialised memory for faces with fewer than four corners
     complete = np.isfinite(quads).all(axis=(1, 2))
     if complete.any():
         colour = faces[:-1, :-1].reshape(-1, 4)[complete]
@@ -63,14 +62,14 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
 
 def _relief(z: np.ndarray) -> np.ndarray:
-    """Brightness factors from 0.72 to 1 that mimic light from one side."""
+    """Return brightness factors from 0.72 to 1, as if light came from one side."""
     slope = np.nan_to_num(np.gradient(z, axis=1) - np.gradient(z, axis=0))
     return np.asarray(0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1))
 
 
 def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
     """Draw the horizontal velocity as arrows, with a key."""
-    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / ARROWS_ACROSS))
+    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / MARKS_ACROSS))
     thin = slice(stride // 2, None, stride)
     part = snapshot[["u", "v"]].isel(x=thin, y=thin).transpose("y", "x")
     u, v = 100 * part.u.values.astype(float), 100 * part.v.values.astype(float)
@@ -83,7 +82,7 @@ def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
 
 
 def velocity_map(snapshot: xr.Dataset) -> Figure:
-    """Vertical velocity in colour, horizontal velocity as arrows.
+    """Map of the vertical velocity in colour, with arrows of the horizontal velocity.
 
     Parameters
     ----------
@@ -96,7 +95,7 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's velocity snapshot.
+    Corresponds to the paper's velocity snapshot.
     """
     figure, [[ax]] = map_panels(snapshot.w, 1, width=7.4)
     draw_map(ax, snapshot.w, "w (cm s⁻¹)", factor=100)

@@ -1,4 +1,4 @@
-"""Spectra, dispersion, directions, probes, coherences of three and four waves, crests, increments."""
+"""Figures of spectra, dispersion, directions, probes, bicoherence, crests and structure functions."""
 
 import numpy as np
 import xarray as xr
@@ -31,17 +31,17 @@ _METHODS = {
     "cross": "cross-spectrum of z and w",
     "fusion": "fusion of z and w",
 }
-_STEPS_DRAWN = 300  # steps drawn of probes; in longer records waves are too narrow to compare
-_LOWEST_COLOUR = "#440154"  # lowest colour of viridis: values below the scale are not missing
+_STEPS_DRAWN = 300  # steps of a probe that are drawn; over more steps single waves cannot be compared
+_LOWEST_COLOUR = "#440154"  # lowest colour of viridis, for values below the colour scale
 
 
 def _units(name: str) -> str:
-    """Units of E(k, omega): the variable squared per wavenumber and frequency."""
+    """Return the units of E(k, omega), those of the variable squared per wavenumber and frequency."""
     return f"{'m²' if name == 'z' else 'm² s⁻²'} (rad/m)⁻¹ (rad/s)⁻¹"
 
 
 def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
-    """E(k, omega) in colour, with the dispersion relation.
+    """Spectrum E(k, omega) in colour, with the dispersion relation.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     dispersion : Dataset, optional
         Group ``/dispersion``, for the theoretical curve.
     name : str, default "w"
-        Which variable.
+        Quantity of the spectrum.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
 
     Notes
     -----
-    Counterpart of the paper's space-time spectrum of w.
+    Corresponds to the paper's space-time spectrum of w.
     """
     energy = spectra["E"].sel(quantity=name).transpose("omega", "k")
     frequency, k = hertz(energy), cycles(energy)
@@ -77,7 +77,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
         deep = np.sqrt(GRAVITY * dispersion.k.values) / (2 * np.pi)
         ax.plot(k, deep, color="white", linewidth=1.0, linestyle="--", label="ω = √(gk)")
         ax.legend(loc="lower right", fontsize=9, framealpha=0.9, facecolor="0.6")
-        # faster waves are aliased
+        # waves of higher frequency are aliased, so the axis ends a little beyond them
         fastest = np.interp(2 * np.pi * frequency[-1], omega, dispersion.k.values)
         right = min(right, 1.25 * float(fastest) / (2 * np.pi))
     ax.set(xlabel=CYCLES, ylabel=HERTZ, xlim=(0, right), ylim=(0, edges(frequency)[-1]))
@@ -85,7 +85,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
 
 
 def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
-    """E(kx, ky) at some frequencies, with the circle of the dispersion relation.
+    """Spectrum E(kx, ky) at up to three frequencies, with the circle of the dispersion relation.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
     dispersion : Dataset, optional
         Group ``/dispersion``, for the circle.
     name : str, default "w"
-        Which variable.
+        Quantity of the spectrum.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
 
     Notes
     -----
-    Counterpart of the paper's map at 2.8 Hz. A wave is drawn where it goes.
+    Corresponds to the paper's map at 2.8 Hz. (kx, ky) points in the direction in which a wave propagates.
     """
     energy = spectra["E_kxky"].sel(quantity_map=name).transpose("omega_map", "ky", "kx")
     omegas = energy.omega_map.values
@@ -127,7 +127,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
 
 
 def _radius(dispersion: xr.Dataset | None, omega: float) -> float | None:
-    """Wavenumber on the dispersion relation, cycles per metre."""
+    """Return the wavenumber of the dispersion relation at omega, cycles per metre; None if it is unknown."""
     if dispersion is None or "omega_theory" not in dispersion:
         return None
     theory = dispersion.omega_theory.values
@@ -137,7 +137,7 @@ def _radius(dispersion: xr.Dataset | None, omega: float) -> float | None:
 
 
 def elevation_spectra(spectra: xr.Dataset) -> Figure:
-    """E^z(omega) by each method: probes, stereo, integrated w, cross-spectrum, fusion.
+    """Frequency spectrum of the elevation by each method: probes, stereo, integrated w, cross, fusion.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's temporal spectrum. Lines are thin and pale where the store marks them as not
-    valid; the band is the 95 % interval of the stereo spectrum.
+    Corresponds to the paper's temporal spectrum. Lines are thin and pale at frequencies that the store marks
+    as not valid; the band is the 95 % interval of the stereo spectrum.
     """
     figure, [[ax]] = panels(1, width=7.6, height=4.8)
     frequency = hertz(spectra)
@@ -180,7 +180,7 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
 
 
 def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
-    """E(k) and E(omega) of the measured variables.
+    """Spectra E(k) and E(omega) of z_t, u, v, w and the nonlinear term.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
 
 
 def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
-    """The measured points against the dispersion relation.
+    """Measured points of the dispersion relation, and their deviation from linear theory.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
 
 
 def directions(direction: xr.Dataset) -> Figure:
-    """Directional density of the waves at some frequencies, and isotropy against frequency.
+    """Directional distribution of the waves at some frequencies, and isotropy over frequency.
 
     Parameters
     ----------
@@ -258,13 +258,13 @@ def directions(direction: xr.Dataset) -> Figure:
 
 
 def probe_series(compared: xr.Dataset) -> Figure:
-    """Elevation of wave probes and of the cameras at their places over time.
+    """Elevation over time by wave probes, and by the cameras at the same positions.
 
     Parameters
     ----------
     compared : Dataset, (probe, time)
-        ``elevation`` of the probes and ``z`` of the cube there, both about their means (m), with
-        ``rms_difference`` (m) and ``correlation`` of each probe. Of a longer record the middle is drawn.
+        ``elevation`` of the probes and ``z`` of the cube there, both without their means (m), with
+        ``rms_difference`` (m) and ``correlation`` of each probe. Only the middle of a long record is drawn.
 
     Returns
     -------
@@ -293,14 +293,14 @@ def probe_series(compared: xr.Dataset) -> Figure:
 def _draw_above(
     ax: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, level: np.ndarray | float, label: str
 ) -> None:
-    """Draw a coherence (y, x) where it is above its level of chance, grey elsewhere."""
+    """Draw a coherence (y, x) where it exceeds a level, grey elsewhere."""
     ax.set_facecolor("0.92")
     above = np.where(values > level, values, np.nan)
     draw_cells(ax, x, y, above, label, norm=Normalize(0, 1), cmap=POSITIVE, extend="neither")
 
 
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
-    """Bicoherence above the level of chance.
+    """Bicoherence and tricoherence where they exceed the level of unrelated waves.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def crest_curves(crests: xr.Dataset) -> Figure:
 
 
 def flatness_curves(structure: xr.Dataset) -> Figure:
-    """Second-order structure functions and flatness of increments, over the lag in time and space.
+    """Second-order structure functions and flatness of increments over the lag in time, x and y.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Section on errors: internal, of pairs of cameras, and against the truth."""
+"""Section on errors: from the cube itself, between pairs of cameras, and against exact fields."""
 
 import numpy as np
 import xarray as xr
@@ -16,7 +16,7 @@ _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "
 
 
 def accuracy(run: Run) -> ReportSection:
-    """Errors: internal, between pairs of cameras, against the truth where it is known."""
+    """Return the section on misfits and uncertainties, pairs of cameras, and errors of a simulation."""
     items = [*_internal(run.cube), *pair_items(run), *_against_truth(run)]
     shown = "misfits, standard uncertainties, pairs of cameras"
     compared = ", errors against the exact fields" if run.truth is not None else ""
@@ -62,17 +62,17 @@ def _against_truth(run: Run) -> list[Item]:
 
 
 def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
-    """Measured minus exact.
+    """Return measured minus exact fields.
 
     Parameters
     ----------
     cube, truth : Dataset, (time, y, x)
-        Measured and exact, on the same nodes and times (to a nanometre and a microsecond).
+        Measured and exact fields. Nodes and times may differ by a nanometre and a microsecond.
 
     Returns
     -------
-    Dataset
-        z (m), u, v, w (m s-1), loaded; steps that are in one only are left out.
+    Dataset, (time, y, x)
+        Errors of z (m) and u, v, w (m s-1), loaded, at the nodes and steps that both have.
     """
 
     def keyed(data: xr.Dataset) -> xr.Dataset:
@@ -83,9 +83,9 @@ def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
     return (measured - exact).load().assign_attrs(frame_rate=cube.attrs["frame_rate"])
 
 
-# -- pairs of cameras against one another: errors without any truth -----------------------------------------
+# -- pairs of cameras against one another: errors without exact fields ---------------------------------------
 
-# quantity: its name in a table, factor of its rms there, what the paper reports of it
+# by quantity: name in the table, factor of the rms there, value in the paper
 _NAMES = {
     "eps_y": ("sight lines miss (eps_y), {}", 1.0, "0.04 to 0.08 cm"),
     "sigma_z": ("σ of z that follows, {}", 1.0, "0.048 to 0.058 cm"),
@@ -99,7 +99,7 @@ _NAMES = {
 
 
 def pair_items(run: Run) -> list[Item]:
-    """Pictures and table of the errors of each pair, or a note why there are none."""
+    """Return pictures and a table of the errors of each pair of cameras, or the reason why there are none."""
     found = run.pair_statistics
     if found is None:
         return [Text(f"Pairs of cameras are not compared: {run.reason('pair_statistics')}.")]
@@ -131,7 +131,7 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Of each error: name, rms in cm and in px, fraction beyond three times the rms, the paper's value."""
+    """Return a row per error: name, rms in cm and px, fraction beyond three times the rms, paper's value."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -148,7 +148,7 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
 
 
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
-    """Draw the densities of some errors; `factor` converts metres or pixels to the displayed unit."""
+    """Draw the densities of some errors; `factor` converts the stored to the displayed unit, in `label`."""
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
     for k in range(errors.sizes["error"]):
@@ -164,8 +164,9 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 
 
 def pair_misfits(found: xr.Dataset) -> Figure:
-    """Distributions of eps_y and of eps' of each pair of cameras on its own.
-    Counterpart of the paper's distributions of eps_Y for three pairs and of its PIV errors.
+    """Draw the distributions of eps_y and eps' of each pair of cameras on its own.
+
+    They correspond to the paper's distributions of eps_Y for three pairs and of its PIV errors.
     """
     figure, axes = panels(2, height=4.6)
     _draw(axes[0, 0], found, ("eps_y",), 1e3, "eps_y mm")
@@ -175,8 +176,10 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 
 def pair_differences(found: xr.Dataset) -> Figure:
-    """Differences between pairs of cameras, px: of z, of dx, of dy, of dz, with each node's mean in time.
-    Counterpart of the paper's differences between three pairs, and of two recombined against the direct one.
+    """Draw the distributions of differences between pairs of cameras in z, dx, dy and dz, px.
+
+    They correspond to the paper's differences between three pairs, and between z of two pairs combined and
+    of the third. The mean of each node in time is included.
     """
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)

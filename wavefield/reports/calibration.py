@@ -1,4 +1,4 @@
-"""The page of a calibration with its pictures and numbers, and its section in a report."""
+"""The page of a calibration, with pictures and a file of numbers, and its section in a report."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -43,9 +43,10 @@ def write_calibration(
     target: Callable[[], Figure | None] | None = None,
     product: Product = REPORT,
 ) -> Path:
-    """Write the report of a calibration into a folder; `target` draws the target found in the images.
-    Returns the page, `index.html`; beside it are the numbers, `numbers.yaml`. Only files of the same product
-    are replaced.
+    """Write the page `index.html` and the file `numbers.yaml` of a calibration into a folder.
+
+    `target` draws the target found in the images, or returns None. Files that are not an earlier `product`
+    of the same experiment are not replaced (StoreError). Returns the path of the page.
     """
     directory = Path(directory)
     content: dict[str, Any] = {
@@ -72,7 +73,7 @@ def write_calibration(
 
 
 def _predicted(calibration: Calibration) -> dict[str, Any]:
-    """The camera model, and the uncertainties predicted from the fit."""
+    """Return the camera model and the uncertainties that the fit predicts."""
     errors = calibration.predicted
     assert errors is not None
     return {
@@ -88,7 +89,7 @@ def _predicted(calibration: Calibration) -> dict[str, Any]:
 def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
-    """The pictures of the page."""
+    """Yield the pictures of the page."""
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())
         yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
@@ -101,7 +102,7 @@ def _figures(
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
-    """Values of each camera's lens and pose with their standard uncertainty."""
+    """Return the parameters of each camera's lens and pose with their standard uncertainties."""
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):
@@ -131,7 +132,7 @@ def _parameters(calibration: Calibration, observations: Observations, fit: Fit) 
 
 
 def calibration_page(content: Content, drawn: Sequence[CalibrationPicture]) -> str:
-    """The page, from the content of the file of numbers and the pictures."""
+    """Return the HTML page for the content of `numbers.yaml` and the pictures."""
     usable = content["usable"]
     verdict = "the rig can be used" if usable else "the rig cannot be used"
     weight = "grave" if not usable else "remark" if content["notes"] else "note"
@@ -216,7 +217,7 @@ def _flat(content: Content) -> str:
 
 
 def with_std(value: float, std: float) -> str:
-    """A value and its uncertainty to the digits that are certain; one that was not fitted is held."""
+    """Return a value ± its standard uncertainty to two digits of that, or "(held)" if it was not fitted."""
     if not std > 0:
         return f"{value:.6g} (held)"
     digits = max(0, 1 - int(np.floor(np.log10(std))))
@@ -236,7 +237,7 @@ def _lens(content: Content) -> Table:
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """Sentences on the distance of the cameras from the target and their common field on the water.
+    """Yield sentences on the distance of the cameras from the target and their common field of view.
 
     Examples
     --------
@@ -268,7 +269,7 @@ def rig_sentences(rig: Rig) -> Iterator[str]:
 
 
 def calibration_folder(run: Run) -> Path | None:
-    """Folder that `wavefield calibrate` left next to the rig file; None if there is none."""
+    """Return the folder that `wavefield calibrate` wrote next to the rig file; None without one."""
     if run.experiment is None or isinstance(run.experiment.rig, dict):
         return None
     rig = run.experiment.resolve(run.experiment.rig or "rig.yaml")
@@ -277,7 +278,7 @@ def calibration_folder(run: Run) -> Path | None:
 
 
 def calibration_section(run: Run) -> ReportSection:
-    """Accuracy and residuals of the calibration; its pictures are on its own page."""
+    """Return the section on the residuals of the calibration; its pictures are on a page of their own."""
     section = ReportSection("Calibration", folded=True)
     folder = calibration_folder(run)
     if folder is None:

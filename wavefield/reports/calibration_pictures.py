@@ -1,4 +1,4 @@
-"""Pictures of a calibration: residuals, coverage, the flat target, the target in the images."""
+"""Pictures of a calibration: residuals, positions of the target, its flat view, nodes found in images."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,10 +18,10 @@ from wavefield.reports.numbers import small
 from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # distinct for all eyes
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # of Okabe and Ito (2008)
 GREY, PALE = "#555555", "#dddddd"
 _POSE_COLOURS = (*COLOURS, GREY, "#000000")
-_MIN_POINTS_PER_CELL = 4  # points per cell for an arrow of the mean residual
+_MIN_POINTS_PER_CELL = 4  # the mean residual of cells with fewer points is not drawn
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -37,7 +37,7 @@ def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
 
 
 def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width: float, colour: str) -> None:
-    """Residuals (n, 2) at pixels (n, 2) as arrows; the 90 % quantile is `length` px of the image long."""
+    """Draw residuals (n, 2) at pixels (n, 2) as arrows; the 90 % quantile of them is `length` px long."""
     large = float(np.percentile(np.hypot(*residual.T), 90)) or 1e-9
     arrows = axes.quiver(
         *pixel.T, *residual.T, angles="xy", scale_units="xy", scale=large / length, width=width, color=colour
@@ -47,7 +47,7 @@ def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width
 
 
 def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
-    """Residuals of one camera: every point, and their mean over cells of the image."""
+    """Draw the residuals of one camera, by its index: every point, and the mean in cells of the image."""
     o = observations
     rows = o.camera == camera
     pixel, miss, size = o.pixel[rows], fit.residual[rows], o.sizes[camera]
@@ -86,7 +86,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
 
 
 def coverage(observations: Observations) -> Figure:
-    """Positions of the target in each camera's images."""
+    """Draw the positions of the target's points in the images of each camera, one colour per pose."""
     o = observations
     count = len(o.cameras)
     figure = _figure(3.9 * count + 0.3, 4.6)
@@ -111,7 +111,7 @@ def coverage(observations: Observations) -> Figure:
 
 
 def flat_target(surface: FlatSurface, mesh: float) -> Figure:
-    """z of the flat target's nodes as the rig measures it; mesh of the target in metres."""
+    """Draw z of the flat target's nodes as the rig triangulates it; `mesh` of the target in metres."""
     figure = _figure(10.4, 6.0)
     axes = figure.subplots()
     kept = surface.plane.kept
@@ -136,8 +136,10 @@ def flat_target(surface: FlatSurface, mesh: float) -> Figure:
 def target_points(
     images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None
 ) -> Figure:
-    """One image (row, column) of the target per camera with the nodes found, and with a rig its origin.
-    Counterpart of the paper's calibration grid with its reference points.
+    """Draw one image (row, column) of the target per camera with the nodes found.
+
+    A rig whose z = 0 is this pose of the target adds a circle at the origin. Corresponds to the paper's
+    figure of the calibration grid.
     """
     figure, axes = panels(len(images), width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
@@ -147,13 +149,16 @@ def target_points(
         ax.plot(*points[name].pixel.T, **marks)
         _image_frame(ax, image.shape[::-1])
         ax.set_title(f"{name}: {len(points[name])} nodes")
-        if rig is not None and name in rig.cameras:  # a disc marks the origin, and hides the node there
+        if rig is not None and name in rig.cameras:  # the target's own disc hides the node at the origin
             ax.plot(*rig[name].project(0.0, 0.0, 0.0), "o", color="#F0E442", fillstyle="none", markersize=14)
     return figure
 
 
 def draw_found(result: TargetRig) -> Figure | None:
-    """The nodes found in one image of each camera: in the flat pose where there is one."""
+    """Draw the nodes found in one image of each camera, of the flat pose if there is one.
+
+    None if no camera has an image: points may come from tables.
+    """
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
         for camera, found in result.views.items()

@@ -1,4 +1,4 @@
-"""One page that compares the runs of a campaign, with links to the report of each."""
+"""A page that compares the runs of a catalog, with links to their reports."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from wavefield.reports.numbers import with_interval
 from wavefield.store.ledger import status
 from wavefield.store.store_paths import beside
 
-# group, variable, heading, factor
+# group and variable of the wave store, heading, factor to the displayed unit
 _COLUMNS = (
     ("statistics", "significant_height", "Hs, cm", 100.0),
     ("statistics", "peak_frequency", "peak, Hz", 1.0),
@@ -25,7 +25,10 @@ _CAPTION = "A dash: not measured, not analysed, or the record is too short"
 
 
 def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -> Path:
-    """Write the page of runs, of each its name and where its cube is, or will be."""
+    """Write the page that compares runs, each given by its name and the path of its cube; return its path.
+
+    A cube that does not exist yet is listed as not run.
+    """
     output = Path(output)
     groups = {run: _groups(cube) for run, cube in cubes if cube.is_dir()}
     head = ("run", "verdict", "steps", *(heading for _, _, heading, _ in _COLUMNS), "report")
@@ -37,7 +40,7 @@ def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -
 
 
 def _groups(cube: Path) -> dict[str, xr.Dataset]:
-    """Groups of the waves of a cube by name; empty without waves."""
+    """Return the groups of a cube's wave store that `_COLUMNS` needs, by name; empty without waves."""
     run, names = open_run(cube), ("statistics", "kinematics")
     return {name: group for name in names if (group := run.wave_group(name)) is not None}
 

@@ -27,7 +27,7 @@ def report(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write the report of a cube as one HTML file that opens offline.
+    """Write the report of a cube: one HTML file that opens without a network connection.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def report(
     output : path, optional
         File to write; by default ``..._report.html`` next to the cube.
     progress : callable, optional
-        Called with (sections drawn, all sections).
+        Called with the number of sections drawn and of all sections.
 
     Returns
     -------
@@ -46,7 +46,8 @@ def report(
     Raises
     ------
     StoreError
-        If the cube is not there or has no measured step, or the file cannot be written.
+        If the cube does not exist or has no measured step, or if the file cannot be written: `output` may be
+        something else than an earlier report.
 
     Examples
     --------
@@ -62,12 +63,12 @@ def report(
 
 
 def page_of(cube: str | Path, kind: str) -> Path:
-    """The file of a cube's page, next to its store."""
+    """Return the path of a kind of page ("report", "paper") next to its cube."""
     return beside(find_store(cube), kind, ".html")
 
 
 def measured_run(store: str | Path) -> Run:
-    """Open a run with at least one measured step."""
+    """Return the run of a cube; raise StoreError if no step is measured yet."""
     run = open_run(store)
     if not (run.cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
@@ -85,13 +86,13 @@ def write_report(
     Parameters
     ----------
     run : Run
-        A cube and what belongs to it.
+        The cube, its waves, experiment and rig.
     output : path
         File to write.
     progress : callable, optional
-        Called with (sections drawn, all sections).
+        Called with the number of sections drawn and of all sections.
     verdict : Verdict, optional
-        On the cube: its line goes to the top, its remarks below the results.
+        Verdict on the cube: its line stands at the top, its remarks below the results.
 
     Returns
     -------
@@ -105,7 +106,7 @@ def write_report(
 
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
-    """What makes the sections of a report; those on surface and waves are left out for a light sheet."""
+    """Return functions that draw the sections; a light sheet has none on surface and waves."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -118,7 +119,7 @@ def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSe
 def build_all(
     builders: list[Callable[[], ReportSection]], progress: Callable[[int, int], None] | None
 ) -> list[ReportSection]:
-    """All sections of a page, with progress."""
+    """Draw all sections of a page and report progress."""
     sections = []
     for k, build in enumerate(builders):
         if progress:
@@ -130,7 +131,7 @@ def build_all(
 
 
 def head_of(run: Run, verdict: Verdict | None) -> Head:
-    """The top of the report: verdict, description, date."""
+    """Return the top of the report: title, description, date, verdict."""
     made = f"This page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
     return Head(
         f"{experiment_name(run)}: {'velocity' if in_light_sheet(run) else 'water surface and velocity'}",
@@ -141,5 +142,5 @@ def head_of(run: Run, verdict: Verdict | None) -> Head:
 
 
 def experiment_name(run: Run) -> str:
-    """Name of the experiment of a run."""
+    """Return the name of the experiment of a run."""
     return str(run.cube.attrs.get("experiment", "")) or "unnamed experiment"

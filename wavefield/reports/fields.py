@@ -1,4 +1,4 @@
-"""Sections on the set-up, the elevation and its probes, distributions and coverage."""
+"""Sections on set-up, elevation and probes, distributions, coverage; and the player of the surface."""
 
 import base64
 import json
@@ -10,19 +10,19 @@ from matplotlib import colormaps
 
 from wavefield import figures
 from wavefield.errors import WavefieldError
-from wavefield.figures.display import SIGNED, limit
+from wavefield.figures.display import MARKS_ACROSS, SIGNED, limit
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Listing, Picture, Player, ReportSection, Table
 from wavefield.reports.numbers import extremes_of, number, snapshot, thinned
 from wavefield.store.ledger import status
 from wavefield.variables import FrameStatus
 
-MAX_STEPS = 1500  # compared with probes, in the middle of the record
-MAX_PROBES = 3  # drawn
+MAX_STEPS = 1500  # steps in the middle of the record that are compared with probes
+MAX_PROBES = 3  # probes that are drawn; the table lists all
 
 
 def surface_picture(snap: xr.Dataset) -> Picture:
-    """The surface at one step (y, x)."""
+    """Return a 3D picture of the surface at one step (y, x)."""
     return Picture(
         figures.surface_3d(snap),
         "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
@@ -31,7 +31,7 @@ def surface_picture(snap: xr.Dataset) -> Picture:
 
 
 def snapshots(run: Run) -> ReportSection:
-    """The surface and its velocity at one moment."""
+    """Return the section on the surface and its velocity at one moment."""
     snap = snapshot(run.cube)
     velocity = Picture(
         figures.velocity_map(snap),
@@ -42,7 +42,7 @@ def snapshots(run: Run) -> ReportSection:
 
 
 def distributions(run: Run) -> ReportSection:
-    """Distributions of the fields and their moments."""
+    """Return the section on the distributions of the fields and their moments."""
     part, rate = thinned(run.cube, "z", "u", "v", "w"), float(run.cube.attrs["frame_rate"])
     stds = [f"z {100 * float(part.z.std()):.3g} cm"]
     stds += [f"d{axis} {100 / rate * float(part[n].std()):.3g} cm" for axis, n in zip("xyz", "uvw")]
@@ -67,7 +67,7 @@ def distributions(run: Run) -> ReportSection:
 
 
 def coverage(run: Run) -> ReportSection:
-    """Section on where and when the surface was measured, and on faulty steps."""
+    """Return the section on where and when the surface was measured, and on faulty steps."""
     cube = run.cube
     step_status = cube.frame_status.values
     faulty = np.flatnonzero(step_status != int(FrameStatus.DONE))
@@ -94,7 +94,7 @@ def coverage(run: Run) -> ReportSection:
 
 
 def setup(run: Run) -> ReportSection:
-    """Cameras and frames."""
+    """Return the section on the cameras and their images."""
     section = ReportSection("Set-up", folded=True)
     if run.rig is None:
         return section
@@ -126,7 +126,7 @@ def setup(run: Run) -> ReportSection:
 
 
 def _middle_frames(run: Run) -> dict[str, np.ndarray]:
-    """A frame of every camera: the middle one, or the first or the last where that cannot be read."""
+    """Return a frame of each camera: the middle one, or the first or last if that cannot be read."""
     out = {}
     for name, series in run.frames.items():
         if run.rig is not None and name in run.rig.cameras:
@@ -138,14 +138,14 @@ def _middle_frames(run: Run) -> dict[str, np.ndarray]:
 
 
 def elevation(run: Run) -> ReportSection:
-    """Spectrum of the elevation and probes over time."""
+    """Return the section on the spectrum of the elevation and on wave probes."""
     items = [*elevation_pictures(run), *probe_items(run)]
     title = "Elevation and wave probes" if probes_of(run)[0] is not None else "Elevation"
     return ReportSection(title, items, layout="beside")
 
 
 def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
-    """The probes of a run, or None and the reason; no reason where the experiment names none."""
+    """Return the probes of a run and "", or None and the reason, which is empty if there should be none."""
     try:
         probes = run.probes
     except WavefieldError as error:
@@ -155,7 +155,7 @@ def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
 
 
 def elevation_pictures(run: Run) -> list[Item]:
-    """The spectrum of the elevation by each method."""
+    """Return a picture of the elevation spectrum by each method; empty without waves."""
     group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
     if group is None or "Ez" not in group:
         return []
@@ -179,7 +179,7 @@ def elevation_pictures(run: Run) -> list[Item]:
 
 
 def probe_items(run: Run) -> list[Item]:
-    """Probes over time beside the measured elevation at their places; a row for each probe of the run."""
+    """Return a picture of probes and cameras over time, and a table with a row for each probe of the run."""
     probes, _ = probes_of(run)
     if probes is None:
         return []
@@ -210,8 +210,10 @@ def probe_items(run: Run) -> list[Item]:
 
 
 def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
-    """Elevation of a probe and of the cube there, (time,), about their means, m, in the record's middle.
-    With the rms difference and the correlation; a reason where they cannot be compared.
+    """Compare a probe with the cube at its position, over the middle of the record.
+
+    Returns `elevation` of the probe and `z` of the cube, (time,), m, without their means, and their
+    `rms_difference` (m) and `correlation`; or the reason, a string, if they cannot be compared.
     """
     first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
     z = cube.z.isel(time=slice(first, first + MAX_STEPS))
@@ -243,23 +245,22 @@ def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
 
 
 def _around(z: xr.DataArray, x: float, y: float) -> xr.DataArray:
-    """z (time, y, x) at the nodes around a place, loaded."""
+    """Return z (time, y, x) at the four nodes around a point, loaded."""
     i, j = (int(np.clip(np.searchsorted(z[d], at) - 1, 0, z.sizes[d] - 2)) for d, at in (("x", x), ("y", y)))
     return z.isel(x=slice(i, i + 2), y=slice(j, j + 2)).load()
 
 
-MAX_NODES = 8_000  # per field: a screen shows no more
+MAX_NODES = 8_000  # nodes of a field in the player; a screen shows no more
 MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at least
-_ARROWS = 24  # along the longer side
 
 
 def player(cube: xr.Dataset, still: Picture) -> Player:
-    """The player of a cube (time, y, x), and the picture that stands for it where there are no scripts."""
+    """Return the player of a cube (time, y, x), with a picture for readers without scripts."""
     return Player(pack(cube), still)
 
 
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
-    """Consecutive steps in the middle of the record, thinned in space, that fit into the page."""
+    """Return consecutive steps in the middle of the record, thinned in space to fit into the page."""
     thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
     nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
     steps = max(2, MAX_BYTES // (2 * nodes))
@@ -270,8 +271,10 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _code(values: np.ndarray, half: float) -> str:
-    """Values (time, y, x) as text: 0 where missing, 1 to 255 from -half to half.
-    Differences along x and y, modulo 256, compressed, in base 64.
+    """Encode values (time, y, x) as text for the player.
+
+    Codes 1 to 255 stand for values from -half to half, 0 for a missing one. Differences of the codes along x
+    and y, modulo 256, are compressed and written in base 64.
     """
     scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
     codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
@@ -280,9 +283,9 @@ def _code(values: np.ndarray, half: float) -> str:
 
 
 def pack(cube: xr.Dataset) -> dict[str, str]:
-    """Data for the browser from a cube (time, y, x), by the name of the element that holds it."""
+    """Return the data of the player for a cube (time, y, x), by the name of the HTML element."""
     part = excerpt(cube)
-    every = max(1, round(max(part.sizes["x"], part.sizes["y"]) / _ARROWS))
+    every = max(1, round(max(part.sizes["x"], part.sizes["y"]) / MARKS_ACROSS))
     thin = slice(every // 2, None, every)
     arrows = 100 * part[["u", "v"]].isel(x=thin, y=thin).astype(float)
     fastest = limit(np.hypot(arrows.u.values, arrows.v.values), 98)

@@ -1,4 +1,4 @@
-"""One HTML page that needs no other file: figures, tables and text in a Jinja template."""
+"""Builds an HTML page that needs no other file, from figures, tables and text in a Jinja template."""
 
 import base64
 import io
@@ -19,10 +19,10 @@ from wavefield.figures.style import file_of
 from wavefield.store.verdict import Remark
 from wavefield.text import full_stop
 
-_DPI = 120  # two panels of 5.2 inches fill the width of the page
-_COLOURS = 128  # palette size; a third of the bytes without a visible difference
-WIDE_PX = 1000  # a wider PNG holds several panels: on a phone a tap enlarges it
-SENTENCE_LETTERS = 60  # a longer cell is read as a sentence; phones stack such rows
+_DPI = 120  # at which two panels of 5.2 inches fill the width of the page
+_COLOURS = 128  # colours of the palette; a third of the bytes without a visible difference
+WIDE_PX = 1000  # a wider picture has several panels; on a phone a tap enlarges it
+SENTENCE_LETTERS = 60  # a longer cell counts as a sentence; on a phone its row is stacked
 MAX_OPEN_ROWS = 20  # a longer table in a folded section is folded itself
 
 
@@ -31,17 +31,17 @@ class Item:
 
     @property
     def kind(self) -> str:
-        """Class name in small letters, by which the template chooses the markup."""
+        """Class name in lower case, by which the template chooses the markup."""
         return type(self).__name__.lower()
 
 
 @dataclass
 class Picture(Item):
-    """A figure, drawn at once, or a PNG file as bytes."""
+    """A picture from a figure or from the bytes of a PNG file."""
 
     figure: InitVar[Figure | bytes]
-    caption: str  # below the figure: what it is and how to read it
-    alt: str  # for readers who cannot see it: its content, with its numbers
+    caption: str  # text below the picture: what it shows and how to read it
+    alt: str  # content of the picture with its numbers, for readers who cannot see it
     png: bytes = field(init=False)
 
     def __post_init__(self, figure: Figure | bytes) -> None:
@@ -56,12 +56,12 @@ class Picture(Item):
 
     @property
     def wide(self) -> bool:
-        """Whether a phone shows it too small to be read."""
+        """Whether the picture is too small to be read on a phone."""
         return int.from_bytes(self.png[16:20], "big") >= WIDE_PX  # the width in the header of a PNG
 
 
 def small_png(png: bytes) -> bytes:
-    """A PNG file with a palette, where that is smaller."""
+    """Return a PNG file with a palette, or the given one if that is smaller."""
     image = Image.open(io.BytesIO(png)).convert("RGB")
     buffer = io.BytesIO()
     image.quantize(_COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
@@ -78,12 +78,12 @@ class Table(Item):
 
     @property
     def has_sentences(self) -> bool:
-        """Whether cells are read as sentences."""
+        """Whether some cells are as long as sentences."""
         return any(len(cell) > SENTENCE_LETTERS for row in self.rows for cell in row)
 
     @property
     def long(self) -> bool:
-        """Whether it is too long to be shown at once."""
+        """Whether the table is too long to be shown unfolded."""
         return len(self.rows) > MAX_OPEN_ROWS
 
 
@@ -96,7 +96,7 @@ class Text(Item):
 
 @dataclass(frozen=True)
 class Listing(Item):
-    """Long plain text below a title that unfolds it."""
+    """A long plain text that a click on its title unfolds."""
 
     title: str
     words: str
@@ -111,7 +111,7 @@ class Sentences(Item):
 
 @dataclass(frozen=True)
 class Facts(Item):
-    """The main results: of each its name, its value, and a remark in small letters."""
+    """The main results, each with its name, its value and a note in small print."""
 
     rows: Sequence[tuple[str, str, str]]
 
@@ -125,10 +125,10 @@ class Remarks(Item):
 
 @dataclass(frozen=True)
 class Player(Item):
-    """The surface over time, with a slider."""
+    """An animation of the surface, with a slider."""
 
-    data: Mapping[str, str]  # for the script: what `pack` returns
-    still: Picture  # the surface at one moment, where there are no scripts
+    data: Mapping[str, str]  # result of `pack`, for the script
+    still: Picture  # the surface at one moment, for readers without scripts
 
 
 @dataclass
@@ -138,13 +138,13 @@ class ReportSection:
     title: str
     items: list[Item] = field(default_factory=list)
     folded: bool = False  # whether its content is hidden until the title is clicked
-    gist: str = ""  # one line on its content, beside the title of a folded section
-    # result: the first item wide, the second narrow; beside: as many as fit in a row
+    gist: str = ""  # one line that sums up a folded section, next to its title
+    # "result": the first item is wide, the second narrow; "beside": as many items in a row as fit
     layout: Literal["", "result", "beside"] = ""
 
     @property
     def anchor(self) -> str:
-        """Name for links inside the page."""
+        """Name of the section in links inside the page."""
         return "".join(c if c.isalnum() else "-" for c in self.title.lower())
 
 
@@ -153,13 +153,13 @@ class Head:
     """The top of a page."""
 
     title: str
-    lines: Sequence[str] = ()  # a paragraph each; empty ones are left out
-    verdict: str = ""  # whether the results can be used, in one line; no verdict if empty
-    weight: str = "note"  # weight of the verdict: sets its colour and sign
+    lines: Sequence[str] = ()  # paragraphs; empty ones are left out
+    verdict: str = ""  # one line on whether the results can be used; empty without a verdict
+    weight: str = "note"  # weight of the verdict, which sets its colour and sign
 
 
 def with_code(words: str) -> Markup:
-    """Plain words as HTML, with code between backticks.
+    """Return plain text as HTML, with the text between backticks as code.
 
     Examples
     --------
@@ -170,7 +170,7 @@ def with_code(words: str) -> Markup:
 
 
 def capital(words: str) -> str:
-    """A sentence with a capital letter; one that begins with code or a variable remains as it is."""
+    """Return a sentence with a capital letter, unless it begins with code or a variable."""
     return words if words.startswith(("z ", "u ", "v ", "w ")) else words[:1].upper() + words[1:]
 
 
@@ -188,6 +188,6 @@ def _environment() -> Environment:
 
 
 def render(head: Head, sections: Sequence[ReportSection]) -> str:
-    """The page; sections without items are left out."""
+    """Return the HTML of the page; sections without items are left out."""
     sections = [section for section in sections if section.items]
     return _environment().get_template("page.html").render(head=head, sections=sections)

@@ -1,4 +1,4 @@
-"""Numbers and words that the sections of a report share: a run's numbers, and how they are written."""
+"""Numbers that the sections of a report share, and how numbers are written."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,34 +11,34 @@ from wavefield.figures.style import moment_title
 from wavefield.pipeline import Run
 from wavefield.variables import FrameStatus, Quality
 
-MAX_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
-_SNAPSHOT_STEPS = 10  # on either side of the middle of the record
+MAX_VALUES = 8_000_000  # values per variable in distributions, which take a few seconds and 64 MB
+_SNAPSHOT_STEPS = 10  # steps before and after the middle of the record, one of which is drawn
 _FIELDS = ("z", "u", "v", "w", "eps_y", "eps_piv", "quality")
 
 
 def rms_of(values: xr.DataArray | np.ndarray) -> float:
-    """Rms of the finite values; NaN if there are none."""
+    """Return the rms of the finite values; NaN if there are none."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def median_of(values: object) -> float:
-    """Median of the finite values; NaN if there are none."""
+    """Return the median of the finite values; NaN if there are none."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
     return float(np.median(finite)) if finite.size else float("nan")
 
 
 def number(value: float, unit: str = "", digits: int = 3) -> str:
-    """A value with its unit to significant digits; a dash if it is not finite."""
+    """Return a value with its unit, to significant digits; a dash if it is not finite."""
     if not np.isfinite(value):
         return "–"
     return f"{value:.{digits}g}{' ' + unit if unit else ''}"
 
 
 def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
-    """A number of the analysis times a factor, with its standard uncertainty; empty without both.
+    """Return a variable of a wave group times a factor, ± its standard uncertainty; empty without both.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> s
 
 
 def small(value: float, unit: str) -> str:
-    """A length or an angle to two digits without an exponent.
+    """Return a length or an angle to two digits without an exponent.
 
     Examples
     --------
@@ -63,13 +63,13 @@ def small(value: float, unit: str) -> str:
 
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
-    """Variables of a cube, loaded, with fewer steps where they are large."""
+    """Return variables of a cube, loaded; a large cube is thinned in time to `MAX_VALUES` values."""
     size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
     return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
 
 
 def snapshot(cube: xr.Dataset) -> xr.Dataset:
-    """The step near the middle of the record with the most measured nodes, (y, x), loaded."""
+    """Return the step near the middle of the record with the most measured nodes, (y, x), loaded."""
     middle = cube.sizes["time"] // 2
     near = cube.isel(time=slice(max(0, middle - _SNAPSHOT_STEPS), middle + _SNAPSHOT_STEPS + 1))
     shares = np.isfinite(near.w).mean(("y", "x")).values
@@ -78,7 +78,7 @@ def snapshot(cube: xr.Dataset) -> xr.Dataset:
 
 
 def extremes_of(snap: xr.Dataset) -> str:
-    """Ranges of z and w of a snapshot (y, x), as a sentence."""
+    """Return a sentence with the ranges of z and w of a snapshot (y, x)."""
     z, w = 100 * snap.z, 100 * snap.w
     return (
         f"At {moment_title(snap)} z is between {float(z.min()):.2g} and {float(z.max()):.2g} cm and w "
@@ -87,12 +87,12 @@ def extremes_of(snap: xr.Dataset) -> str:
 
 
 def reason_of(run: Run, name: str) -> str:
-    """Why something of a run is absent, without the folders of this machine; empty where nothing is."""
+    """Return why a part of a run is absent, without the folders of this machine; empty if it is there."""
     return in_folder(run, run.reason(name))
 
 
 def in_folder(run: Run, words: str) -> str:
-    """Words with paths relative to the folders of the cube and of its experiment."""
+    """Return a text with paths relative to the folders of the cube and of its experiment."""
     experiment = run.experiment.path.parent if run.experiment is not None else run.store.parent
     for folder in (run.store.parent, run.store.absolute().parent, experiment, experiment.absolute()):
         if folder != Path():
@@ -101,19 +101,19 @@ def in_folder(run: Run, words: str) -> str:
 
 
 def in_light_sheet(run: Run) -> bool:
-    """Whether velocities in a light sheet were measured: there are no surface and no waves then."""
+    """Return whether a run measured velocities in a light sheet, which has no surface and no waves."""
     return run.recipe.get("settings", {}).get("sheet_thickness") is not None
 
 
 @dataclass(frozen=True, eq=False)
 class RunNumbers:
-    """What the first pages of a report state of a run."""
+    """Coverage and status of a run, computed once for several sections."""
 
     run: Run
 
     @cached_property
     def part(self) -> xr.Dataset:
-        """The fields (time, y, x), with fewer steps where they are large."""
+        """The fields (time, y, x), loaded, thinned in time if they are large."""
         return thinned(self.run.cube, *_FIELDS)
 
     @cached_property
@@ -144,7 +144,7 @@ class RunNumbers:
 
     @cached_property
     def step_status(self) -> str:
-        """How many steps have which status."""
+        """Number of steps with each status, as text."""
         status = self.run.cube.frame_status.values
         counts = {s.name.lower().replace("_", " "): int((status == s).sum()) for s in FrameStatus}
         return ", ".join(f"{n} {words}" for words, n in counts.items() if n)

@@ -1,4 +1,4 @@
-"""Every figure and number of the paper on one page, from one cube, its waves and a still-water record."""
+"""The page with every figure and number of the paper, for one cube, its waves and a still-water record."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,7 +31,7 @@ def paper(
     rest: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write the figures and numbers of the paper for one experiment as one HTML file that opens offline.
+    """Write the paper's figures and numbers for one experiment as one HTML file.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ def paper(
     output : path, optional
         File to write; by default ``..._paper.html`` next to the cube.
     rest : path, optional
-        Cube of still water, by the same cameras; without it there is no figure of still water.
+        Cube of still water from the same cameras; without it the figure of still water is left out.
     progress : callable, optional
-        Called with (sections drawn, all sections).
+        Called with the number of sections drawn and of all sections.
 
     Returns
     -------
@@ -52,7 +52,8 @@ def paper(
     Raises
     ------
     StoreError
-        If a cube or its waves are not there, or the file cannot be written.
+        If a cube or its waves do not exist, or if the file cannot be written: `output` may be something else
+        than an earlier page.
 
     Examples
     --------

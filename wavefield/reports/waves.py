@@ -1,4 +1,4 @@
-"""Sections on spectra, the kinematic condition and coherence."""
+"""Sections on spectra, and on the kinematic boundary condition and coherence."""
 
 import numpy as np
 import xarray as xr
@@ -11,7 +11,7 @@ from wavefield.waves.motion import kinematics_at
 
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:
-    """E(k, omega) of w and its maps over the direction of travel."""
+    """Return pictures of the spectra E(k, omega) and E(kx, ky) of w."""
     energy = group.E.sel(quantity="w").values
     positive = energy[energy > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
@@ -33,6 +33,7 @@ def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[
 
 
 def _on_relation(dispersion: xr.Dataset | None) -> str:
+    """Return how much of the variance of w follows the dispersion relation; empty if unknown."""
     if dispersion is None or "ridge_fraction" not in dispersion:
         return ""
     percent = 100 * float(dispersion.ridge_fraction)
@@ -40,7 +41,7 @@ def _on_relation(dispersion: xr.Dataset | None) -> str:
 
 
 def spectra(run: Run) -> ReportSection:
-    """Spectra of the analysis."""
+    """Return the section with the spectra that `wavefield analyze` wrote; empty without them."""
     section = ReportSection("Spectra", folded=True)
     group, dispersion = run.wave_group("spectra"), run.wave_group("dispersion")
     if run.waves is None or group is None:
@@ -92,7 +93,7 @@ def spectra(run: Run) -> ReportSection:
 
 
 def kinematics_picture(snap: xr.Dataset) -> Picture:
-    """The terms of the kinematic condition at one step (y, x) of a cube, beside z and w."""
+    """Return maps of z, w, the nonlinear term and the residual at one step (y, x) of a cube."""
     terms = kinematics_at(snap)
     return Picture(
         figures.kinematics_maps(snap),
@@ -104,7 +105,7 @@ def kinematics_picture(snap: xr.Dataset) -> Picture:
 
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
-    """Coherence of the rate of rise with the terms of the kinematic condition."""
+    """Return a picture of the coherence of z_t with the terms of the kinematic boundary condition."""
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(
@@ -118,7 +119,7 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
 
 
 def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
-    """The ratio of the nonlinear term to the vertical velocity."""
+    """Return a picture of the ratio of the nonlinear term to the vertical velocity."""
     ratio = kinematics.nonlinear_ratio_k
     return Picture(
         figures.nonlinear_ratio_curves(kinematics),
@@ -129,7 +130,7 @@ def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
 
 
 def nonlinearity(run: Run) -> ReportSection:
-    """The kinematic condition."""
+    """Return the section on the kinematic boundary condition z_t = w - u . grad z and coherence."""
     maps = kinematics_picture(snapshot(run.cube))
     section = ReportSection("Nonlinear term and coherence", [maps], folded=True)
     coherence, kinematics = run.wave_group("coherence"), run.wave_group("kinematics")

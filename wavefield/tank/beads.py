@@ -1,4 +1,4 @@
-"""Beads: where they are, how they move with the water, and how they look."""
+"""Beads: their positions, their motion with the surface water, and their brightness."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,12 +13,14 @@ from wavefield.tank.sea import Basin
 
 T = TypeVar("T")
 
-REMEMBERED_FRAMES = 8  # before the latest one
+REMEMBERED_FRAMES = 8  # frames kept before the latest: images of several frames are drawn at once
 
 
 class FrameHistory(Generic[T]):
-    """The state at any frame, computed from the last earlier one; the first and the latest are kept.
-    `advance(state, frame)` returns the state of the next frame.
+    """The state of a simulation at any frame, computed from frame to frame.
+
+    `advance(state, frame)` returns the state of the frame after `frame`. The first state and the latest ones
+    are kept, so that frames should be asked for in rising order.
     """
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:
@@ -37,14 +39,19 @@ class FrameHistory(Generic[T]):
 Array = NDArray[np.float64]
 Velocity = Callable[[Array, Array], Array]  # x, y to u, v (and w), (2 or 3, ...), m/s
 
-MAX_SUBSTEP_S = 0.025  # or, of a sea of long waves,
-MAX_SUBSTEP_PERIODS = 0.06  # of the shortest wave
-GROUP_SIZE = 6  # beads of a cluster
-GROUP_SPREAD = 0.002  # m, standard deviation of their positions
+# Longest time step for beads. Over 50 ms of a random sea with waves down to 5 cm it misplaces a bead by less
+# than 0.1 um, in a steep sea by 0.4 um.
+MAX_SUBSTEP_S = 0.025
+MAX_SUBSTEP_PERIODS = 0.06  # a longer step is taken if it is still this part of the shortest wave's period
+GROUP_SIZE = 6  # beads in a cluster
+GROUP_SPREAD = 0.002  # standard deviation of their positions in the cluster, m
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
-    """Positions (2 or 3, ...) after a time h, of fourth order, from velocities at three instants."""
+    """Return positions (2 or 3, ...) after a time h, s, by the fourth-order Runge-Kutta method.
+
+    `start`, `middle` and `end` give the velocity at time 0, h / 2 and h.
+    """
     k1 = start(position[0], position[1])
     p2 = position + h / 2 * k1
     k2 = middle(p2[0], p2[1])
@@ -56,13 +63,13 @@ def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, en
 
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Move points of any shape with the surface water from one time to another, either way, s.
-    NaN for points that leave the basin.
+    """Return x and y, metres, of points that move with the surface water from one time to another, s.
+
+    The points may have any shape, and `end` may precede `start`. Points that leave the basin become NaN.
     """
     sea = basin.sea
     period = 2 * np.pi / float(sea.sigma.max(initial=1e-9))
-    # over 50 ms of a random sea with waves down to 5 cm, sub-steps of 25 ms misplace a bead by less than
-    # 0.1 um, in a steep one by 0.4 um
+
     longest = max(MAX_SUBSTEP_S, MAX_SUBSTEP_PERIODS * period if sea.k.size > 1 else 0.0)
     steps = max(1, int(np.ceil(abs(end - start) / longest - 1e-9)))
     h = (end - start) / steps
@@ -77,11 +84,13 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
-    """Start and end, (2, 2 or more, ...), of the paths from -half to +half whose mid-points are (x, y).
-    `carried(x, y, t)` gives where the water at (x, y) is after a time t.
+    """Return start and end, (2, 2 or 3, ...), of the water paths from -half to +half with mid-points (x, y).
+
+    The mid-point is the mean of start and end. `carried(x, y, t)` returns the position after a time t, s, of
+    the water that is at (x, y).
     """
     px, py = x, y
-    # the place at mid-time is corrected until the mean of both ends is the point
+    # correct the position at mid-time until the mean of both ends is the given point
     for _ in range(3):
         start, end = carried(px, py, -half), carried(px, py, half)
         px, py = px + x - (start[0] + end[0]) / 2, py + y - (start[1] + end[1]) / 2
@@ -90,17 +99,19 @@ def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: A
 
 @dataclass(frozen=True)
 class BeadField:
-    """A population of beads in one frame."""
+    """The beads in one frame."""
 
     x: Array  # (n,): Positions, metres
     y: Array
     z: Array
-    brightness: Array  # (cameras, n): Relative brightness in each camera; 0 where it is not visible
+    brightness: Array  # (cameras, n): Relative brightness in each camera; 0 where a bead is not visible
 
 
 class Population:
-    """Beads on a rectangle of water larger than the cameras' view, frame after frame.
-    Beads that leave it return on the other side; each second a small fraction is placed anew.
+    """Beads on a rectangle of water that is larger than the cameras' view, frame after frame.
+
+    Beads that leave the rectangle return on the opposite side. Each second a small fraction is moved to a
+    random position, as in a tank that is seeded continuously; this keeps the density even in long records.
     """
 
     def __init__(
@@ -110,8 +121,7 @@ class Population:
             raise ValueError("this scene has a painted surface, no beads")
         settings = scene.surface
         self._scene, self._basin, self._x, self._y = scene, basin, x, y
-        # as in a tank that is seeded continuously: the density stays even over long records
-        self._renewal = settings.renewal / scene.frame_rate  # share per frame
+        self._renewal = settings.renewal / scene.frame_rate  # fraction per frame
         rng = np.random.default_rng([scene.seed, 1])
         number = round(settings.density * (x[1] - x[0]) * (y[1] - y[0]))
         grouped = int(settings.clustered * number) // GROUP_SIZE * GROUP_SIZE
@@ -127,7 +137,7 @@ class Population:
         only = rng.integers(0, cameras, count)
         hidden = (rng.uniform(size=count) < settings.one_camera) & (np.arange(cameras)[:, None] != only)
         self._brightness = np.where(hidden, 0.0, brightness)
-        self._below = np.zeros(count)  # m under the surface
+        self._below = np.zeros(count)  # depth below the surface, m
         if settings.submerged:
             rng = np.random.default_rng([scene.seed, 12])
             below = rng.random(count) < settings.submerged
@@ -138,7 +148,7 @@ class Population:
         return len(self._frames[0].x)
 
     def frame(self, frame: int) -> BeadField:
-        """Beads in one frame, from 0; the first and the latest frames are remembered."""
+        """Return the beads in a frame, counted from 0; ask for frames in rising order."""
         return self._frames[frame]
 
     def _field(self, x: Array, y: Array, frame: int) -> BeadField:
@@ -146,7 +156,7 @@ class Population:
         return BeadField(x, y, z - self._below, self._brightness)
 
     def _advance(self, beads: BeadField, frame: int) -> BeadField:
-        """Beads of the frame after this one."""
+        """Return the beads of the frame after this one."""
         time = self._scene.frame_time
         x, y = carry(self._basin, beads.x, beads.y, time(frame), time(frame + 1))
         for p, (low, high) in ((x, self._x), (y, self._y)):
@@ -159,7 +169,7 @@ class Population:
 
 
 def _holes(scene: Scene, settings: Beads) -> Array:
-    """Round places without beads: x, y and diameter of each, (n, 3), m; inside the view of all cameras."""
+    """Return n round patches without beads, (n, 3): x, y, diameter, m, all within the grid."""
     rng = np.random.default_rng([scene.seed, 6])
     places = [
         rng.uniform(0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high, settings.holes)

@@ -1,4 +1,4 @@
-"""Particles in a light sheet, carried by a flow with three components."""
+"""Particles in a light sheet, moved by a flow with three velocity components."""
 
 import math
 from dataclasses import dataclass
@@ -16,23 +16,22 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 WAVES_OF_FLOW = 48
-STRENGTH_SAMPLES = 128  # along each side of a period, for the strength of the flow
-SLAB_THICKNESS = 2.0  # of the layer of particles over that of the sheet; the light at its faces is 3e-4
-MAX_TURN = 0.2  # rad, of a wave of the flow in a sub-step
+STRENGTH_SAMPLES = 128  # points along each side of a period at which the rms velocity is computed
+SLAB_THICKNESS = 2.0  # thickness of the layer of particles over that of the sheet: 3e-4 of the light is left
+MAX_TURN = 0.2  # largest phase change that a particle sees in a sub-step, rad
 
 
 @dataclass(frozen=True)
 class SheetFlow:
-    """A steady flow without divergence that repeats itself in x and y and is uniform across the sheet."""
+    """A steady random flow, free of divergence, periodic in x and y and uniform across the sheet."""
 
     k: Array  # (n, 2): Wave vectors, rad/m
-    # (n,): Amplitudes of the velocity in the sheet, at right angles to k, and across it, m/s
-    along: Complex
-    across: Complex
+    along: Complex  # (n,): Amplitudes of the velocity in the plane, perpendicular to k, m/s
+    across: Complex  # (n,): Amplitudes of the velocity normal to the plane, m/s
 
     @classmethod
     def random(cls, settings: Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
-        """Draw a flow: as much of it at every wavelength from half the period down to the shortest."""
+        """Draw a flow with wavelengths from half the period to the shortest, evenly in their logarithm."""
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
         k = 2 * np.pi / longest * (longest / settings.shortest) ** rng.uniform(0.0, 1.0, WAVES_OF_FLOW)
@@ -41,21 +40,21 @@ class SheetFlow:
         vector = unit * np.round(np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1) / unit)
         vector[np.all(vector == 0, axis=1)] = unit
         along, across = np.exp(1j * rng.uniform(0.0, 2 * np.pi, (2, WAVES_OF_FLOW)))
-        # every flow has the strength that is set, however waves of one vector add up
+        # scale to the rms velocity of the settings, which waves with equal vectors would change
         x, y = np.meshgrid(*(np.linspace(0.0, side, STRENGTH_SAMPLES, endpoint=False) for side in period))
         u, v, w = cls(vector, along, across)(x, y)
         along *= settings.speed / np.sqrt(0.5 * np.mean(u**2 + v**2))
         return cls(vector, along, across * (settings.speed_across / np.sqrt(np.mean(w**2))))
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """Velocity u, v, w at points of any shape, (3, ...), m/s."""
+        """Return the velocity u, v, w, (3, ...), m/s, at points of any shape, metres."""
         out = np.empty((3, np.size(x)))
         unit = self.k / np.hypot(*self.k.T)[:, None]
         _velocity(np.ravel(x), np.ravel(y), self.k, unit, self.along, self.across, out)
         return out.reshape(3, *np.shape(x))
 
     def carry(self, x: Array, y: Array, time: float) -> Array:
-        """Position x, y and rise of the fluid at (x, y) after a time, (3, ...), metres."""
+        """Return x, y and the rise after a time, (3, ...), metres, of the fluid that is at (x, y)."""
         fastest = np.hypot(*self.k.T).max() * 2.0 * np.sqrt(np.sum(np.abs(self.along) ** 2))
         steps = max(1, int(np.ceil(abs(time) * fastest / MAX_TURN)))
         position = np.stack([x, y, np.zeros(np.shape(x))])
@@ -87,8 +86,10 @@ def _velocity(
 
 
 class Particles:
-    """Particles in a light sheet and next to it, frame after frame: evenly in a layer twice as thick.
-    What leaves the layer comes back on the other side, where it is dark, and enters the light as in a flow.
+    """Particles in a light sheet, frame after frame, evenly distributed in a layer twice as thick.
+
+    A particle that leaves the layer returns on the opposite side, where it is dark, and drifts into the light
+    as in a real flow.
     """
 
     def __init__(
@@ -98,14 +99,14 @@ class Particles:
         self.flow = SheetFlow.random(settings, (x[1] - x[0], y[1] - y[0]), scene.seed)
         self._axes, self._origin = plane(settings)
         rng = np.random.default_rng([scene.seed, 12])
-        # density counts those whose light is above 1/e^2: in the middle half of the layer
+        # the density counts particles in light above 1/e^2, the middle half of the layer
         count = round(SLAB_THICKNESS * settings.density * (x[1] - x[0]) * (y[1] - y[0]))
         self._brightness = settings.draw_brightness(cameras, count, rng)
         first = np.stack([rng.uniform(*x, count), rng.uniform(*y, count), rng.random(count)])
         self._places = FrameHistory(first, self._advance)
 
     def frame(self, frame: int) -> BeadField:
-        """Particles in one frame, from 0; the first and the latest frames are remembered."""
+        """Return the particles in a frame, counted from 0; ask for frames in rising order."""
         x, y, height = self._places[frame]
         n = (height - 0.5) * SLAB_THICKNESS * self._settings.thickness
         light = np.exp(-8.0 * (n / self._settings.thickness) ** 2)
@@ -113,14 +114,14 @@ class Particles:
         return BeadField(px, py, pz, self._brightness * light)
 
     def _advance(self, places: Array, frame: int) -> Array:
-        """Places in the frame after one; the flow is steady."""
+        """Return the positions in the frame after this one; the flow is steady."""
         x, y, rise = self.flow.carry(places[0], places[1], self._step)
         (x0, x1), (y0, y1) = self._x, self._y
         height = places[2] + rise / (SLAB_THICKNESS * self._settings.thickness)
         return np.stack([x0 + np.mod(x - x0, x1 - x0), y0 + np.mod(y - y0, y1 - y0), np.mod(height, 1.0)])
 
     def truth(self, x: Array, y: Array, time: float) -> Truth:
-        """Exact fields of one step at nodes (ny, nx) in the sheet, in its own frame."""
+        """Return the exact fields of one step at nodes x, y (ny, nx), metres, in the sheet's own axes."""
         start, end = centred_path(self.flow.carry, x, y, self._step / 2)
         zero = np.zeros(np.shape(x))
         u, v, w = self.flow(x, y)
@@ -129,7 +130,7 @@ class Particles:
 
 
 def plane(settings: Sheet) -> tuple[Array, Array]:
-    """Axes of the sheet as columns, x above the rig's own x, and its origin, metres."""
+    """Return the axes of the sheet as columns, (3, 3), with x above the rig's x; and its origin, metres."""
     bx, by = np.tan(np.radians(settings.tilt))
     normal = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
     x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)

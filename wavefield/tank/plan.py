@@ -1,4 +1,4 @@
-"""Errors to expect of an experiment before it is built: one step of a simulated tank, measured."""
+"""Predict the errors of an experiment before it is built: measure one step of a simulated tank."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +15,7 @@ from wavefield.variables import AROUND, Quality
 if TYPE_CHECKING:
     from wavefield.tank.scene import Scene
 
-_EDGE = 0.04  # m inside the edge of the grid, where errors are counted
+EDGE = 0.04  # errors nearer to the edge of the grid are not counted, m
 
 
 def plan(
@@ -23,25 +23,25 @@ def plan(
 ) -> xr.Dataset:
     """Predict the errors of an experiment from one simulated step of it.
 
-    Images of the scene are rendered and measured, and compared with the exact truth, 4 cm inside the edge
-    of the grid. It takes some seconds for a small grid.
+    Renders and measures images of the scene, and compares the fields with the exact ones, 4 cm inside the
+    edge of the grid. It takes a few seconds for a small grid.
 
     Parameters
     ----------
     scene : Scene, path or str
-        The experiment: cameras, grid, waves, beads, light. A scene, a file of one, or the name of a preset.
+        Cameras, grid, waves, beads and light: a scene, its YAML file, or the name of a preset.
     rig : Rig or mapping, optional
-        Other cameras than those of the scene, or settings of its cameras that differ.
+        Cameras to use instead, or changed settings of the scene's cameras.
     **changes
-        Settings of the scene that differ, as in `Scene.with_`: ``surface={"density": 4000}``.
+        Changed settings of the scene, as in `Scene.with_`: ``surface={"density": 4000}``.
 
     Returns
     -------
     Dataset, (quantity,)
         For z and the displacements u dt, v dt, w dt: ``error``, the rms error, and ``stated``, the rms of the
-        stated standard uncertainty, both in px (one is ``attrs["pixel_size"]`` metres); ``within``, the share
-        of errors within one standard uncertainty (68 % if it is right); ``measured``, the share of nodes that
-        are measured.
+        standard uncertainty, both in px (of ``attrs["pixel_size"]`` metres); ``within``, the fraction of
+        errors within one standard uncertainty (68 % if it is right). ``measured`` is the fraction of nodes
+        that are measured.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def plan(
         elif rig is not None:
             changes = {**changes, "rig": rig}
         given = scene if isinstance(scene, Scene) else Scene.load(scene)
-        frames = 2 * AROUND + 2  # of one step
+        frames = 2 * AROUND + 2  # that one step uses
         tank = Tank(given.with_(**changes, frames=frames))
     images: dict[str, list[np.ndarray | None]] = {name: [] for name in tank.rig}
     for number in range(frames):
@@ -77,7 +77,7 @@ def plan(
     grid, rate = tank.scene.grid, tank.scene.frame_rate
     measured = measure(images, GridGeometry(tank.rig, grid), rate)
     truth, pixel = tank.truth(AROUND), pixel_size(tank.rig, grid)
-    edge = min(round(_EDGE / grid.step), (min(grid.shape) - 1) // 2)
+    edge = min(round(EDGE / grid.step), (min(grid.shape) - 1) // 2)
     inner = (slice(edge, -edge or None),) * 2
     rows = []
     for name in "zuvw":

@@ -1,4 +1,4 @@
-"""The paper's rig: three cameras in line along x, 45 degrees apart, the middle one vertical."""
+"""Exact cameras of simulated experiments: the paper's rig, a light sheet's, and a platform's at sea."""
 
 from dataclasses import replace
 
@@ -10,8 +10,8 @@ from wavefield.rig.field import view_on_water
 
 Array = NDArray[np.float64]
 
-# name: (side, distance from the aim, aim, roll, pixel pitch, size, k1, Scheimpflug tilt)
-# The small rolls, offsets and distortions are those of any real rig; without them wrong signs could pass.
+# name: (side, distance from the aim in m, aim in m, roll in degrees, pixel pitch in m, size in px, distortion
+# k1, Scheimpflug tilt in rad). Small rolls, offsets and distortions, as in any real rig, reveal wrong signs.
 _PAPER = {
     "cam1": (-1, 4.50, (-0.20, 0.004, 0.0), 0.4, 12.0e-6, (1024, 1024), -0.05, -0.008),
     "cam2": (+1, 4.50, (+0.20, -0.006, 0.0), -0.6, 12.0e-6, (1024, 1024), -0.04, +0.008),
@@ -21,7 +21,7 @@ _FOCAL_LENGTH = 35e-3  # m
 
 
 def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
-    """Exact cameras as in the paper: 35 mm lenses, cameras 1 and 2 of 1024 x 1024, camera 3 of 2432 x 1728.
+    """Return exact cameras as in the paper, with 35 mm lenses: two of 1024 x 1024 px, one of 2432 x 1728.
 
     Cameras 1 and 2 are on the sides of -x and +x, at 45 degrees and 4.5 m, with slightly tilted (Scheimpflug)
     sensors: 1.5 mm/px in y and 2.2 mm/px in x. Camera 3 is 4.35 m above the water: 0.92 mm/px.
@@ -29,16 +29,16 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
     Parameters
     ----------
     scale : float, default 1
-        Size of the images over the full size; 0.5 halves the resolution.
+        Image size relative to the full size; 0.5 halves the resolution.
     crop : float, default 1
-        Share of the sensor that is read out, along each axis; 0.4 shows 0.9 x 0.7 m at the full resolution.
+        Fraction of the sensor read out along each axis; 0.4 shows 0.9 x 0.7 m at full resolution.
     cameras : {2, 3, 4}, default 3
-        2: the oblique ones, from -x and +x, alone; 4: one more like camera 1, from -y.
+        2: only the oblique ones, from -x and +x; 4: one more, like camera 1 but from -y.
 
     Returns
     -------
     Rig
-        Cameras ``cam1``, ``cam2``, ``cam3``, ``cam4``, as many as there are.
+        Cameras ``cam1``, ``cam2``, and so on.
 
     Examples
     --------
@@ -47,7 +47,7 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
     """
     made = {}
     for name, (side, distance, aim, roll, pitch, size, k1, tilt) in _PAPER.items():
-        # the off-centre aim balances the near and the far side: an effect of second order in the field
+        # aiming off centre balances near and far side, an effect that is quadratic in the size of the field
         target = np.array(aim) * [crop * crop, 1.0, 1.0]
         angle = np.radians(45.0 * side)
         centre = target + distance * np.array([np.sin(angle), 0.0, np.cos(angle)])
@@ -62,8 +62,10 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
-    """Exact cameras around a light sheet, those at an angle (degrees) with tilted sensors (Scheimpflug).
-    The distance and the size of a pixel on the sheet are in metres.
+    """Return exact cameras around a light sheet: two at an angle (degrees), and a vertical one if three.
+
+    Oblique cameras have tilted sensors (Scheimpflug). `distance` and `pixel`, its size on the sheet, are in
+    metres, `size` is width and height in px.
     """
     made = {}
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
@@ -77,7 +79,10 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
 
 
 def platform_rig(height: float, baseline: float, pitch: float, focal: float, size: tuple[int, int]) -> Rig:
-    """Exact cameras side by side at a height and a distance (metres), axes down by the pitch (degrees)."""
+    """Return two exact cameras side by side, at a height above the sea and a baseline apart, in metres.
+
+    Their axes point down by the pitch, degrees; `focal` is in px, `size` is width and height in px.
+    """
     made = {}
     for name, side, roll, turn, down, k1 in (
         ("left", -1, 0.8, 1.1, 0.3, -0.05),
@@ -111,7 +116,7 @@ def _camera(
 
 
 def _orientation(axis: Array, roll: float) -> Array:
-    """Rotation of a camera whose optical axis is given, its rows towards -y but for a roll, rad."""
+    """Return the rotation of a camera from its optical axis; rows run towards -y, then roll turns it, rad."""
     down = np.array([0.0, -1.0, 0.0])
     right = np.cross(down, axis)
     c, s = np.cos(roll), np.sin(roll)
@@ -121,14 +126,17 @@ def _orientation(axis: Array, roll: float) -> Array:
 def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Limits along x and y, m, of all that any camera sees between two heights, with a margin."""
+    """Return the limits along x and y, m, of the water that any camera sees between two heights.
+
+    The margin, m, is added on each side.
+    """
     corners = np.concatenate([_bounding(rig[name], z) for name in rig for z in (lowest, highest)])
     low, high = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Corners of a camera's view at a height, (n, 2), m; short of the horizon if that is in view."""
+    """Return the corners of a camera's view at a height, (n, 2), m; cut off before a visible horizon."""
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners
@@ -137,7 +145,7 @@ def _bounding(camera: Camera, height: float) -> Array:
 
 
 def pixel_footprint(camera: Camera) -> tuple[float, float]:
-    """Size along x and along y, m, of the pixel in the middle of the image on still water."""
+    """Return the size along x and y, m, that the middle pixel of the image covers on still water."""
     x, y = camera.unproject((camera.size[0] - 1) / 2, (camera.size[1] - 1) / 2)
     jacobian = camera.jacobian(x, y, 0.0)
     return float(1.0 / np.hypot(*jacobian[:, 0])), float(1.0 / np.hypot(*jacobian[:, 1]))

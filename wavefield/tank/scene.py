@@ -1,4 +1,4 @@
-"""The description of a simulated experiment: everything that is set, and how it is read from YAML."""
+"""The description of a simulated experiment: all settings, read from YAML and checked."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,6 +36,7 @@ from wavefield.tank.sea import Sea
 
 
 def _kind_of_rig(value: object) -> str:
+    """Return the tag of the class of a rig, which the keys of a mapping reveal."""
     if isinstance(value, RigFile) or (isinstance(value, Mapping) and "file" in value):
         return "rig-file"
     if isinstance(value, PlatformRig) or (isinstance(value, Mapping) and "height" in value):
@@ -51,10 +52,10 @@ def _kind_of_surface(value: object) -> str:
 
 
 class Scene(SceneRecord):
-    """A simulated experiment.
+    """The settings of a simulated experiment.
 
-    Made from YAML with `Scene.load`; every setting and its unit is in the class of its part. Presets: see
-    `Scene.presets`.
+    `Scene.load` reads them from YAML. The class of each part describes its settings and their units;
+    `Scene.presets` lists the scenes that come with the program.
 
     Examples
     --------
@@ -120,7 +121,7 @@ class Scene(SceneRecord):
         return self
 
     def frame_time(self, frame: float) -> float:
-        """Time of the sea when a frame is taken, with the jitter of the cameras' common clock, s."""
+        """Return the time of the sea, s, at which a frame is taken, with the jitter of the cameras' clock."""
         jitter = self.timing.jitter
         if not jitter:
             return self.time(frame)
@@ -128,7 +129,7 @@ class Scene(SceneRecord):
 
     @classmethod
     def load(cls, source: str | Path) -> "Scene":
-        """Read a scene.
+        """Return the scene of a YAML file or preset.
 
         Parameters
         ----------
@@ -154,12 +155,12 @@ class Scene(SceneRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object]) -> "Scene":
-        """Make a scene from plain data.
+        """Return the scene with the settings of a mapping.
 
         Parameters
         ----------
         data : mapping
-            As in the YAML file.
+            Settings as in the YAML file.
 
         Raises
         ------
@@ -170,23 +171,23 @@ class Scene(SceneRecord):
 
     @staticmethod
     def presets() -> dict[str, Path]:
-        """Scenes that come with the program."""
+        """Return the files of the scenes that come with the program, by name."""
         folder = Path(__file__).parent / "scenes"
         return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
     def to_yaml(self) -> str:
-        """The scene as YAML, every setting written out."""
+        """Return the scene as YAML with every setting written out."""
         data = self.model_dump(mode="json")
         return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
 
     def with_(self, **parts: object) -> "Scene":
-        """A copy with some settings replaced; parts are merged.
+        """Return a copy with some settings replaced.
 
         Parameters
         ----------
         **parts
-            Top-level settings; a mapping changes only the settings that it names (of another kind, it
-            replaces the part).
+            Top-level settings. A mapping changes only the settings that it names, unless its `kind` differs:
+            then it replaces the whole part.
 
         Examples
         --------
@@ -203,9 +204,9 @@ class Scene(SceneRecord):
         return type(self).from_dict(data)
 
     def build_rig(self) -> Rig:
-        """Exact cameras."""
+        """Return the exact cameras."""
         return self.rig.build()
 
     def build_sea(self) -> Sea:
-        """The sea."""
+        """Return the sea, with the random waves of the scene's seed."""
         return self.sea.build(self.seed)

@@ -25,13 +25,13 @@ def _rising(limits: Limits) -> Limits:
 
 
 class Part(ConfigSection):
-    """A part whose settings are checked and cannot change."""
+    """A part of a scene, with settings that are checked once and cannot be changed afterwards."""
 
-    model_config = ConfigDict(allow_inf_nan=True)  # deep water
+    model_config = ConfigDict(allow_inf_nan=True)  # deep water has depth .inf
 
 
 class SceneRecord(Part):
-    """Name, random numbers and times of a simulated record."""
+    """Name, random seed, number and times of the frames of a simulated record."""
 
     name: str = "tank"
     seed: Annotated[int, Field(ge=0)] = 1
@@ -40,12 +40,12 @@ class SceneRecord(Part):
     start: float = Field(default=0.0, description="time of the sea at the first frame, s")
 
     def time(self, frame: float) -> float:
-        """Time of the sea at a frame (or between two) by the frame rate, s."""
+        """Return the time of the sea at a frame, s, without jitter; a fraction lies between two frames."""
         return self.start + frame / self.frame_rate
 
 
 class PaperRig(Part):
-    """The paper's three cameras; its two oblique ones alone, or a fourth at right angles to them."""
+    """The paper's three cameras, only its two oblique ones, or a fourth at a right angle to these."""
 
     cameras: Literal[2, 3, 4] = 3
     scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
@@ -57,7 +57,7 @@ class PaperRig(Part):
 
 
 class SheetRig(Part):
-    """Cameras around a light sheet: two on both sides, and a vertical one between."""
+    """Cameras around a light sheet: one on each side, and optionally a vertical one between them."""
 
     cameras: Literal[2, 3] = 2
     angle: Annotated[float, Field(ge=5, le=70)] = Field(
@@ -108,8 +108,8 @@ class Spots(Part):
     )
 
     def draw_brightness(self, cameras: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Relative brightness of each bead in each camera, (cameras, count)."""
-        # a gamma law: most beads alike, a few bright ones, none negative
+        """Draw the relative brightness of each bead in each camera, (cameras, count)."""
+        # gamma distribution: most beads are similar, a few bright, none negative
         own = rng.gamma(self.spread**-2, self.spread**2, count) if self.spread else np.ones(count)
         return own * np.exp(rng.normal(0.0, self.spread_between, (cameras, count)))
 
@@ -134,7 +134,7 @@ class Beads(Spots):
 
 
 class Texture(Part):
-    """White noise painted on the surface, as in the paper's test."""
+    """White noise painted on the surface, as in the paper's test with synthetic images."""
 
     kind: Literal["texture"] = "texture"
     mesh: Positive | None = Field(default=None, description="size of the grains, m; by default 1.5 pixels")
@@ -146,7 +146,7 @@ class Texture(Part):
 
 
 class SeaSurface(Part):
-    """The open sea by daylight: the sky's reflection by slope, ripples and foam carried by the water."""
+    """The open sea by daylight: water that reflects the sky according to its slope, ripples, and foam."""
 
     kind: Literal["sea"] = "sea"
     mesh: Positive = Field(default=0.08, description="size of the finest grains of ripples and foam, m")
@@ -160,7 +160,7 @@ class SeaSurface(Part):
 
 
 class Sheet(Spots):
-    """Particles in a light sheet and a flow through it, instead of a water surface; the sea must be still."""
+    """Particles in a light sheet and their flow, in place of a water surface; the sea must be still."""
 
     kind: Literal["sheet"] = "sheet"
     thickness: Positive = Field(default=1e-3, description="where its light is above 1/e2, m")
@@ -189,7 +189,7 @@ class Light(Part):
 
 
 class Timing(Part):
-    """When the cameras take their frames."""
+    """Errors of the times at which the cameras take their frames."""
 
     jitter: NotNegative = Field(
         default=0.0, description="rms error of a frame's time, common to all cameras, s (beads only)"
@@ -197,7 +197,7 @@ class Timing(Part):
 
 
 class Fault(Part):
-    """What goes wrong with a camera while it records; its target images are right."""
+    """Faults of a camera while it records; its target images are correct."""
 
     mirrored: bool = Field(default=False, description="columns in reverse order")
     shows: str | None = Field(default=None, description="the camera whose images come under its name")
@@ -237,7 +237,7 @@ class Strings(Part):
 
 
 class Chessboard(Part):
-    """A chessboard, its middle at the origin."""
+    """A chessboard centred on the origin."""
 
     kind: Literal["chessboard"]
     mesh: Positive = Field(default=0.08, description="side of a square, m")
@@ -246,7 +246,7 @@ class Chessboard(Part):
 
 
 class Dots(Part):
-    """White dots on a dark plate, their middle at the origin."""
+    """A regular grid of white dots on a dark plate, centred on the origin."""
 
     kind: Literal["dots"]
     mesh: Positive = Field(default=0.08, description="distance between dots, m")
@@ -256,7 +256,7 @@ class Dots(Part):
 
 
 class CalibrationScene(Part):
-    """Target images."""
+    """The calibration target and the poses in which it is photographed."""
 
     target: Annotated[Strings | Chessboard | Dots, Field(discriminator="kind")] = Strings()
     tilted: Annotated[int, Field(ge=0)] = Field(default=6, description="number of tilted poses")
@@ -276,11 +276,11 @@ class Probes(Part):
 
 Array = NDArray[np.float64]
 
-MIN_RELATIVE_AMPLITUDE = 1e-6  # of the rms elevation: weaker waves cost as much as others and are not visible
+MIN_RELATIVE_AMPLITUDE = 1e-6  # waves below this fraction of the rms elevation are left out, to save time
 
 
 class PlaneWave(Part):
-    """A plane wave; in ``added``, one on top of the sea."""
+    """A plane wave; the setting ``added`` puts such waves on top of the sea."""
 
     amplitude: NotNegative = Field(description="m")
     wavelength: Positive = Field(description="m")
@@ -288,13 +288,15 @@ class PlaneWave(Part):
     phase: float = Field(default=0.0, description="degrees")
 
     def components(self) -> tuple[float, float, complex]:
-        """Wave vector, rad/m, and complex amplitude, m."""
+        """Return kx and ky, rad/m, and the complex amplitude, m."""
         k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
         amplitude = self.amplitude * np.exp(1j * np.radians(self.phase))
         return float(k * np.cos(angle)), float(k * np.sin(angle)), complex(amplitude)
 
 
 class _SeaSettings(Part):
+    """Settings that all seas share."""
+
     depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
     surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
     current: tuple[float, float] = Field(default=(0.0, 0.0), description="uniform velocity of the water, m/s")
@@ -310,29 +312,29 @@ class _SeaSettings(Part):
 
 
 class StillSea(_SeaSettings):
-    """Still water (but for its current)."""
+    """Water without waves, which may have a current."""
 
     kind: Literal["still"]
 
     def build(self, seed: int) -> Sea:
-        """Make the sea."""
+        """Return the sea."""
         return self._sea([1.0], [0.0], [0.0], bound=0)
 
 
 class SingleWave(PlaneWave, _SeaSettings):
-    """One wave."""
+    """One plane wave."""
 
     kind: Literal["single"]
     order: Literal[1, 2] = Field(default=1, description="2 adds the bound second harmonic")
 
     def build(self, seed: int) -> Sea:
-        """Make the sea."""
+        """Return the sea."""
         kx, ky, amplitude = self.components()
         return self._sea([kx], [ky], [amplitude], bound=int(self.order == 2))
 
 
 class Jonswap(Part):
-    """JONSWAP spectrum of the elevation."""
+    """JONSWAP spectrum of the elevation (Hasselmann et al. 1973)."""
 
     kind: Literal["jonswap"]
     peak: Positive = Field(description="frequency of the peak, Hz")
@@ -347,7 +349,7 @@ class Jonswap(Part):
 
 
 class PowerLaw(Part):
-    """Spectrum that falls as a power of the frequency above its peak, as in wave turbulence."""
+    """Spectrum that decays as a power of the frequency above its peak, as in wave turbulence."""
 
     kind: Literal["power"]
     peak: Positive = Field(description="frequency of the peak, Hz")
@@ -388,7 +390,9 @@ class RandomSea(_SeaSettings):
 
     def build(self, seed: int) -> Sea:
         """Draw a Gaussian sea on a square lattice of wave vectors.
-        The density over wave vectors is S(f) (df/dk) D(theta) / k; amplitudes are complex Gaussian.
+
+        The density over wave vectors is S(f) (df/dk) D(theta) / k, with the spectrum S and the directional
+        distribution D; amplitudes are complex Gaussian.
         """
         dk = 2 * np.pi / self.period
         n = int(self.period / self.shortest)
@@ -404,7 +408,7 @@ class RandomSea(_SeaSettings):
         angle = np.arctan2(ky, kx) - np.radians(self.direction)
         directional = np.cos(angle / 2) ** (2 * self.spread)
         density = self.spectrum(frequency) * (slope / nudge) / k * directional
-        # so that the elevation is Gaussian and spectra fluctuate as in nature
+        # complex Gaussian amplitudes make the elevation Gaussian, with spectra that fluctuate as in nature
         real, imaginary = np.random.default_rng([seed, 4]).standard_normal((2, k.size))
         amplitude = np.sqrt(density) * (real + 1j * imaginary)
         amplitude *= self.rms / np.sqrt(0.5 * np.sum(np.abs(amplitude) ** 2))

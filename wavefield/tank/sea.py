@@ -1,17 +1,18 @@
-"""Second-order waves bound to pairs of free waves, in water of any depth, with surface tension.
+"""A sea of free waves and second-order bound waves, in water of any depth, with surface tension.
 
-From the kinematic and dynamic conditions expanded to second order at z = 0,
+The kinematic and dynamic conditions are expanded to second order at z = 0,
 
     phi2_z - z2_t                  = grad phi1 . grad z1 - z1 phi1_zz                       = F
     phi2_t + g z2 - gamma lap z2   = -|grad phi1|^2/2 - phi1_z^2/2 - z1 phi1_tz             = G
 
-each pair (i, j) forces a wave of vector K = k_i +- k_j and frequency S = s_i +- s_j:
+where 1 and 2 denote the orders. Each pair (i, j) of free waves forces a bound wave with wave vector
+K = k_i +- k_j and frequency S = s_i +- s_j:
 
     z2 = (q G + i S F) / (q g' - S^2),   phi2 = (g' F - i S G) / (q g' - S^2),
     q = |K| tanh |K|h,   g' = g + gamma K^2.
 
-The velocity of the surface water to second order is grad phi1 + z1 grad phi1_z + grad phi2 at z = 0;
-beads that follow it drift as Stokes has it.
+To second order the velocity of the surface water is grad phi1 + z1 grad phi1_z + grad phi2 at z = 0. Beads
+that follow it have the Stokes drift.
 """
 
 from collections.abc import Sequence
@@ -27,23 +28,23 @@ from wavefield.water import GAMMA, GRAVITY, dispersion
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-MIN_DETUNING = 0.1  # share of q g': pairs closer to resonance are left to higher orders
+MIN_DETUNING = 0.1  # pairs with |q g' - S^2| below this fraction of q g' are resonant, beyond second order
 
 
 @dataclass(frozen=True)
 class BoundWaves:
-    """Second-order waves, summed by wave vector."""
+    """Second-order waves: contributions of p pairs of free waves to m wave vectors."""
 
     kx: Array  # (m,): Wave vectors, rad/m
     ky: Array
-    z: Complex  # (p,): Contributions of each pair at time zero, metres and m/s
-    u: Complex
+    z: Complex  # (p,): Elevation of each pair at time zero, metres
+    u: Complex  # (p,): Velocity of each pair at time zero, m/s
     v: Complex
-    frequency: Array  # (p,): Frequency of each contribution relative to the water, rad/s
-    target: NDArray[np.int64]  # (p,): Which wave vector each contribution belongs to
+    frequency: Array  # (p,): Frequency of each pair relative to the water, rad/s
+    target: NDArray[np.int64]  # (p,): Index of the wave vector of each pair
 
     def at(self, time: float, current: tuple[float, float]) -> dict[str, Complex]:
-        """Coefficients of z, z_t, u, v at one time, each (m,)."""
+        """Return the complex amplitudes of z, z_t, u, v at one time, each (m,), metres and m/s."""
         turn = np.exp(-1j * self.frequency * time)
         drift = self.kx * current[0] + self.ky * current[1]
         carried = np.exp(-1j * drift * time)
@@ -64,7 +65,10 @@ class BoundWaves:
 def bound_waves(
     kx: Array, ky: Array, amplitude: Complex, sigma: Array, depth: float, surface_tension: float, number: int
 ) -> BoundWaves:
-    """Waves bound to the steepest of the free waves, (n,), given in rad/m, m and rad/s."""
+    """Return the waves bound to the `number` steepest of n free waves.
+
+    kx, ky (rad/m), amplitude (m) and sigma (frequency relative to the water, rad/s) are (n,).
+    """
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]
     kx, ky, a, s = kx[steep], ky[steep], amplitude[steep], sigma[steep]
     k = np.hypot(kx, ky)
@@ -91,7 +95,7 @@ def bound_waves(
         phi = (stiffness * f - 1j * frequency * g) / det
         lift = 0.5 * si * ai * aj  # z1 grad phi1_z
         u, v = kx[:, None] * lift + 1j * sum_x * phi, ky[:, None] * lift + 1j * sum_y * phi
-        # K = 0 (a wave with itself) is no wave: the mean level stays, the mean drift remains
+        # K = 0, a wave with itself, adds nothing to the mean level but the mean drift
         used = bound | (length <= 1e-9)
         parts.append([part[used] for part in (sum_x, sum_y, z, u, v, frequency)])
     sum_x, sum_y, z, u, v, frequency = (np.concatenate(p) for p in zip(*parts, strict=True))
@@ -104,17 +108,16 @@ def bound_waves(
 
 
 FIELDS = ("z", "z_x", "z_y", "z_t", "u", "v", "w")
-POINTS_AT_A_TIME = 2048  # of scattered points
 
 
 @dataclass(frozen=True)
 class Sea:
-    """Free waves, with the waves bound to them, over water of constant depth with a uniform current.
+    """Free waves and the waves bound to them, in water of constant depth with a uniform current.
 
     Parameters
     ----------
     kx, ky : array_like, (n,)
-        Wave vectors, rad/m; they point where the waves go (relative to the water).
+        Wave vectors, rad/m; they point in the direction of propagation relative to the water.
     amplitude : array_like of complex, (n,)
         z = Re sum a exp(i (k . x - omega t)), metres.
     depth : float, default infinity
@@ -124,7 +127,7 @@ class Sea:
     current : tuple of float, default (0, 0)
         Uniform velocity of the water, m/s.
     bound : int, default 0
-        How many free waves, the steepest, get second-order waves bound to them; 0 for a linear sea.
+        Number of free waves, the steepest ones, that have second-order bound waves; 0 for a linear sea.
 
     Examples
     --------
@@ -164,12 +167,12 @@ class Sea:
 
     @cached_property
     def omega(self) -> Array:
-        """Angular frequencies of the free waves in the cameras' frame, (n,), rad/s."""
+        """Angular frequencies of the free waves at a fixed point, (n,), rad/s."""
         return self.sigma + self.kx * self.current[0] + self.ky * self.current[1]
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Wavenumbers along x (nkx,) and along y (nky,) that occur in the sea, rad/m."""
+        """Wavenumbers along x (nkx,) and along y (nky,) of all waves of the sea, rad/m."""
         return self._layout.kx, self._layout.ky
 
     @property
@@ -180,7 +183,7 @@ class Sea:
 
     @property
     def reach(self) -> float:
-        """Elevation that is hardly ever exceeded (4.5 standard deviations), metres."""
+        """Elevation that the sea hardly ever exceeds (4.5 standard deviations), metres."""
         height = np.abs(self.amplitude)
         return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 
@@ -193,7 +196,7 @@ class Sea:
         )
 
     def _coefficients(self, time: float) -> dict[str, Complex]:
-        """Matrices (nky, nkx) of all fields but w on the layout's axes."""
+        """Return the complex amplitudes (nky, nkx) of all fields but w over the wavenumbers `axes`."""
         turned = self.amplitude * np.exp(-1j * self.omega * time)
         velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
         waves = {
@@ -211,14 +214,18 @@ class Sea:
         return out
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Exact fields (ny, nx), in m, pure numbers (slopes) and m/s, on axes x (nx,) and y (ny,), metres."""
+        """Return exact fields (ny, nx) by name on axes x (nx,) and y (ny,), metres.
+
+        z is in m, the slopes z_x, z_y are pure numbers, the others in m/s.
+        """
         ex, ey = np.exp(1j * np.outer(self._layout.kx, x)), np.exp(1j * np.outer(y, self._layout.ky))
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
-        """Sums over waves, (ny, nx), of fields other than w, without the current.
+        """Return sums over all waves, (ny, nx), of fields other than w, without the current.
 
-        exp(i k . x) along the axes, (nkx, nx) and (ny, nky), may have any weight of the wavenumbers `axes`.
+        `ex` (nkx, nx) and `ey` (ny, nky) are exp(i k x) and exp(i k y) for the wavenumbers `axes`, which may
+        be multiplied by any function of the wavenumber.
         """
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
@@ -226,27 +233,25 @@ class Sea:
         out = {}
         for name in names:
             matrix = coefficients[name]
-            # complex products written as real ones: [Re, Im] of ey @ matrix, then the real part of that @ ex
+            # Re(ey @ matrix @ ex) by two real products, of stacked real and imaginary parts
             both = np.block([[matrix.real, matrix.imag], [-matrix.imag, matrix.real]])
             out[name] = _product(_product(along_y, both), along_x)
         return out
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Exact fields, in m, pure numbers (slopes) and m/s, at scattered points of any shape, metres."""
+        """Return exact fields by name at scattered points, metres, in the shape and order of x and y.
+
+        Units are those of `on_grid`, which is faster and needs less memory for many points.
+        """
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
         coefficients = self._coefficients(time)
-        out = {name: np.empty(x.size) for name in _needed(names)}
-        for start in range(0, x.size, POINTS_AT_A_TIME):
-            part = slice(start, start + POINTS_AT_A_TIME)
-            ex = np.exp(1j * np.outer(x[part], self._layout.kx))
-            ey = np.exp(1j * np.outer(y[part], self._layout.ky))
-            for name, values in out.items():
-                values[part] = np.einsum("pk,pk->p", ey @ coefficients[name], ex).real
+        ex, ey = np.exp(1j * np.outer(x, self._layout.kx)), np.exp(1j * np.outer(y, self._layout.ky))
+        out = {name: np.einsum("pk,pk->p", ey @ coefficients[name], ex).real for name in _needed(names)}
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """The named fields, with the current added and w = z_t + u z_x + v z_y."""
+        """Return the named fields; adds the current, and computes w = z_t + u z_x + v z_y."""
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed
@@ -256,6 +261,7 @@ class Sea:
 
 
 def _needed(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the fields to sum for the named ones: all but w if w is among them."""
     unknown = set(names) - set(FIELDS)
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")
@@ -264,7 +270,7 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
 
 @compiled(fastmath=True)
 def _product(a: Array, b: Array) -> Array:
-    """Matrix product on one thread: BLAS would start threads inside each thread that draws."""
+    """Return the matrix product, on one thread; BLAS would start more inside each thread that draws."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
@@ -275,7 +281,7 @@ def _product(a: Array, b: Array) -> Array:
 
 
 class _WaveLayout:
-    """Place of each wave in a matrix (ky, kx) with kx >= 0: sums over waves become matrix products."""
+    """Arranges waves in a matrix over (ky, kx) with kx >= 0, so that sums over waves are matrix products."""
 
     def __init__(self, kx: Array, ky: Array) -> None:
         self._mirror = kx < 0  # Re(C e^{ikx}) = Re(C* e^{-ikx})
@@ -288,7 +294,7 @@ class _WaveLayout:
         self._flat = self._row * self.kx.size + self._column
 
     def place(self, values: Complex) -> Complex:
-        """Matrix (nky, nkx) of the coefficients of the waves, (n,)."""
+        """Return the matrix (nky, nkx) of the amplitudes (n,) of the waves."""
         values = np.where(self._mirror, values.conj(), values)
         size = self.ky.size * self.kx.size
         real = np.bincount(self._flat, values.real, size)
@@ -296,22 +302,21 @@ class _WaveLayout:
         return (real + 1j * imag).reshape(self.ky.size, self.kx.size)
 
 
-KERNEL_WIDTH = 8  # lattice points under the kernel along each axis
-# of the kernel exp(beta (sqrt(1 - s^2) - 1)), for a lattice twice as fine as Nyquist's
+KERNEL_WIDTH = 8  # lattice points under the interpolation kernel along each axis
+# beta of the kernel exp(beta (sqrt(1 - s^2) - 1)), best for a lattice twice as fine as the waves need
+# (Barnett, Magland and af Klinteberg 2019)
 KERNEL_BETA = 2.30 * KERNEL_WIDTH
-MAX_SNAPSHOTS = 24  # remembered
-MAX_STEP = 0.04  # m, of the lattice where the sea has no short waves,
-MIN_STEPS = 300  # or this part of a large basin
+MAX_SNAPSHOTS = 24  # kept in memory
 
 
 def _kernel(r: Array) -> Array:
-    """Kernel at r lattice steps from its centre."""
+    """Return the interpolation kernel at a distance of r lattice steps."""
     s = 2.0 * r / KERNEL_WIDTH
     return np.exp(KERNEL_BETA * (np.sqrt(np.maximum(1.0 - s * s, 0.0)) - 1.0)) * (np.abs(s) < 1)
 
 
 def _transform(phase: Array) -> Array:
-    """Fourier transform of the kernel at phases per lattice step, by Gauss-Legendre quadrature."""
+    """Return the Fourier transform of the kernel at phases (rad) per lattice step, by quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(60)
     r = nodes * KERNEL_WIDTH / 2
     return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * KERNEL_WIDTH / 2
@@ -322,15 +327,19 @@ def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
 
 
 class Basin:
-    """A rectangle of a sea with limits x and y, metres."""
+    """A rectangle of a sea, with limits x and y in metres, that interpolates fields at any point fast.
+
+    Fields are summed on a lattice and interpolated with a kernel. The sums divide each wave by the kernel's
+    Fourier transform, which leaves errors of some 1e-7 of the elevation (a non-uniform FFT of type 2).
+    """
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
         extent = max(x[1] - x[0], y[1] - y[0])
-        step = min(sea.shortest / 4.0, max(MAX_STEP, extent / MIN_STEPS))
+        step = min(sea.shortest / 4.0, extent)  # twice as fine as the shortest wave needs
         margin = KERNEL_WIDTH // 2
         self._step = step
-        # following beads needs the same instants again and again
+        # beads, truth and images ask for the same instants again
         self._recent = lru_cache(MAX_SNAPSHOTS)(self._snapshot)
         self._origin = (x[0] - margin * step, y[0] - margin * step)
         count = [int(np.ceil((hi - lo) / step)) + 2 * margin + 1 for lo, hi in (x, y)]
@@ -340,7 +349,10 @@ class Basin:
         self._ey = _waves(gy, ky) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
-        """The sea at one time, s: any of z, z_x, z_y, z_t, u, v (w is a product: make it from these)."""
+        """Return the fields z, z_x, z_y, z_t, u, v that are named at one time, s, as a function of x, y.
+
+        w is not among them: it is not a sum of waves, but z_t + u z_x + v z_y.
+        """
         return self._recent(round(time, 12), tuple(names))
 
     def _snapshot(self, time: float, names: tuple[str, ...]) -> "Snapshot":
@@ -351,13 +363,13 @@ class Basin:
 
 
 class Snapshot:
-    """Fields at one instant, as a function of position; made by `Basin.snapshot`."""
+    """Fields at one instant as a function of position, from `Basin.snapshot`."""
 
     def __init__(self, values: Array, offset: Array, origin: tuple[float, float], step: float) -> None:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """Fields at points of any shape, (names, ...), in metres, slopes or m/s; NaN outside the basin."""
+        """Return the fields (names, ...), m, 1 or m/s, at points of any shape; NaN outside the basin."""
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
         return (out + self._offset[:, None]).reshape(-1, *x.shape)
@@ -365,7 +377,7 @@ class Snapshot:
 
 @compiled(fastmath=True)
 def _gather(x: Array, y: Array, values: Array, x0: float, y0: float, step: float, out: Array) -> None:
-    # constants of the module, so that the loops are unrolled; compiled code is renewed when they change
+    # KERNEL_WIDTH is a constant of the module, so that the compiler unrolls the loops
     nf, ny, nx = values.shape
     wx, wy = np.empty(KERNEL_WIDTH), np.empty(KERNEL_WIDTH)
     for p in range(x.size):

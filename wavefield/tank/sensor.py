@@ -1,4 +1,4 @@
-"""From light to grey levels: spots integrated over pixels, uneven light, noise, quantisation."""
+"""The camera's sensor: spots integrated over pixels, uneven light, noise and quantisation."""
 
 import math
 
@@ -13,7 +13,11 @@ Image = NDArray[np.float32]
 
 @compiled(fastmath=True)
 def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
-    """Add Gaussian spots at (X, Y), px, to an image (row, column), integrated exactly over every pixel."""
+    """Add Gaussian spots to an image (row, column), integrated exactly over every pixel.
+
+    The n spots are at columns X and rows Y, px, with total intensities `flux` (n,) and standard deviation
+    `sigma`, px.
+    """
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
     size = 2 * reach + 1
@@ -37,8 +41,10 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 
 def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Factor of the light over an image of a size in px, (row, column), with a mean of about 1.
-    A slope and a fall towards the edges, which differ from camera to camera.
+    """Return the relative illumination of an image, (row, column), with a mean of about 1.
+
+    It varies linearly in a random direction and decreases towards the edges. `size` is width and height in
+    px, `unevenness` the relative difference of light across the image.
     """
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
@@ -50,7 +56,10 @@ def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
 def expose(
     light: Image, read: float, shot: float, bits: int, rng: np.random.Generator
 ) -> NDArray[np.unsignedinteger]:
-    """Turn light, (row, column), into the numbers of an image file, clipped at full scale."""
+    """Return the image file's pixels for light (row, column) in grey levels of 255, clipped at full scale.
+
+    `read` is the rms read noise and `shot` the variance per grey level, both in grey levels of 255.
+    """
     value = light.astype(np.float64)
     if read or shot:
         noise = rng.standard_normal(light.shape, np.float32)

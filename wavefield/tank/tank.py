@@ -1,4 +1,4 @@
-"""A tank: the sea, the cameras and the beads of a scene, and the images that the cameras take."""
+"""A simulated tank: the sea, the beads and the cameras of a scene, and the images that the cameras take."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -24,22 +24,21 @@ from wavefield.tank.truth import Truth, truth
 Array = NDArray[np.float64]
 GreyImage = NDArray[np.unsignedinteger]
 
-MIN_REACH = 0.01  # m: height of the water that the cameras' field is computed for, at least
-MARGIN = 0.05  # m, around what the cameras see
-SHEET_MARGIN = 0.01
-DRIFT_STEP = 0.01  # m: lattice on which painted water is followed back, at least
-MAX_DRIFT_STEPS = 300  # along x
+MIN_REACH = 0.01  # beads cover what the cameras see up to this height at least, m
+MARGIN = 0.05  # width of the strip of beads around what the cameras see, m
+SHEET_MARGIN = 0.01  # the same around the view of a light sheet, m
+DRIFT_STEPS = 300  # lattice steps along x on which painted water is followed back in time
 
 _NO_FAULT = Fault()
 
 
 class Tank:
-    """The tank of a scene.
+    """The simulated tank of a scene, which renders images and gives the exact fields.
 
     Parameters
     ----------
     scene : Scene
-        What to simulate.
+        Settings of the simulated experiment.
 
     Examples
     --------
@@ -59,10 +58,10 @@ class Tank:
         reach = max(self.sea.reach, MIN_REACH)
         margin = SHEET_MARGIN if isinstance(scene.surface, Sheet) else MARGIN
         self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin)
-        # what moves between two frames must stay inside the basin
+        # beads that move between two frames must stay inside the basin
         air = 0.15 + 2.0 * np.hypot(*self.sea.current) / scene.frame_rate
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
-        self._drift_step = max(DRIFT_STEP, (self.x[1] - self.x[0]) / MAX_DRIFT_STEPS)
+        self._drift_step = (self.x[1] - self.x[0]) / DRIFT_STEPS
         self._drift_lock = Lock()
 
     @cached_property
@@ -73,7 +72,7 @@ class Tank:
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
 
     def truth(self, step: int) -> Truth:
-        """Exact answer for the step from a frame to the next."""
+        """Return the exact fields of the step between a frame, counted from 0, and the next."""
         grid, time = self.scene.grid, self.time(step + 0.5)
         if isinstance(self.scene.surface, Sheet):
             assert isinstance(self.population, Particles)
@@ -82,9 +81,9 @@ class Tank:
         return truth(self.basin, grid, time, 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
-        """Standard deviation of a bead's image before the pixels integrate it, px.
+        """Return the standard deviation of a bead's image, px, before it is integrated over pixels.
 
-        The blur and the bead's own size: the variance of a disc is a quarter of its radius squared.
+        It combines the blur with the size of the bead; the variance of a disc is its radius squared over 4.
         """
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
@@ -92,21 +91,24 @@ class Tank:
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
     def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, GreyImage]:
-        """Images, (row, column), of some cameras (by default of all) at one frame, from 0.
+        """Return the images (row, column) of some cameras, by default of all, at a frame counted from 0.
 
-        In rising order of frames: beads are followed from one to the next.
+        Ask for frames in rising order, because beads are followed from frame to frame.
         """
         names = self.rig if cameras is None else cameras
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
-        """Beads in the image that a camera gives at a frame; None for a painted surface and the open sea."""
+        """Return the beads in a camera's image of a frame; None for a painted surface and the open sea."""
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
 
     def draw(self, name: str, frame: int, beads: BeadField | None) -> GreyImage:
-        """Image that a camera gives at a frame, with its fault; may be called by several threads."""
+        """Return a camera's image (row, column) of a frame, with its faults; several threads may call it.
+
+        `beads` is the result of the method `beads`.
+        """
         fault = self.scene.faults.get(name, _NO_FAULT)
         frame, source = self._frame_taken(name, frame), fault.shows or name
         if isinstance(self.scene.surface, SeaSurface):
@@ -122,7 +124,7 @@ class Tank:
         return max(frame - self.scene.faults.get(name, _NO_FAULT).late, 0)
 
     def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Light of beads on the pixels of a camera."""
+        """Return the light of beads on the pixels of a camera, in grey levels."""
         assert not isinstance(self.scene.surface, (Texture, SeaSurface))
         camera = _shifted(self.rig[name], fault.shift)
         if any(fault.turned) and frame >= fault.since:
@@ -146,7 +148,7 @@ class Tank:
         return replace(beads, x=x, y=y, z=z)
 
     def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
-        """Columns and rows of beads, px, where each row is read `row_time` after the one above it."""
+        """Return columns and rows of beads, px, if each row is read `row_time`, s, after the one above it."""
         middle = (camera.size[1] - 1) / 2
         time, half = self.frame_time(frame), row_time * middle
         moments = (self._delayed(beads, time, -half), beads, self._delayed(beads, time, half))
@@ -165,13 +167,13 @@ class Tank:
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
     def _painted(self, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Light of a painted surface on the pixels of a camera."""
+        """Return the light of a painted surface on the pixels of a camera, in grey levels."""
         settings = self.scene.surface
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
         seen = texture.meet(_shifted(self.rig[name], fault.shift), snapshot, max(self.sea.reach, MIN_REACH))
         x, y = seen.x, seen.y
-        if settings.carried:  # to where the water was at the first frame
+        if settings.carried:  # look up the texture where the water was at the first frame
             drift = self._drift_since_start(frame)
             x, y = x + drift[0].ev(y, x), y + drift[1].ev(y, x)
         image = settings.mean + settings.contrast * self._paint(x, y)
@@ -179,7 +181,7 @@ class Tank:
 
     @cached_property
     def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
-        """Textures of ripples, and coarser ones of foam, grains of two sizes each."""
+        """Textures of ripples and of coarser foam, each with grains of two sizes."""
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
 
@@ -190,7 +192,7 @@ class Tank:
         return tuple((paint(kind, 0), paint(kind, 1)) for kind in range(2))
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
-        """Light of the open sea and of the sky on the pixels of a camera."""
+        """Return the light of the open sea and the sky on the pixels of a camera, in grey levels."""
         camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
         seen = texture.meet(camera, snapshot, self.sea.reach)
@@ -204,7 +206,7 @@ class Tank:
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
-        """Position at the first frame minus that at a frame, along x and y, followed from frame to frame."""
+        """Return splines, along x and y, of the water's position at the first frame minus that at a frame."""
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]
 
@@ -228,7 +230,7 @@ class Tank:
         """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
-            return {}  # there is none at sea
+            return {}  # there is no target at sea
         tilted = targets.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
         if not isinstance(settings.target, Strings):
             cameras = [self.rig[name] for name in self.rig]
@@ -239,19 +241,19 @@ class Tank:
 
     @cached_property
     def target_offsets(self) -> Array | None:
-        """Errors of the target's crossings, (n, n, 3), metres; None for other targets than strings."""
+        """Position errors of the crossings of strings, (n, n, 3), metres; None for other targets."""
         target = self.scene.calibration.target
         return targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
 
     def target_image(self, name: str, camera: str) -> GreyImage:
-        """Image of the calibration target in a pose of `target_poses`."""
+        """Return a camera's image of the calibration target in a pose of `target_poses`."""
         target, pose = self.scene.calibration.target, self.target_poses[name]
         light = targets.draw(self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets)
         return self._expose(light, camera, -1 - list(self.target_poses).index(name))
 
     @cached_property
     def _light(self) -> dict[str, NDArray[np.float32]]:
-        """Factor of the uneven light on the pixels of each camera."""
+        """Relative illumination of the pixels of each camera."""
         unevenness, seed = self.scene.light.unevenness, self.scene.seed * 97
         return {
             name: sensor.uneven(self.rig[name].size, unevenness, seed + number)
@@ -267,11 +269,11 @@ class Tank:
 
 
 def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
-    """A camera whose picture has moved by columns and rows, px."""
+    """Return a camera whose image has moved by columns and rows, px."""
     return replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1]) if any(shift) else camera
 
 
 def _turned(camera: Camera, degrees: tuple[float, float, float]) -> Camera:
-    """A camera turned about its own centre."""
+    """Return a camera turned about its centre by a rotation vector in its own axes, degrees."""
     turn = cv2.Rodrigues(np.radians(degrees))[0]
     return replace(camera, rotation=turn @ camera.R, translation=turn @ camera.T)

@@ -1,4 +1,4 @@
-"""Poses of a calibration target, and its images as the cameras see it."""
+"""Poses of a calibration target, and its images in the cameras."""
 
 import math
 from collections.abc import Iterable
@@ -14,19 +14,22 @@ from wavefield.tank.scene_parts import Chessboard, Dots, Strings
 
 Array = NDArray[np.float64]
 
-SHARES_OF_MOTION = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # tried in this order until a board is in view
+SHARES_OF_OFFSET = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # parts of a board's offset, tried until it is in view
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Position of a target: a point p of the target is at ``rotation @ p + origin``."""
+    """Position and orientation of a target: its point p is at ``rotation @ p + origin``."""
 
-    rotation: Array  # (3, 3): Target to physical frame
+    rotation: Array  # (3, 3): From the target's axes to the physical ones
     origin: Array  # (3,): Position of the target's origin, metres
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Poses of a target held by hand in the field of view, tilted by degrees."""
+    """Return random poses of a target that is held by hand in the field of view.
+
+    They are tilted by up to `tilt` degrees, each in another direction; x and y limit the field, m.
+    """
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
     out = []
@@ -42,7 +45,7 @@ def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, floa
 
 
 def _rotation(axis: int, angle: float) -> Array:
-    """Rotation about a coordinate axis."""
+    """Return the rotation by an angle, rad, about a coordinate axis."""
     c, s = np.cos(angle), np.sin(angle)
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     out = np.eye(3)
@@ -52,14 +55,15 @@ def _rotation(axis: int, angle: float) -> Array:
 
 
 def brought_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
-    """A pose moved towards the middle of the field, (3,), until every camera sees the whole board.
-    A board too large for the field stays as it is.
+    """Return a pose moved towards the middle of the field, (3,), m, until all cameras see the whole board.
+
+    The pose of a board that is too large for the field is unchanged.
     """
-    # a chessboard of which a part is missing cannot be numbered
+    # the corners of a chessboard can only be numbered if all of it is visible
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
     half = ((np.array(board.shape) - 1) / 2 + around) * board.mesh
     corners = np.array([(sx, sy, 0.0) for sx in (-1, 1) for sy in (-1, 1)]) * (*half, 0.0)
-    for share in SHARES_OF_MOTION:
+    for share in SHARES_OF_OFFSET:
         moved = replace(pose, origin=middle + share * (pose.origin - middle))
         x, y, z = (corners @ moved.rotation.T + moved.origin).T
         if all(camera.sees(x, y, z).all() for camera in cameras):
@@ -67,20 +71,23 @@ def brought_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, camer
     return pose
 
 
-BAND_ROWS = 128  # drawn at a time, to keep the memory small
-FRAME_WIDTH = 0.04  # m, of the frame that holds the strings
+BAND_ROWS = 128  # image rows drawn at a time, to limit the memory
+FRAME_WIDTH = 0.04  # width of the frame that holds the strings, m
 FRAME_SHADE = 0.35  # its brightness relative to the strings
 
-# Gauss-Legendre points over a pixel, (9, 3): column, row, weight; at each the blurred edge nearby is exact
-_POINTS = np.array([-0.3872983346207417, 0.0, 0.3872983346207417])
-_WEIGHTS = np.array([5 / 18, 8 / 18, 5 / 18])
+# Gauss-Legendre quadrature over a pixel, (9, 3): column, row, weight
+_POINTS, _WEIGHTS = (values / 2 for values in np.polynomial.legendre.leggauss(3))
 _QUADRATURE = np.stack(
     [np.repeat(_POINTS, 3), np.tile(_POINTS, 3), np.multiply.outer(_WEIGHTS, _WEIGHTS).ravel()], axis=1
 )
 
 
 def node_offsets(target: Strings, seed: int) -> Array:
-    """Errors of the target's crossings, (n, n, 3), m: that of node (i, j) at [j + half, i + half]."""
+    """Draw the position errors (n, n, 3), m, of the crossings of strings.
+
+    Crossing (i, j), counted from the origin along x and y, is at [j + half, i + half]. The two marked
+    crossings have none.
+    """
     count = 2 * target.half + 1
     offsets = target.node_offset * np.random.default_rng([seed, 9]).standard_normal((count, count, 3))
     offsets[target.half, target.half : target.half + 2] = 0.0
@@ -90,13 +97,14 @@ def node_offsets(target: Strings, seed: int) -> Array:
 def draw(
     camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float, offsets: Array | None = None
 ) -> NDArray[np.float32]:
-    """Light of a target on a camera's pixels, grey levels of 255, before background, lighting and noise.
-    The blur is in px; offsets are the errors of the crossings of strings, (n, n, 3), m.
+    """Return the image (row, column) of a target, grey levels of 255, before background, light and noise.
+
+    The blur is in px; `offsets` (n, n, 3), m, is the result of `node_offsets`.
     """
-    # the target's own plane is z = 0 of a camera that moves with it
+    # seen from a camera in the target's own axes, the target is the plane z = 0
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
     width, height = camera.size
-    columns = np.arange(-1.0, width + 1)  # the outermost columns and rows only give slopes
+    columns = np.arange(-1.0, width + 1)  # one more on each side, for the derivatives
     bands = []
     for top in range(0, height, BAND_ROWS):
         rows = np.arange(top - 1.0, min(top + BAND_ROWS, height) + 1)
@@ -124,7 +132,7 @@ def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[n
 
 
 def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
-    """Points of a perfect target in place of (x, y) on the plane of one with offsets; all in meshes."""
+    """Return the points of a perfect target that appear at (x, y) on one with offsets, in meshes."""
     half = offsets.shape[0] // 2
     lean_x, lean_y = own.sight_line(x * mesh, y * mesh)
     s, t = x, y
@@ -139,7 +147,7 @@ def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) 
 
 @compiled()
 def _step(d: float, blur: float) -> float:
-    """A blurred edge at d pixels inside it."""
+    """Return the brightness, 0 to 1, at d pixels inside a blurred straight edge."""
     if d > 4.5 * blur:
         return 1.0
     if d < -4.5 * blur:
@@ -151,18 +159,22 @@ def _step(d: float, blur: float) -> float:
 def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
-    """Blurred disc; its edge is (r - radius) / |grad r| pixels away."""
+    """Return the brightness of a blurred disc at (ds, dt) from its centre, in the target's plane.
+
+    (sx, sy) and (tx, ty) are the derivatives of s and t by column and row: the edge is
+    (r - radius) / |grad r| pixels away.
+    """
     r = math.hypot(ds, dt)
     if r < 1e-12:
         return 1.0
     slope = math.hypot((ds * sx + dt * tx) / r, (ds * sy + dt * ty) / r)
-    # a curved edge leaks outwards when it is blurred: the correction keeps the area
+    # blurring a curved edge would enlarge the disc; the second term keeps its area
     return _step((radius - r) / slope - 0.5 * blur * blur * slope / radius, blur)
 
 
 @compiled()
 def _slopes(a: Array, i: int, j: int) -> tuple[float, float]:
-    """Derivatives by column and row at pixel (i, j), with a border of one pixel around it."""
+    """Return the derivatives by column and row at pixel (i, j) of an array with a border of one pixel."""
     return 0.5 * (a[i + 1, j + 2] - a[i + 1, j]), 0.5 * (a[i + 2, j + 1] - a[i, j + 1])
 
 

@@ -1,4 +1,4 @@
-"""The exact answer at the nodes of the grid."""
+"""The exact fields of a simulated experiment at the nodes of the grid."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Truth:
-    """One step, from ``time - dt/2`` to ``time + dt/2``; every array is (ny, nx).
+    """Exact fields of one step, from ``time - dt/2`` to ``time + dt/2``; every array is (ny, nx).
 
     Parameters
     ----------
@@ -29,8 +29,8 @@ class Truth:
     z_start, z_end : ndarray
         Elevation at the two frames, m.
     dx, dy, dz : ndarray
-        Displacement over the step of the water whose path has its mid-point (half-way between both ends)
-        above the node, m.
+        Displacement over the step, m, of the water whose path has its mid-point (the mean of both ends) at
+        the node.
     """
 
     time: float
@@ -48,7 +48,7 @@ class Truth:
 
 
 def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
-    """Exact fields at the nodes for one step of length dt around a mid-time, s."""
+    """Return the exact fields at the nodes of a grid for the step of length dt, s, around a mid-time, s."""
     x, y = grid.x_nodes, grid.y_nodes
     fields = basin.sea.on_grid(x, y, time)
     start, end = (basin.sea.on_grid(x, y, t, ("z",))["z"] for t in (time - dt / 2, time + dt / 2))
@@ -59,7 +59,10 @@ def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
 
 
 def displacement(basin: Basin, x: Array, y: Array, time: float, dt: float) -> tuple[Array, Array, Array]:
-    """Displacement over a step, m, of the water whose path has its mid-point above given points."""
+    """Return the displacements along x, y, z over a step, m, of the water whose path has its mid-point there.
+
+    x and y are the mid-points, metres; `time` is mid-time and `dt` the length of the step, s.
+    """
 
     def carried(px: Array, py: Array, after: float) -> Array:
         return np.stack(carry(basin, px, py, time, time + after))

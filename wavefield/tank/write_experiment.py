@@ -1,4 +1,4 @@
-"""Write a simulated experiment as a laboratory would have it, with the exact truth in a folder of its own."""
+"""Write a simulated experiment as the files of a laboratory, with the exact fields in a separate folder."""
 
 import itertools
 import os
@@ -29,37 +29,37 @@ from wavefield.variables import CUBE_DIMS, annotate
 Progress = Callable[[int, int], None]
 Drawing = Callable[[], GreyImage]
 
-CHUNK_STEPS = 32  # of the truth: a long record needs little memory
-TASKS_PER_WORKER = 4  # that wait at once: beads of many frames would fill the memory
+CHUNK_STEPS = 32  # steps of the exact fields that are computed and written at once
+TASKS_PER_WORKER = 4  # images that wait to be drawn, per thread; their beads are in memory
 
 
 def simulate(
     scene: Scene, directory: str | Path, progress: Progress | None = None, *, workers: int = 2
 ) -> Path:
-    """Write the experiment of a scene.
+    """Simulate a scene and write its experiment.
 
     Parameters
     ----------
     scene : Scene
-        What to simulate.
+        Settings of the simulated experiment.
     directory : path
-        Folder for it; it is made, and must be empty if it is there.
+        Folder to write into. It is made if it does not exist; otherwise it must be empty.
     progress : callable, optional
-        Called as ``progress(done, total)`` when an image or a step of the truth is finished.
+        Called as ``progress(done, total)`` when an image or a step of the exact fields is finished.
     workers : int, default 2
-        Threads that draw images; the files do not depend on it.
+        Number of threads that draw images; the files do not depend on it.
 
     Returns
     -------
     Path
-        The experiment file: ``experiment.yaml`` next to ``cam1/img_00000.tif`` ..., ``calib/cam1/tilt_0.tif``
-        ..., ``calib/cam1/flat.tif``, ``probes.csv`` and ``scene.yaml``; and, apart, ``truth/rig.yaml`` (exact
-        cameras) and ``truth/truth.zarr`` (exact fields, one per step at mid-time).
+        The file ``experiment.yaml``. Next to it are images (``cam1/img_00000.tif``), target images
+        (``calib/cam1/tilt_0.tif``, ``flat.tif``), ``probes.csv`` and ``scene.yaml``; the folder ``truth``
+        holds the exact cameras, ``rig.yaml``, and the exact fields of every step, ``truth.zarr``.
 
     Raises
     ------
     ExperimentError
-        If the folder holds something already.
+        If the folder is not empty.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def simulate(
 
 
 def _drawings(tank: Tank, directory: Path) -> Iterator[tuple[Path, Drawing]]:
-    """The file of each image, and what draws it; beads are moved when the first image of a frame is due."""
+    """Yield the file of each image and the function that draws it, with the beads of its frame."""
     for pose in tank.target_poses:
         for camera in tank.rig:
             yield directory / "calib" / camera / f"{pose}.tif", partial(tank.target_image, pose, camera)
@@ -113,7 +113,7 @@ def _draw(
     most: int,
     report_progress: Callable[[], None],
 ) -> None:
-    """Draw and write images in order, at most so many at once."""
+    """Draw and write images in order; at most `most` wait at once."""
     waiting: deque[Future[None]] = deque()
     for path, drawing in drawings:
         if len(waiting) == most:
@@ -145,7 +145,7 @@ def _write_truth(
             )
         )
         for name in ("z", "z_t", "u", "v", "w"):
-            dataset[name].attrs.pop("frames", None)  # z_t is one difference here, the others are exact
+            dataset[name].attrs.pop("frames", None)  # exact fields do not come from several frames
         if first == 0:
             dataset.attrs = {
                 "title": f"exact fields of the simulated experiment {tank.scene.name}",
@@ -157,13 +157,13 @@ def _write_truth(
         else:
             dataset.to_zarr(path, append_dim="time", consolidated=False)
     with warnings.catch_warnings():
-        # readers then need one small file only; that this extends Zarr 3 does no harm
+        # readers then open one small file; the warning that Zarr 3 does not specify it is harmless
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)
 
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
-    """Write all that is no image: the experiment file, the scene, the probes, the exact cameras."""
+    """Write all files but the images: experiment, scene, probes, exact cameras."""
     names = list(tank.rig)
     experiment = {
         "name": scene.name,
@@ -183,7 +183,7 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         del experiment["probes"]
     if isinstance(scene.surface, Sheet):
         experiment["settings"] = {"preset": "sheet", "sheet_thickness": scene.surface.thickness}
-    if not tank.target_poses:  # lenses are all that is known at sea
+    if not tank.target_poses:  # at sea only the lenses are known
         del experiment["calibration"], experiment["grid"]
         experiment |= {"rig": "lenses.yaml", "settings": {"preset": "texture"}}
         lenses = {
@@ -220,7 +220,7 @@ def _yaml(data: dict[str, object], width: int) -> str:
 def _describe_water(scene: Scene) -> dict[str, float]:
     described = {"depth": scene.sea.depth} if np.isfinite(scene.sea.depth) else {}
     if scene.calibration.level:
-        # z = 0 of a rig calibrated with this target is the target, not the water (nor the exact rig's z = 0)
+        # a rig calibrated with this target has z = 0 at the target, not at the water
         described["level"] = -scene.calibration.level
     return described
 
@@ -230,7 +230,7 @@ def _describe_target(scene: Scene) -> dict[str, object]:
     if target.kind == "strings":
         return {"kind": "strings", "mesh": target.mesh, "origin_mark": "disc", "x_mark": "small disc"}
     described: dict[str, object] = {"kind": target.kind, "mesh": target.mesh, "shape": list(target.shape)}
-    # its middle is at the tank's origin
+    # the middle of the target is the tank's origin
     described["origin"] = [round(-0.5 * (n - 1) * target.mesh, 9) for n in target.shape]
     if target.kind == "dots":
         described["diameter"] = target.diameter
@@ -238,7 +238,7 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 
 def _pairing(tank: Tank) -> dict[str, object]:
-    """Which cameras work together: the most upright one is matched to the others."""
+    """Return the pairs of cameras of an experiment file: the most upright camera with each of the others."""
     names = list(tank.rig)
     if len(names) < 2:
         return {}

@@ -1,4 +1,4 @@
-"""Every variable of every dataset: one table that gives attributes, checks and documentation."""
+"""The table of all variables in cubes, wave stores and frames: attributes, checks, documentation."""
 
 from wavefield.variables.cube import (
     AROUND,

@@ -1,4 +1,4 @@
-"""The variables and codes of a cube, of its ledger and of a simulated experiment's truth."""
+"""Variables and integer codes of a cube and its frames, and of the exact fields of a simulated experiment."""
 
 from dataclasses import replace
 from enum import IntEnum, IntFlag
@@ -8,39 +8,39 @@ from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
 
 
 class Quality(IntFlag):
-    """Bits of the cube's ``quality``."""
+    """Bits of the cube's ``quality``, which tells how the value at a node was obtained."""
 
-    MEASURED = 1  # found by matching on its own
-    FILLED = 2  # interpolated from its neighbours
-    OUTSIDE = 4  # outside the field seen by the cameras
+    MEASURED = 1  # measured by matching images
+    FILLED = 2  # interpolated from neighbouring nodes
+    OUTSIDE = 4  # outside the field of view of the cameras
     REJECTED_CORRELATION = 8
     REJECTED_EPS = 16
     REJECTED_NEIGHBOURS = 32
-    TWO_FRAME_MEAN = 64  # z at mid-time, or a path, from fewer than four frames
-    FEWER_CAMERAS = 128  # a camera's frame is missing, or it contradicts the others: they did the work
-    MASKED = 256  # covered: not water, or hidden from the cameras by what is not
-    REJECTED_RANGE = 512  # beyond what was searched, or waves far above those that were sampled
-    WITHOUT_1 = 1024  # of fewer cameras: without the first of the cube's `cameras`
+    TWO_FRAME_MEAN = 64  # z at mid-time or the velocity comes from fewer than four frames
+    FEWER_CAMERAS = 128  # measured without a camera whose frame is missing or contradicts the others
+    MASKED = 256  # covered by a mask: an object, or water hidden behind it
+    REJECTED_RANGE = 512  # outside the search range, or far above the waves of the sampled frames
+    WITHOUT_1 = 1024  # set with FEWER_CAMERAS: measured without the first camera of the attribute `cameras`
     WITHOUT_2 = 2048
     WITHOUT_3 = 4096
     WITHOUT_4 = 8192
     WITHOUT_5 = 16384
-    WITHOUT_6 = 32768  # or one behind it
+    WITHOUT_6 = 32768  # without the sixth or a later camera
 
     @classmethod
     def without(cls, number: int) -> "Quality":
-        """Bits of a node that the others measured: without which camera, counted from 0."""
+        """Return the bits of a node that was measured without one camera; its number counts from 0."""
         return cls.FEWER_CAMERAS | cls(cls.WITHOUT_1.value << min(number, 5))
 
 
 class FrameStatus(IntEnum):
-    """Values of ``frame_status``: the ledger of a run."""
+    """Values of ``frame_status``, which records for every step whether it was measured."""
 
     NOT_STARTED = 0
     DONE = 1
     DONE_WITH_FAULTS = 2
     FAILED = 3
-    DISCONTINUOUS = 4  # over a lost, doubled or late frame, or beside it: no values
+    DISCONTINUOUS = 4  # no values: a frame of this step or next to it was lost, doubled or late
 
 
 class FrameFault(IntEnum):
@@ -49,28 +49,29 @@ class FrameFault(IntEnum):
     NONE = 0
     MISSING = 1
     UNREADABLE = 2  # corrupt, truncated, or not an image
-    WRONG_SIZE = 3  # other rows, columns or type than the rest
+    WRONG_SIZE = 3  # its rows, columns or type differ from the other frames
     BLANK = 4  # black, or all pixels equal
-    RANGE = 5  # the water went further than is searched; the image itself is good
-    REPEATED = 6  # bit for bit the frame before it: no camera takes the same noise twice
+    RANGE = 5  # the water moved beyond the search range; the image itself is good
+    REPEATED = 6  # identical to the frame before it, which the noise of a camera rules out for a new image
 
 
-AROUND = 2  # frames before and after those of a step that enter it
-EXACT_SIX = 7  # code for six frames as well, with the displacement of the quintic through them
-# by `path_frames`: what the displacement from frame to frame weighs in that at mid-time, and those beside it
-# either way; exact for a cubic in time. Those of 6 let less noise pass than those of 4, and leave 1/6 of the
-# displacement of the fastest waves that frames show: the weights of least noise would leave none of some
+AROUND = 2  # a step uses its own two frames and this many before and after them
+EXACT_SIX = 7  # value of `path_frames`: the quintic through six frames gives the displacement
+# Weights by `path_frames`. The displacement at mid-time is the first weight times that of the step itself,
+# plus each further weight times the sum of the displacements one (two) steps earlier and later. All are exact
+# for a cubic in time. Those of 6 pass less noise than those of 4 and keep 1/6 of a wave at the Nyquist
+# frequency; the weights with the least noise would cancel some waves completely.
 PATH_WEIGHTS: dict[int, tuple[float, ...]] = {
     2: (1.0,),
     4: (26 / 24, -1 / 24),
     6: (34 / 48, 10 / 48, -3 / 48),
     EXACT_SIX: (2134 / 1920, -116 / 1920, 9 / 1920),
 }
-INSTANTANEOUS = 1  # frames: of velocities at an instant, as a model has them, no displacements over dt
+INSTANTANEOUS = 1  # value of `path_frames`: instantaneous velocities, as of a model, not displacements / dt
 
 
 def frames_of_path(code: int) -> int:
-    """Number of frames that a path passes through, from `path_frames`."""
+    """Return the number of frames that a value of `path_frames` stands for."""
     return 6 if code == EXACT_SIX else code
 
 
@@ -163,7 +164,7 @@ register(
         dtype="uint8",
         extra=_flags(FrameFault),
     ),
-    # exact fields of a simulated experiment
+    # more exact fields of a simulated experiment
     _cube("z_rate", "m s-1", "instantaneous rate of rise of the surface"),
     _cube("z_start", "m", "surface elevation at the step's first frame"),
     _cube("z_end", "m", "surface elevation at the step's second frame"),
@@ -172,7 +173,7 @@ register(
     _cube("dz", "m", "displacement along z of the water whose path has its mid-point here"),
 )
 
-# what the frames of an experiment hold, as xarray opens them
+# variables of the camera images that xarray opens from an experiment file
 register(
     replace(TABLE["time"], long_name="time of the frame", group="frames"),
     Variable("frame", ("time",), "1", "frame number", dtype="int64", group="frames"),

@@ -1,4 +1,4 @@
-"""The table of variables, from which attributes, checks and docs come, and the arithmetic of units."""
+"""The table of variables, which defines attributes, checks and documentation; and conversion of units."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -10,7 +10,7 @@ import numpy as np
 from wavefield.errors import CubeError
 
 _TOKEN = re.compile(r"^([A-Za-z_]+|%)(?:\^|\*\*)?(-?\d+)?$")
-# spellings of units: factor and base unit
+# factor and base unit of each accepted spelling
 _KNOWN = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (1.0, "m")),
     **{"cm": (1e-2, "m"), "mm": (1e-3, "m"), "um": (1e-6, "m"), "km": (1e3, "m")},
@@ -21,6 +21,7 @@ _KNOWN = {
 
 
 def _powers(unit: str) -> dict[str, int]:
+    """Return the power of each unit in a string such as "m s-1" or "cm/s"."""
     out: dict[str, int] = {}
     for token in unit.replace("/", " /").split():
         sign = -1 if token.startswith("/") else 1
@@ -34,7 +35,7 @@ def _powers(unit: str) -> dict[str, int]:
 
 
 def product(*factors: tuple[str, int]) -> str:
-    """Multiply powers of units, (unit, power) each; radians last, as in m3 s-1 rad-2."""
+    """Return the units of a product of (unit, power) factors, radians last, as in m3 s-1 rad-2."""
     powers: dict[str, int] = {}
     for unit, power in factors:
         for name, exponent in _powers(unit).items():
@@ -45,7 +46,7 @@ def product(*factors: tuple[str, int]) -> str:
 
 
 def factor(given: str, requested: str) -> float | None:
-    """How many of the requested unit a given one is (cm/s in m s-1: 0.01); None if they do not convert."""
+    """Return the factor from a given to a requested unit (cm/s to m s-1: 0.01); None if there is none."""
     scale = 1.0
     left: dict[str, int] = {}
     for unit, sign in ((given, 1), (requested, -1)):
@@ -64,34 +65,32 @@ if TYPE_CHECKING:  # slow to import
     import xarray as xr
 
 CUBE_DIMS = ("time", "y", "x")
-_PIECE = 256  # steps cast at a time, of what is not in memory
+_PIECE = 256  # steps per Dask chunk of an array on disk whose type or unit is converted
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One row of the table."""
+    """One variable of a dataset: its dimensions, units, type and attributes."""
 
     name: str  # Name in the dataset
-    # Dimensions, in order; of a variable that comes in several shapes those of its first
-    dims: tuple[str, ...]
-    units: str  # CF units; "1" for pure numbers, "" where they follow from another variable's
+    dims: tuple[str, ...]  # Dimensions, in order; the first ones if the variable occurs with several
+    units: str  # CF units; "1" for pure numbers, "" if they depend on another variable
     long_name: str  # What it is, for axis labels
     dtype: str = "float32"  # Type in the store
     standard_name: str = ""  # CF standard name
     meaning: str = ""  # A sentence for the documentation
     extra: Mapping[str, Any] = field(default_factory=dict)  # Further attributes
-    # Dataset that it belongs to, where its name alone does not show it: a group of the wave store
-    group: str = ""
+    group: str = ""  # Group of the wave store, or "frames"; empty if the name means the same everywhere
     family: str = ""  # Name with a star, shared by variables that the documentation describes in one line
 
     @property
     def key(self) -> str:
-        """Its key in the table."""
+        """Key in the table: group/name, or the name alone."""
         return f"{self.group}/{self.name}" if self.group else self.name
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes as written to a store."""
+        """Attributes that are written to a store."""
         out: dict[str, Any] = {"long_name": self.long_name}
         if self.units:
             out["units"] = self.units
@@ -102,7 +101,7 @@ class Variable:
         return out | dict(self.extra)
 
     def of(self, what: str, units: str) -> dict[str, Any]:
-        """Attributes of a variable that can be had of several things."""
+        """Return the attributes for one quantity, which is named in `long_name`, with its units."""
         return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
 
 
@@ -110,24 +109,24 @@ TABLE: dict[str, Variable] = {}
 
 
 def register(*rows: Variable) -> None:
-    """Add rows to the table."""
+    """Add rows to the table; raise ValueError if one contradicts a row that is there."""
     for row in rows:
         if TABLE.setdefault(row.key, row) != row:
             raise ValueError(f"variable {row.key!r} is already in the table")
 
 
 def find(name: str, group: str = "") -> Variable | None:
-    """Row of a variable in a group, or else of the variable that has this name everywhere."""
+    """Return the row of a variable in a group, else the row for all groups; None without either."""
     return TABLE.get(f"{group}/{name}", TABLE.get(name))
 
 
 def rows_of(group: str) -> Iterator[Variable]:
-    """Rows of a group, in order."""
+    """Yield the rows of a group, in order."""
     return (row for row in TABLE.values() if row.group == group)
 
 
 def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
-    """Give every known variable of a dataset its attributes."""
+    """Return a copy of a dataset whose variables have the attributes of the table."""
     out = dataset.copy()
     for name in [*out.coords, *out.data_vars]:
         row = find(str(name), group)
@@ -137,6 +136,7 @@ def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
 
 
 def _one(array: "xr.DataArray", row: Variable) -> Any:
+    """Return a variable with the dimensions and units of its row; raise CubeError if it does not fit."""
     if set(array.dims) != set(row.dims):
         raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
     kind = np.dtype(row.dtype).kind
@@ -158,13 +158,15 @@ def _in_units(array: "xr.DataArray", row: Variable) -> Any:
 
 
 def _lazy(array: "xr.DataArray") -> Any:
-    # arrays on disk stay there until their chunks are read
+    # an array on disk becomes a Dask array, which reads chunk by chunk
     return array if array.chunks is not None or array._in_memory else array.chunk({array.dims[0]: _PIECE})
 
 
 def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
-    """Check that a dataset holds variables as the table has them, and convert their units (cm to m).
-    The door of every room; CubeError if one is absent or does not fit.
+    """Return the named variables of a dataset with the dimensions, units and types of the table.
+
+    Every public function checks its input with it. Units are converted (cm to m); data on disk stay there
+    until they are read. Raises CubeError if a variable is absent or its dimensions, type or units do not fit.
     """
     out = {}
     for name in names:

@@ -1,4 +1,4 @@
-"""The variables of a wave store: of its spectra by rule, the others from their text table."""
+"""The variables of a wave store: spectra are named by rule, `wave_variables.txt` lists the others."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ from wavefield.variables.table import Variable, product, register
 
 K_UNITS, OMEGA_UNITS = "rad m-1", "rad s-1"
 
-# spectral names: units and words
+# quantities that have spectra: units and meaning
 FIELD_UNITS = {"z": "m"} | dict.fromkeys(("z_t", "rise", "u", "v", "w", "nl"), "m s-1")
 FIELD_TEXTS = {
     "z": "surface elevation at frame times",
@@ -23,7 +23,7 @@ ELEVATION_UNITS = "m2 s rad-1"
 
 
 def density_units(unit: str, *over: str) -> str:
-    """Units of a power spectrum.
+    """Return the units of the power spectrum, over the named axes, of a quantity in `unit`.
 
     Examples
     --------
