@@ -87,16 +87,13 @@ def test_dots_are_numbered_from_their_rings_also_partly_out_of_view(seed):
     assert np.sqrt((error**2).mean()) < 2.0 * np.median(points.std)
 
 
-def test_a_grid_without_all_its_rings_and_one_larger_than_stated_are_refused():
+def test_a_grid_whose_rings_are_not_three_at_a_right_angle_is_refused():
     image, _, mesh, diameter = picture_with_rings(1, rings=((3, 3), (5, 3)))
     with pytest.raises(CalibrationError, match="2 of the three rings"):
         find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
     image, _, mesh, diameter = picture_with_rings(1, rings=((3, 3), (5, 3), (4, 4)))
     with pytest.raises(CalibrationError, match="right angle"):
         find_target(image, Target("dots", mesh, diameter=diameter, origin_mark="ring"))
-    image, _, mesh, diameter = picture_with_rings(1)
-    with pytest.raises(CalibrationError, match="more than the 5 x 5"):
-        find_target(image, Target("dots", mesh, (5, 5), diameter=diameter, origin_mark="ring"))
 
 
 @pytest.mark.parametrize("roll", [15.0, 100.0])

@@ -1,8 +1,9 @@
 """Find a grid of dots, with or without three rings that mark its origin; blobs and their centres."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from wavefield.calibration.lattice import (
@@ -14,37 +15,54 @@ from wavefield.calibration.lattice import (
     map_of_nodes,
     most_central,
 )
+from wavefield.calibration.observations import LIMITS
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
-MIN_AREA = 12  # px^2
-MAX_AREA = 0.02  # of the image
+MIN_AREA = 6.0  # px^2 within the line through a dot's outermost pixels: it is four pixels wide
+MIN_FULLNESS = (
+    0.7  # a blob's area over that of an ellipse of its moments: 0.95 for a square, 0.83 for a triangle
+)
+MAX_HOLE = 0.6  # of a ring's brightness: that of its middle, where it is thin or blurred
 MIN_CORE = 0.25  # of a dot's contrast: brighter pixels belong to it
 EVEN = 0.8  # of a dot's own brightness: brighter parts of it count alike
-DEFAULT_NOISE = 0.02  # of a dot's contrast, where too little background is in view to estimate it
 
 
-def find_blobs(image: Image, min_fullness: float = 0.9) -> tuple[Array, Array]:
-    """Centres (n, 2), px, and areas (n,), px^2, of bright blobs that are closed and nearly elliptic."""
+@dataclass(frozen=True)
+class Blobs:
+    """Bright, closed, nearly elliptic shapes in an image; a ring counts with its hole filled."""
+
+    centre: Array  # (n, 2), px
+    area: Array  # (n,), px^2
+    ring: Mask  # (n,): dark in the middle
+
+
+def find_blobs(image: Image) -> Blobs:
+    """Shapes brighter than their surroundings, away from the image's edge."""
     ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
     binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
-    count, label, box, centre = cv2.connectedComponentsWithStats(binary)
     height, width = image.shape
-    dots = []
-    for k in range(1, count):
-        x, y, w, h, area = box[k]
+    centre, area, ring = [], [], []
+    outlines, levels = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    around_hole = np.reshape(levels, (-1, 4))[:, 3] >= 0 if outlines else np.zeros(0, bool)
+    for outline, of_hole in zip(outlines, around_hole, strict=True):
+        x, y, w, h = cv2.boundingRect(outline)
+        m = cv2.moments(outline)
         at_edge = x == 0 or y == 0 or x + w == width or y + h == height
-        if area < MIN_AREA or at_edge or area > MAX_AREA * image.size:
+        if of_hole or at_edge or m["m00"] < MIN_AREA:
             continue
-        rows, columns = np.nonzero(label[y : y + h, x : x + w] == k)
-        covariance = np.cov(np.stack([columns, rows])) + np.eye(2) / 12
-        fullness = area / (4 * np.pi * np.sqrt(max(np.linalg.det(covariance), 1e-9)))  # 1 for an ellipse
-        if min_fullness < fullness < 1.1:
-            dots.append(k)
-    return centre[dots].astype(float), box[dots, 4].astype(float)
+        spread = np.sqrt(max(m["mu20"] * m["mu02"] - m["mu11"] ** 2, 1e-9)) / m["m00"]
+        if m["m00"] > MIN_FULLNESS * 4 * np.pi * spread:
+            middle = m["m10"] / m["m00"], m["m01"] / m["m00"]
+            dark, bright = np.percentile(image[y : y + h, x : x + w], [5, 90])
+            hole = image[round(middle[1]), round(middle[0])] - dark < MAX_HOLE * (bright - dark)
+            centre.append(middle)
+            area.append(m["m00"])
+            ring.append(hole)
+    return Blobs(np.array(centre, float).reshape(-1, 2), np.array(area, float), np.array(ring, bool))
 
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
@@ -69,7 +87,7 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
         own = float(np.median(share[share > 0.5 * np.percentile(share, 98)]))
         dot = _dilated(gx, gy, share > MIN_CORE * own, pixel[k])
         share = np.minimum(share / own, EVEN)  # paint and light on a dot are seldom even
-        grain = robust_std(share[~dot]) if (~dot).sum() > 20 else DEFAULT_NOISE
+        grain = robust_std(share[~dot])
         x, y, share = gx[dot].astype(float), gy[dot].astype(float), share[dot]
         centre[k] = np.array([x @ share, y @ share]) / share.sum()
         lever = np.sqrt((((x - centre[k, 0]) ** 2 + (y - centre[k, 1]) ** 2).sum()) / 2)
@@ -195,57 +213,6 @@ def make_points(
     return TargetPoints(node[inlier], pixel[inlier], std[inlier], (width, height), notes)
 
 
-MIN_NEIGHBOURS = 3  # of the eight around a ring that are dots
-RADII = np.arange(0.0, 0.46, 0.03)  # meshes, of the profile of a ring
-ANGLES = 2 * np.pi * np.arange(24) / 24
-MIN_RING = 0.35  # of the dots' contrast, all around
-MAX_HOLE = 0.6  # of the brightness of the ring
-MAX_OUTSIDE = 0.3  # of the dots' contrast, beyond the ring
-CELL_MIDDLES = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
-
-
-class _Cells:
-    """Brightness around the nodes of a lattice of bright dots, relative to the ground, in units of the dots'
-    contrast. Nodes are dots, and gaps among dots.
-    """
-
-    def __init__(self, image: Image, lattice: TargetLattice) -> None:
-        filled = lattice.filled.astype(np.uint8)
-        self.neighbours = cv2.filter2D(filled, -1, np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT)
-        places = np.argwhere((self.neighbours >= MIN_NEIGHBOURS) | (filled > 0))
-        self.neighbours = self.neighbours[tuple(places.T)] - filled[tuple(places.T)]
-        self.places: Nodes = places + lattice.node[0] - np.argwhere(lattice.filled)[0]
-        self._image, self._map = image, map_of_nodes(lattice.node, lattice.pixel)
-        at = lattice.node.astype(float)
-        self._contrast = max(float(np.median(self._at(at) - self._ground(at))), 1.0)
-
-    def _at(self, nodes: Array) -> Array:
-        column, row = np.moveaxis(self._map(nodes.reshape(-1, 2)).reshape(nodes.shape), -1, 0)
-        values: Array = map_coordinates(self._image, [row, column], order=1, mode="nearest")
-        return values
-
-    def _ground(self, nodes: Array) -> Array:
-        """Brightness between the dots around each node, because light is rarely uniform."""
-        return np.asarray(np.median(self._at(nodes[:, None] + CELL_MIDDLES), axis=1))
-
-    def share(self, offset: Array) -> Array:
-        """Relative brightness at offsets (..., 2), in meshes, from each node: (n, ...)."""
-        at = self.places.reshape(-1, *(1,) * (offset.ndim - 1), 2) + offset
-        ground = self._ground(self.places.astype(float)).reshape(-1, *(1,) * (offset.ndim - 1))
-        return np.asarray((self._at(at) - ground) / self._contrast)
-
-
-def find_rings(image: Image, lattice: TargetLattice) -> Nodes:
-    """Nodes (n, 2) of bright rings in a lattice of bright dots, found as dots or as gaps of the lattice."""
-    cells = _Cells(image, lattice)
-    share = cells.share(RADII[:, None, None] * np.stack([np.cos(ANGLES), np.sin(ANGLES)], -1))
-    profile = np.median(share, axis=2)
-    closed = np.percentile(share, 10, axis=2).max(1) > MIN_RING
-    hollow = profile[:, 0] < MAX_HOLE * profile.max(1)
-    alone = profile[:, -1] < MAX_OUTSIDE
-    return np.asarray(cells.places[closed & hollow & alone])
-
-
 def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
     """Indices of nodes (n, 2) counted from the ring at the right angle, right-handed seen from above.
     CalibrationError unless the rings are three whose arms follow the rows and columns.
@@ -267,98 +234,63 @@ def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
     raise CalibrationError("the three rings do not stand at a right angle along the rows and columns of dots")
 
 
-MIN_DOTS = 9
-MAX_SEEDS = 6
-MIN_FULLNESS = 0.3  # of a ring: its area over that of an ellipse of its moments
+MAX_SEEDS = 6  # dots near the middle from which a lattice is grown: one of them may be dirt
 
 
 def find_dots(image: Image, target: Target) -> TargetPoints:
     """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
-    With three rings the grid may be partly out of view.
+    Three rings number a grid that may be partly out of view; without them all of it must be in view.
     """
-    if target.ringed:
-        return _find_with_rings(image, target)
-    shape = shape_of(target)
-    best: tuple[Nodes, Array, Image] | None = None
-    most = 0
+    grids = []
     for polarity in (image, 255.0 - image):
-        lattice = dot_lattice(*find_blobs(polarity), polarity.shape[::-1])
-        if lattice is None:
-            continue
-        node, pixel = lattice.node, lattice.pixel
-        most = max(most, len(node))
-        window = _rectangle_within(node, shape)
-        if window is not None and (best is None or len(window[0]) > len(best[0])):
-            inside, first = window
-            best = node[inside] - first, pixel[inside], polarity
-    if best is None:
-        raise CalibrationError(
-            f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {most}); "
-            "all of it must be in view and in focus, or three rings must number it (origin_mark: ring); "
-            "grids whose rows are set off by half a dot (asymmetric) are not supported"
-        )
-    node, pixel, polarity = best
-    span = node.max(0) + 1
-    if tuple(span) != shape:  # the lattice's first axis is the target's second
-        node = np.stack([node[:, 1], span[0] - 1 - node[:, 0]], -1)
-    node, notes = right_handed(None, node, pixel, shape)
+        blobs = find_blobs(polarity)
+        lattice = dot_lattice(blobs, polarity.shape[::-1])
+        if lattice is not None:
+            grids.append((polarity, blobs, lattice))
+    if not grids:
+        shape = "" if target.shape is None else "{} x {} ".format(*target.shape)
+        raise CalibrationError(f"no grid of {shape}dots was found; it must be in view and in focus")
+    polarity, blobs, lattice = max(grids, key=lambda grid: len(grid[2]))
+    node, pixel = lattice.node, lattice.pixel
+    notes: tuple[str, ...] = ()
+    if target.ringed:
+        ring = blobs.ring[cKDTree(blobs.centre).query(pixel)[1]]
+        node, pixel = numbered_from_rings(node[~ring], pixel[~ring], node[ring]), pixel[~ring]
+    else:
+        node, notes = _numbered_from_shape(node, pixel, shape_of(target))
     pixel, noise, more = dot_centres(polarity, node, pixel, target)
     return make_points(image, node, pixel, (*notes, *more), noise)
 
 
-def _find_with_rings(image: Image, target: Target) -> TargetPoints:
-    grids = [
-        (polarity, lattice)
-        for polarity in (image, 255.0 - image)
-        if (lattice := dot_lattice(*find_blobs(polarity, MIN_FULLNESS), polarity.shape[::-1])) is not None
-    ]
-    if not grids:
+def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> tuple[Nodes, tuple[str, ...]]:
+    """Indices (n, 2) of a grid of which all dots were found, and notes."""
+    node = node - node.min(0)
+    span = node.max(0) + 1
+    if sorted(span) != sorted(shape) or len(node) != np.prod(shape):
         raise CalibrationError(
-            f"no grid of at least {MIN_DOTS} dots was found; it must be in view and in focus"
+            f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {len(node)}); "
+            "all of it must be in view and in focus, or three rings must number it (origin_mark: ring); "
+            "grids whose rows are set off by half a dot (asymmetric) are not supported"
         )
-    polarity, lattice = max(grids, key=lambda one: (len(find_rings(*one)) == 3, len(one[1])))
-    rings = find_rings(polarity, lattice)
-    dots = ~(lattice.node[:, None] == rings).all(2).any(1)
-    node, pixel = lattice.node[dots], lattice.pixel[dots]
-    node = numbered_from_rings(node, pixel, rings)
-    span = tuple((np.ptp(node, axis=0) + 1).tolist())
-    if target.shape is not None and (span[0] > target.shape[0] or span[1] > target.shape[1]):
-        raise CalibrationError(
-            f"{span[0]} x {span[1]} dots were found along x and y, more than the {target.shape[0]} x "
-            f"{target.shape[1]} that are stated as the target's shape"
-        )
-    pixel, noise, notes = dot_centres(polarity, node, pixel, target)
-    return make_points(image, node, pixel, notes, noise)
+    if tuple(span) != shape:  # the lattice's first axis is the target's second
+        node = np.stack([node[:, 1], span[0] - 1 - node[:, 0]], -1)
+    return right_handed(None, node, pixel, shape)
 
 
-def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
-    """The largest lattice grown from dots near the middle and their nearest neighbours.
-    None where it has less than three dots along either axis.
-    """
-    if len(centre) < MIN_DOTS:
+def dot_lattice(blobs: Blobs, size: tuple[int, ...]) -> TargetLattice | None:
+    """The largest lattice grown from dots near the middle and their nearest neighbours; None if too small."""
+    centre = blobs.centre
+    if len(centre) < LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
     best: TargetLattice | None = None
     for k in most_central(centre, MAX_SEEDS):
-        _, near = tree.query(centre[k], MIN_DOTS)
+        _, near = tree.query(centre[k], 9)
         pair = independent_pair(centre[near[1:]] - centre[k])
         if pair is None:
             continue
         lattice = TargetLattice(centre[k], *pair)
-        lattice.grow(Candidates(centre, area, 1.0), size)
+        lattice.grow(Candidates(centre, blobs.area, 1.0), size)
         if best is None or len(lattice) > len(best):
             best = lattice
-    return best if best and len(best) >= MIN_DOTS and np.ptp(best.node, axis=0).min() >= 2 else None
-
-
-def _rectangle_within(node: Nodes, shape: tuple[int, int]) -> tuple[Mask, Nodes] | None:
-    """Nodes of the full rectangle of this shape (either way round) that is a lattice, and its first node."""
-    filled = set(map(tuple, node))
-    for nx, ny in {shape, shape[::-1]}:
-        for i in range(node[:, 0].min(), node[:, 0].max() - nx + 2):
-            for j in range(node[:, 1].min(), node[:, 1].max() - ny + 2):
-                if all((i + a, j + b) in filled for a in range(nx) for b in range(ny)):
-                    first = np.array([i, j])
-                    inside = ((node >= first) & (node < first + np.array([nx, ny]))).all(1)
-                    return (inside, first) if inside.sum() == len(node) else None
-    return None
+    return best if best and len(best) >= LIMITS.min_nodes and np.ptp(best.node, axis=0).min() >= 2 else None

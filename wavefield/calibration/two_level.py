@@ -149,7 +149,6 @@ def _skewness(patch: Array) -> float:
 
 
 MIN_DOTS = 12  # of a level
-MIN_FULLNESS = 0.7  # a blob's area over that of an ellipse of its moments; 0.83 for a triangle
 MIN_MARK_WIDTH = 4.7  # px, of a dot in place of which a triangle is recognised: dust passes for smaller ones
 MAX_PARALLAX = 0.4  # of a cell: most that the other level's dots may be off the middles
 DECISIVE_FRACTION = 0.4  # of all blobs: a level that has them is taken without further trials
@@ -161,7 +160,8 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
     """
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
-        centre, area = find_blobs(polarity, MIN_FULLNESS)
+        blobs = find_blobs(polarity)
+        centre, area = blobs.centre, blobs.area
         strong = Candidates(centre, area, 1.0).strong if len(area) else np.zeros(0, bool)
         dots, area = centre[strong], area[strong]  # without specks
         one = _first_level(dots, area, polarity.shape[::-1])
