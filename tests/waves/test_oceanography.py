@@ -13,7 +13,7 @@ def directional():
     sea = GaussianSea(spread=10, heading=np.radians(30), n=96, dx=0.03, steps=512, band=(1.2, 4.0))
     w = sea.field(5).isel(y=slice(0, 64), x=slice(0, 80))
     made = xr.Dataset({"w": w}, attrs={"water_depth": 0.7})
-    return made, wv.directions(made, current=(0.0, 0.0), segment=128, sectors=36)
+    return made, wv.directions(made, current=(0.0, 0.0), segment=128)
 
 
 def test_wavespectra_reads_a_directional_spectrum(directional, tmp_path):
@@ -41,9 +41,9 @@ def test_a_directional_spectrum_on_a_current_holds_the_energy_of_still_water():
     t, y, x = axes(256, 50, 60, 0.05, 0.025)
     phase = k * x - (sigma + k * current[0]) * t[:, None, None] + 0 * y[:, None]
     w = a * sigma * np.sinc(sigma * 0.05 / 2 / np.pi) * np.sin(phase)
-    found = wv.directions(cube({"w": w}, t, y, x), current=current, segment=128, sectors=36)
+    found = wv.directions(cube({"w": w}, t, y, x), current=current, segment=128)
     step = float(found.freq[1] - found.freq[0])
-    variance = float(found.efth.sum()) * 10 * step
+    variance = float(found.efth.sum()) * 360 / found.sizes["dir"] * step
     assert variance == pytest.approx(a**2 / 2, rel=0.1)
     peak = float(found.freq[int(np.argmax(found.efth.sum("dir").values))])
     assert peak == pytest.approx(sigma / (2 * np.pi), abs=step)

@@ -16,6 +16,7 @@ from wavefield.waves.current import NO_CURRENT, CurrentUsed
 from wavefield.waves.dispersion_fit import fit_dispersion
 from wavefield.waves.dispersion_points import HALF_WIDTH, MIN_HALF_WIDTH, SHORTEST_WAVES, PlaneSpectrum
 from wavefield.waves.dof import correlation_at
+from wavefield.waves.elevation import intrinsic_frequency
 from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, elevation_from_w
 from wavefield.waves.inputs import is_cube
 from wavefield.waves.products import Noted, WaveProduct, register
@@ -94,9 +95,8 @@ def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[floa
 
 
 BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
-SECTORS = 36  # of the group `direction`: ten degrees, as wave models have them
-BANDWIDTH_HZ = 0.2  # of a given frequency: four lines of segments of 20 s
-STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
+SECTORS = 24  # 15 degrees; in narrower ones the cells of a rectangle show: 2 % in an isotropic sea
+STEP_HZ = 0.1  # between frequencies, and width of each: two lines of segments of 20 s; at least one line
 LOWEST_HZ = 0.5  # the integrated w holds little but drift below
 
 
@@ -161,10 +161,6 @@ def directions(
     depth: float | None = None,
     *,
     current: tuple[float, float] | None = None,
-    sectors: int = 24,
-    dof: float | None = None,
-    gamma: float | None = None,
-    bandwidth: float | None = None,
     segment: int | None = None,
 ) -> xr.Dataset:
     """Directional spectrum of the waves near the dispersion relation.
@@ -175,22 +171,12 @@ def directions(
         A cube, of whose w the elevation is integrated; or the spectrum (omega, ky, kx) of one field, the
         result of `spectrum`, or a field (time, y, x) whose spectrum is computed.
     frequency : sequence of float, optional
-        Frequencies in the frame of the water, Hz; by default all that segment and grid resolve, 0.1 Hz or a
-        line of the spectrum apart.
+        Frequencies in the frame of the water, Hz, each of a band of 0.1 Hz, or one line of the spectrum
+        where lines are further apart; by default all bands that segment and grid resolve.
     depth : float, optional
         Depth of the water, m; by default that of the input, or deep.
     current : tuple of float, optional
         Velocity of the water along x and y, m/s; by default it is fitted to the dispersion relation.
-    sectors : int
-        Number of sectors of the circle.
-    dof : float, optional
-        Degrees of freedom of a cell of independent segments (attribute ``degrees_of_freedom`` of
-        `spectrum`); needed for ``dof``, ``low``, ``high`` and the standard uncertainties. A density alone
-        does not state them.
-    gamma : float, optional
-        Surface tension over density, m3/s2.
-    bandwidth : float, optional
-        Width of the band around each frequency, Hz; 0.2 by default, or the step of the default frequencies.
     segment : int, optional
         Steps of a Welch segment, where the spectrum of a cube or field is computed; chosen from the record if
         not given.
@@ -198,8 +184,9 @@ def directions(
     Returns
     -------
     Dataset
-        ``D`` (frequency, theta): density over the direction of propagation, its integral over theta is 1;
-        ``dof``, ``low``, ``high`` (frequency, theta); ``energy`` (frequency), their spectrum per Hz;
+        ``D`` (frequency, theta): density over the direction of propagation, in 24 sectors, whose integral
+        over theta is 1; ``dof``, ``low``, ``high`` (frequency, theta), NaN of a density alone, which does not
+        state its degrees of freedom; ``energy`` (frequency), the waves' spectrum per Hz;
         ``direction``, ``spread`` (frequency): mean direction and directional spread, rad, and
         ``direction_std``, ``spread_std``, their standard uncertainties; ``r1``, ``r2``
         (frequency), moduli of the first two harmonics; ``isotropy`` (frequency): 1 - the larger of them,
@@ -236,43 +223,41 @@ def directions(
     (('frequency', 'theta'), ('freq', 'dir'))
     """
     plane, stated = plane_of("w", segment=segment)(density, "directions")
-    depth = stated.get("depth", np.inf) if depth is None else depth
-    gamma = stated.get("gamma", GAMMA) if gamma is None else gamma
-    dof = stated.get("dof") if dof is None else dof
+    water = stated.get("depth", np.inf) if depth is None else depth, stated.get("gamma", GAMMA)
     if current is None:
         try:
-            fit = fit_dispersion(plane, depth, gamma=gamma)
+            fit = fit_dispersion(plane, water[0], gamma=water[1])
         except CubeError as error:
             raise CubeError(f"{error}; or give the current") from None
         current = float(fit["current_x"]), float(fit["current_y"])
     if is_cube(density):
-        plane = elevation_density(plane, current, frames_of(density))
+        plane = elevation_density(plane, current, frames_of(density), water)
     if frequency is None:
-        frequency, step = resolved_frequencies(plane, depth, gamma)
-        bandwidth = step * (1 - 1e-9) if bandwidth is None else bandwidth  # a line at either end counts once
-    bandwidth = BANDWIDTH_HZ if bandwidth is None else bandwidth
-    return _directions(plane, frequency, (depth, gamma), current, sectors, dof, bandwidth)
+        frequency = resolved_frequencies(plane, *water)
+    return _directions(plane, frequency, water, current, stated.get("dof"))
 
 
-def elevation_density(density: xr.DataArray, current: tuple[float, float], frames: int) -> xr.DataArray:
+def elevation_density(
+    density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
+) -> xr.DataArray:
     """E(omega, ky, kx) of the elevation, from that of w on a current, m/s.
     The rise of a particle is integrated at its own frequency, omega - k . U.
     """
-    omega = density["omega"].values
-    dt = np.pi / float(omega[-1])
-    intrinsic = density["omega"] - density["kx"] * current[0] - density["ky"] * current[1]
-    intrinsic = abs(intrinsic.transpose(*density.dims))
-    factor = elevation_from_w(intrinsic.clip(min=omega[1]), dt, frames)
-    return density * factor.where(intrinsic > omega[1] / 2, 0.0)
+    omega, ky, kx = np.meshgrid(
+        *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
+    )
+    dt, sigma = np.pi / float(omega.max()), dispersion(np.hypot(ky, kx), *water)
+    intrinsic = intrinsic_frequency(omega, kx * current[0] + ky * current[1], sigma, dt)
+    with np.errstate(invalid="ignore"):
+        factor = np.where(omega > 0, elevation_from_w(intrinsic, dt, frames), 0.0)
+    return density.transpose("omega", "ky", "kx") * factor
 
 
-def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> tuple[Array, float]:
-    """Frequencies, Hz, that the segment and the grid of a spectrum resolve, and their distance."""
-    omega = density["omega"].values
-    line = float(omega[1]) / (2 * np.pi)
+def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
+    """Frequencies, Hz, that the segment and the grid of a spectrum resolve."""
+    lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
-    step = max(STEP_HZ, line)
-    return np.arange(max(LOWEST_HZ, 3 * line), min(shortest, 0.9 * omega[-1] / (2 * np.pi)), step), step
+    return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))
 
 
 def _largest_k(density: xr.DataArray) -> float:
@@ -320,11 +305,9 @@ def _directions(
     frequency: Sequence[float] | Array,
     water: tuple[float, float],
     current: tuple[float, float],
-    sectors: int,
     dof: float | None,
-    bandwidth: float,
 ) -> xr.Dataset:
-    """As `directions`, of E(omega, ky, kx)."""
+    """As `directions`, of E(omega, ky, kx) whose cells have `dof` degrees of freedom (None: unknown)."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -333,26 +316,27 @@ def _directions(
         raise CubeError(f"{frequency.max():g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
     ky, kx = density["ky"].values, density["kx"].values
     cells = float(ky[1] - ky[0]), float(kx[1] - kx[0])
-    plane = _RingSectors(ky, kx, sectors)
+    plane = _RingSectors(ky, kx, SECTORS)
+    theta = (np.arange(SECTORS) + 0.5) * plane.width
     centres = wavenumber(2 * np.pi * frequency, *water)
-    levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
+    levels, degrees = np.empty((frequency.size, SECTORS)), np.full((frequency.size, SECTORS), np.nan)
     stds = np.full((2, frequency.size), np.nan)
     if dof is not None:
         packets = packet_correlation(ky, kx, density["omega"].values, water, current, dof)
     for i, (f, centre) in enumerate(zip(frequency, centres)):
-        band = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
+        # a line at either end counts once
+        band = np.flatnonzero(np.abs(lines - f) < max(STEP_HZ, lines[1]) / 2 * (1 - 1e-9))
         if not band.size:
             band = np.array([np.abs(lines - f).argmin()])
         energy = in_still_water(density, band, current)
         half_width = max(HALF_WIDTH * centre, MIN_HALF_WIDTH * max(cells))
         shares, coverage = plane.shares(float(centre), half_width)
-        to_level = np.divide(plane.cell_area / band.size, coverage, out=np.zeros(sectors), where=coverage > 0)
+        to_level = np.divide(plane.cell_area / band.size, coverage, out=np.zeros(SECTORS), where=coverage > 0)
         levels[i] = shares @ energy.sum(axis=0).ravel() * to_level
         if dof is not None:
             covariances = sector_covariances(shares, energy * np.sqrt(packets), dof)
             covariances *= np.outer(to_level, to_level)
             degrees[i] = sector_freedom(levels[i], covariances)
-            theta = (np.arange(sectors) + 0.5) * plane.width
             stds[:, i] = harmonic_stds(levels[i], RIDGE_CORRELATION * covariances, theta)
     found = _label(frequency, centres, levels, degrees, cells, stds)
     clear = xr.DataArray(above_noise(density, found, water, current), dims="frequency")
@@ -412,10 +396,10 @@ def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
     """Group `direction`: as `directions`, at all frequencies that segment and grid resolve."""
-    elevation = elevation_density(density, used.velocity, welch.frames)
-    frequency, step = resolved_frequencies(density, depth, gamma)
-    bandwidth = step * (1 - 1e-9)  # a line at either end counts once
-    out = _directions(elevation, frequency, (depth, gamma), used.velocity, SECTORS, welch.dof, bandwidth)
+    water = depth, gamma
+    elevation = elevation_density(density, used.velocity, welch.frames, water)
+    frequency = resolved_frequencies(density, *water)
+    out = _directions(elevation, frequency, water, used.velocity, welch.dof)
     out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")}).assign_attrs(used.attrs)
     out["energy"].attrs["units"] = "m2 Hz-1"
     if used.source == NO_CURRENT:

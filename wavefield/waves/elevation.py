@@ -38,10 +38,8 @@ from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import density, plane_density
 from wavefield.waves.welch import (
-    MAIN_LOBE,
     MIN_OVER_FILLED,
     Welch,
-    hann_power,
     inner,
     k_coords,
     omega_coords,
@@ -119,9 +117,7 @@ MIN_FREE_K = 0.5  # of the k of free waves: half-way to the peak, whose leakage 
 MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: noise alone is further off
 MIN_TRUSTED_FRACTION = 0.9  # of the cells of free waves: the others miss a ring of them
 MIN_LINES = 5  # below it the weights 1 / omega^2 vary by more than a fifth within a line
-MAX_LEAKED_FRACTION = 0.5  # of a line of w: of more, most is of stronger waves
 LEARNED_WITHIN = 1.5  # factor by which signal over noise of a predicted gain is uncertain
-MIN_NOISE_FREQUENCY = 1.2  # Hz: below it the integrated w is mostly drift
 
 
 def _white(noise: Array, use: Array) -> Array:
@@ -159,15 +155,6 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
     near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
     known = np.take_along_axis(trusted, near, axis=1).mean(axis=1)
     return np.asarray(_smooth(known) > MIN_TRUSTED_FRACTION)
-
-
-def _resolved_lines(energy: Array) -> Array:
-    """Lines of a spectrum of w, (omega,), that are narrow and hold little of what the window spreads."""
-    line = np.arange(energy.size)
-    apart = np.abs(np.subtract.outer(line, line))
-    # between whole lines, where the side lobes of a Hann window are
-    leaked = np.where(apart > MAIN_LOBE, hann_power(apart + 0.5), 0.0) * energy
-    return np.asarray((line >= MIN_LINES) & (leaked.sum(axis=1) < MAX_LEAKED_FRACTION * energy))
 
 
 @dataclass(frozen=True)
@@ -214,7 +201,6 @@ class _Elevations:
     ww: Array
     zw: Array
     shape: Array  # 4 sin^2: noise of a displacement over that of the elevation from it
-    resolved: Array  # (omega,), lines in which w can be integrated
     speed: float = 0.0  # of the current, m/s
 
     @property
@@ -228,12 +214,9 @@ class _Elevations:
 def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _Elevations:
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
-    of_z, of_w = (ring["E"].sel(quantity=name).values for name in NAMES)
-    given = omega, ring["k"].values, dt, of_z
+    of_z = ring["E"].sel(quantity="z").values
     speed = float(np.hypot(*planes.current))
-    return _Elevations(
-        *given, *planes.elevations(water, dt, frames), _resolved_lines(of_w.sum(axis=1)), speed
-    )
+    return _Elevations(omega, ring["k"].values, dt, of_z, *planes.elevations(water, dt, frames), speed)
 
 
 @dataclass(frozen=True)
@@ -251,9 +234,7 @@ class _Noise:
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
     omega, k = spectra.omega, spectra.k
-    use = (omega > 2 * np.pi * MIN_NOISE_FREQUENCY) & (omega < 0.95 * omega[-1])
-    if use.sum() < 3:
-        use = omega > 0
+    use = (np.arange(omega.size) >= MIN_LINES) & (omega < 0.95 * omega[-1])
     # where windows leave too little to correct, they still leave some: noise is the energy off free waves
     # there
     free = dispersion(k, *water)
@@ -345,11 +326,12 @@ def from_spectra(
 
     dof = _freedom(ring)
     lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
-    valid = {method: inner(omega.size) & trusted for method, trusted in zip(METHODS, lines)}
-    waves = _at_waves(energies_k[-1], spectra, water)
-    resolved = dict.fromkeys(METHODS, spectra.resolved)
-    resolved |= {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | spectra.resolved}
-    valid = {method: lines & waves & resolved[method] for method, lines in valid.items()}
+    narrow = np.arange(omega.size) >= MIN_LINES  # lines in which w can be integrated
+    integrated = dict(zip(METHODS, (np.ones_like(narrow), narrow, narrow, (weight > 0.5) | narrow)))
+    valid = {
+        method: inner(omega.size) & trusted & integrated[method] & _at_waves(energy, spectra, water)
+        for method, trusted, energy in zip(METHODS, lines, energies_k)
+    }
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, remaining, tiny)
     for method, energy_k, std in zip(METHODS, energies_k, stds_k):
