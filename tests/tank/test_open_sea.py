@@ -17,7 +17,7 @@ def tank():
 @pytest.mark.parametrize("name", ["left", "right"])
 def test_pixels_show_the_first_water_on_their_sight_lines(tank, name):
     camera = tank.rig[name]
-    seen = texture.meet(camera, tank.basin.snapshot(0.0, ("z", "z_x", "z_y")), tank.sea.reach)
+    seen = texture.visible_water(camera, tank.basin.snapshot(0.0, ("z", "z_x", "z_y")), tank.sea.reach)
     known = np.isfinite(seen.z)
     assert 0.5 < known.mean() < 0.8  # the rest is sky, or beyond the waves
     row, column = np.nonzero(known)

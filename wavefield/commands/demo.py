@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-# by variable: label, and errors in the tests of the paper, in mm and in px of 1.8 mm
+# by variable: label, and errors in the tests of Aubourg et al. (2019), in mm and in px of 1.8 mm
 PAPER = {"z": ("z", "0.2-0.7", "0.13-0.4")} | {n: (f"{n} dt", "0.3-0.5", "0.3") for n in "uvw"}
 
 
@@ -46,7 +46,7 @@ def run_demo(
 
 
 def comparison(store: Path, directory: Path) -> str:
-    """Return a table with the errors of the cube of a simulated experiment, next to those of the paper."""
+    """Return a table of the errors of a simulated experiment, next to those of Aubourg et al. (2019)."""
     import numpy as np
 
     from wavefield.pipeline import open_run
@@ -101,7 +101,7 @@ def demo(directory: Path, scene: str) -> None:
 
     Writes a simulated three-camera experiment of 40 steps to DIRECTORY, calibrates the cameras from its
     target images, measures the surface and its velocity, analyses the waves, writes the report, and prints
-    the errors next to those of the paper. Takes a few minutes and needs no other data.
+    the errors next to those of Aubourg et al. (2019). Takes a few minutes and needs no other data.
     """
     meta = click.get_current_context().meta
     run_demo(directory, meta["wavefield.command"], scene, quiet=meta["wavefield.quiet"])

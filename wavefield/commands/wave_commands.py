@@ -123,10 +123,10 @@ def report(context: click.Context, source: campaign_commands.CommandSource, outp
 @click.option("--rest", type=_FOLDER, help="Cube of still water, from the same cameras.")
 @click.option("-o", "--output", type=FILE, help="HTML file to write.")
 def paper(store: Path, rest: Path | None, output: Path | None) -> None:
-    """Write the figures and numbers of the method's paper.
+    """Write the figures and numbers of Aubourg et al. (2019).
 
     One HTML file with a snapshot, distributions, spectra, nonlinear term and coherence, probes, still water,
-    differences between pairs of cameras, and a table with the paper's numbers. Needs the waves that
+    differences between pairs of cameras, and a table with the published numbers. Needs the waves that
     `wavefield analyze` writes.
     """
     from wavefield.reports.paper import paper as write

@@ -13,7 +13,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from wavefield.explorer import parts
-from wavefield.explorer.parts import Place, plain, words_of
+from wavefield.explorer.parts import Place, plain, text_line
 from wavefield.explorer.record import LookSession, nearest
 from wavefield.figures.display import KINDS, MARKS_ACROSS, quality_kind
 from wavefield.rig import Camera
@@ -26,7 +26,7 @@ _HOW = (
 )
 
 
-def outlines_of(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
+def mask_outlines(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
     """Return the outlines, each (n, 2) columns and rows in px, of the masked parts of an image."""
     found, _ = cv2.findContours(covered.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     return [np.asarray(outline[:, 0], np.int32) for outline in found if len(outline) > 2]
@@ -38,7 +38,7 @@ class MaskPanel:
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
         self._corners: list[tuple[str, Corner]] = []  # camera or WATER, corner; in the order of the clicks
-        self.words = words_of("mask_words", _HOW, html=True)
+        self.words = text_line("mask_words", _HOW, html=True)
         self.undo = Button(label="Remove the last corner", name="mask_undo", disabled=True)
         self.clear = Button(label="Clear", name="mask_clear", disabled=True)
         self.undo.on_click(lambda: self._keep(self._corners[:-1]))
@@ -179,7 +179,7 @@ class CameraPanel:
         for widget in (self.camera, self.overlay):
             widget.on_change("value", lambda attr, old, new: events.image_chosen())
         absent = "" if cameras else run.reason("frames")
-        self.words = parts.words_of("camera_words", f"no images: {absent}" if absent else "")
+        self.words = parts.text_line("camera_words", f"no images: {absent}" if absent else "")
         self.sources = parts.make_sources(
             "camera", image=parts.IMAGE, nodes="X Y kind", grid="xs ys", node="X Y",
             mask="x y", masks="xs ys",
@@ -223,7 +223,7 @@ class CameraPanel:
         self.figure.title.text = f"{name}, frame {series.first + index}"
         self._show_image(frame.image, frame.message)
         covered = series.covered(index) if index < len(series) else None
-        lines = [] if covered is None else outlines_of(covered)
+        lines = [] if covered is None else mask_outlines(covered)
         self.sources["masks"].data = {
             "xs": [line[:, 0] for line in lines],
             "ys": [line[:, 1] for line in lines],

@@ -63,7 +63,7 @@ class FollowPage:
         self._count = -1  # `Follower.count` when the page was last drawn
         self._shown: tuple[object, ...] = ()  # lights and sentence that were drawn last
         names = {"state": "state_words", "verdict": "verdict", "lights": "lights"}
-        self.words = {key: parts.words_of(name, html=True) for key, name in names.items()}
+        self.words = {key: parts.text_line(name, html=True) for key, name in names.items()}
         self.variable = Select(
             title="Map of", value="w", options=parts.named(_VARIABLES), name="show", width=230
         )

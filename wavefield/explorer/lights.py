@@ -148,7 +148,7 @@ class Baseline:
         if len(first) < self.n_steps:
             first.append(values)
 
-    def of(self, kind: type[T], name: str = "") -> T | None:
+    def medians(self, kind: type[T], name: str = "") -> T | None:
         """Return the medians of a kind of summary for a camera or pair; None until `n_steps` are there."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:

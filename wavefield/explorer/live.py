@@ -349,9 +349,9 @@ class Follower:
     ) -> list[StatusLight]:
         first, out = self._baseline, self._arrivals()
         for name, found in frames.items():
-            out += lights.frame_lights(name, found, first.of(FrameFeatures, name))
+            out += lights.frame_lights(name, found, first.medians(FrameFeatures, name))
         for name, pair in pairs.items():
-            out.append(lights.pair_light(name, pair, first.of(PairSummary, name)))
+            out.append(lights.pair_light(name, pair, first.medians(PairSummary, name)))
         if step is not None:
-            out += lights.step_lights(step, first.of(StepSummary))
+            out += lights.step_lights(step, first.medians(StepSummary))
         return out

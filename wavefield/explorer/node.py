@@ -101,7 +101,7 @@ class NodePanel:
         self.probes: xr.Dataset | None = None  # of the experiment, when they are read
         self._node: tuple[float, float] | None = None  # the picked one, m
         self._main = tuple(name for name in _MAIN if name in record.stored)
-        self.words = parts.words_of("node_words", "Click a node of the map.", html=True)
+        self.words = parts.text_line("node_words", "Click a node of the map.", html=True)
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
         # One source per figure. The browser paints what arrives together once, but only if it fits into its
         # buffer of 128 kB; otherwise it paints half of it first.

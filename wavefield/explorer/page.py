@@ -123,7 +123,7 @@ class LookPage:
         play = CustomJS(args={name: self.controls[name] for name in ("play", "step")}, code=_PLAY)
         self.controls["play"].js_on_change("active", play)
         self.map.sources["image"].js_on_change("data", play)
-        self.link = parts.words_of("link", place.query())
+        self.link = parts.text_line("link", place.query())
         self.link.visible = False
         self.link.js_on_change("text", CustomJS(code=_LINK))
         wide = {"sizing_mode": "stretch_width"}
@@ -133,8 +133,8 @@ class LookPage:
     def _make_head(self) -> None:
         self.trouble = ""  # why something of the experiment is not shown
         self._error = ""  # error of the last drawing, as HTML
-        self.state = parts.words_of("state_words", html=True)
-        self.verdict = parts.words_of("verdict_words", html=True)
+        self.state = parts.text_line("state_words", html=True)
+        self.verdict = parts.text_line("verdict_words", html=True)
         for words in (self.state, self.verdict):
             words.sizing_mode = None  # as wide as the text
         wrap = {"flex-wrap": "wrap", "column-gap": "24px"}
@@ -325,7 +325,7 @@ class LookPage:
         self.map.layout.title.text = f"{what}, t = {record.time[place.step]:.3f} s{status}"
 
     def _show_view(self) -> None:
-        """Show the open view; the map is always drawn."""
+        """Draw the open tab of `TABS`, unless it is the map, which is always drawn."""
         if self.place.tab in self._views:
             self._views[self.place.tab]().show(self.place)
             self._show_corners()

@@ -155,7 +155,7 @@ class LazyPanel(Generic[P]):
     """A panel that is made when its tab is first opened; until then the tab shows "Loading"."""
 
     def __init__(self, make: Callable[[], P]) -> None:
-        loading = words_of("", _LOADING, html=True)
+        loading = text_line("", _LOADING, html=True)
         loading.stylesheets = [_SPINNER]  # the page's own does not reach into Bokeh's parts
         self.body = column(loading, sizing_mode="stretch_width")
         self._make = make
@@ -272,7 +272,7 @@ def apply_template(
 # -- words ---------------------------------------------------------------------------------------------
 
 
-def words_of(name: str, text: str = "", html: bool = False) -> Div:
+def text_line(name: str, text: str = "", html: bool = False) -> Div:
     """Return a paragraph of text of full width; with `html` the caller must escape the text."""
     return Div(
         text=text, name=name, sizing_mode="stretch_width", render_as_text=not html, disable_math=True

@@ -34,7 +34,7 @@ DEFAULT_PORTS = range(5006, 5026)
 _HOSTS = ("localhost", "127.0.0.1")
 
 
-def record_place(session: LookSession, query: dict[str, str]) -> Place:
+def requested_place(session: LookSession, query: dict[str, str]) -> Place:
     """Return the page state that the query of a link asks for, limited to what the cube has."""
     record = session.record
     return Place.read(query, record.names, record.layout.steps, record.first_step())
@@ -142,7 +142,7 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
     def make_page(document: Document) -> None:
         arguments = document.session_context.request.arguments or {}
         query = {key: values[0].decode(errors="replace") for key, values in arguments.items()}
-        place = record_place(session, query)
+        place = requested_place(session, query)
         if place.node is None:
             place = replace(place, node=middle_node(session.record, place.step))
         LookPage(session, place).attach(document)

@@ -46,7 +46,7 @@ class WavePanel:
         self._depth = depth if np.isfinite(depth) else DEEP_WATER_M
         self._spectra: xr.Dataset | None = None
         self._chosen = 0  # index of the frequency of the map
-        self.words = parts.words_of("wave_words")
+        self.words = parts.text_line("wave_words")
         self.variable = Select(title="E(k, ω) of", value="", options=[], name="wave_variable")
         self.current = Slider(
             title="Current along the waves (m/s)", start=-0.5, end=0.5, step=0.01, value=0.0,

@@ -40,8 +40,8 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Corresponds to the paper's maps of eta, u . grad eta and the error field. The residual and the nonlinear
-    term share one colour scale.
+    Corresponds to the maps of eta, u . grad eta and the error field in Aubourg et al. (2019). The residual
+    and the nonlinear term share one colour scale.
     """
     from wavefield.waves.motion import kinematics_at  # imports compiled kernels
 
@@ -70,7 +70,7 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Left: coherence with the common normalisation of the paper, as in its figure. Right: the standard
+    Left: coherence with the common normalisation of Aubourg et al. (2019). Right: the standard
     magnitude-squared coherence, with the level that unrelated signals exceed in 5 % of cases. Lines are thin
     and pale at wavenumbers that the store marks as not valid.
     """

@@ -184,7 +184,7 @@ def distributions(cube: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Corresponds to the paper's distributions of z, dx, dy and dz.
+    Corresponds to the distributions of z, dx, dy and dz in Aubourg et al. (2019).
     """
     figure, [[left, right]] = panels(2)
     z = 100 * cube.z.values.astype(float)
@@ -217,8 +217,8 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
 
     Notes
     -----
-    Corresponds to the paper's figure of water at rest: z - z_rest with and without each node's mean over
-    time, and dx, dy, dz.
+    Corresponds to the figure of water at rest in Aubourg et al. (2019): z - z_rest with and without each
+    node's mean over time, and dx, dy, dz.
     """
     figure, [[left, right]] = panels(2, height=4.6)
     z = 1e3 * (rest.z.values.astype(float) - level)
@@ -252,7 +252,7 @@ def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
 
     Notes
     -----
-    Corresponds to the paper's tests with synthetic images and with water at rest.
+    Corresponds to the tests with synthetic images and with water at rest in Aubourg et al. (2019).
     """
     figure, axes = panels(2)
     moved = {_DISPLACEMENTS[name]: values for name, values in _displacements(errors, 1 / pixel).items()}

@@ -30,7 +30,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Corresponds to the paper's 3D snapshot. Heights are exaggerated: see the axes.
+    Corresponds to the 3D snapshot in Aubourg et al. (2019). Heights are exaggerated: see the axes.
     """
     stride = {d: slice(None, None, -(-snapshot.sizes[d] // MAX_POLYGONS)) for d in ("y", "x")}
     part = snapshot[["z", "w"]].isel(stride).transpose("y", "x")
@@ -95,7 +95,7 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Corresponds to the paper's velocity snapshot.
+    Corresponds to the velocity snapshot in Aubourg et al. (2019).
     """
     figure, [[ax]] = map_panels(snapshot.w, 1, width=7.4)
     draw_map(ax, snapshot.w, "w (cm s⁻¹)", factor=100)

@@ -58,7 +58,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
 
     Notes
     -----
-    Corresponds to the paper's space-time spectrum of w.
+    Corresponds to the space-time spectrum of w in Aubourg et al. (2019).
     """
     energy = spectra["E"].sel(quantity=name).transpose("omega", "k")
     frequency, k = hertz(energy), cycles(energy)
@@ -102,7 +102,8 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
 
     Notes
     -----
-    Corresponds to the paper's map at 2.8 Hz. (kx, ky) points in the direction in which a wave propagates.
+    Corresponds to the map at 2.8 Hz in Aubourg et al. (2019). (kx, ky) points in the direction in which a
+    wave propagates.
     """
     energy = spectra["E_kxky"].sel(quantity_map=name).transpose("omega_map", "ky", "kx")
     omegas = energy.omega_map.values
@@ -150,8 +151,8 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Corresponds to the paper's temporal spectrum. Lines are thin and pale at frequencies that the store marks
-    as not valid; the band is the 95 % interval of the stereo spectrum.
+    Corresponds to the temporal spectrum in Aubourg et al. (2019). Lines are thin and pale at frequencies that
+    the store marks as not valid; the band is the 95 % interval of the stereo spectrum.
     """
     figure, [[ax]] = panels(1, width=7.6, height=4.8)
     frequency = hertz(spectra)

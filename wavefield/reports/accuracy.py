@@ -85,7 +85,7 @@ def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
 
 # -- pairs of cameras against one another: errors without exact fields ---------------------------------------
 
-# by quantity: name in the table, factor of the rms there, value in the paper
+# by quantity: name in the table, factor of the rms there, value in Aubourg et al. (2019)
 _NAMES = {
     "eps_y": ("sight lines miss (eps_y), {}", 1.0, "0.04 to 0.08 cm"),
     "sigma_z": ("σ of z that follows, {}", 1.0, "0.048 to 0.058 cm"),
@@ -131,7 +131,7 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a row per error: name, rms in cm and px, fraction beyond three times the rms, paper's value."""
+    """Return a row per error: name, rms in cm and px, fraction beyond three times the rms, published rms."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -166,7 +166,7 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 def pair_misfits(found: xr.Dataset) -> Figure:
     """Draw the distributions of eps_y and eps' of each pair of cameras on its own.
 
-    They correspond to the paper's distributions of eps_Y for three pairs and of its PIV errors.
+    They correspond to the distributions of eps_Y and of PIV errors in Aubourg et al. (2019).
     """
     figure, axes = panels(2, height=4.6)
     _draw(axes[0, 0], found, ("eps_y",), 1e3, "eps_y mm")
@@ -178,8 +178,8 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences between pairs of cameras in z, dx, dy and dz, px.
 
-    They correspond to the paper's differences between three pairs, and between z of two pairs combined and
-    of the third. The mean of each node in time is included.
+    They correspond to the differences between three pairs, and between z of two pairs combined and of the
+    third, in Aubourg et al. (2019). The mean of each node in time is included.
     """
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)

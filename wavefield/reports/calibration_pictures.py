@@ -138,8 +138,8 @@ def target_points(
 ) -> Figure:
     """Draw one image (row, column) of the target per camera with the nodes found.
 
-    A rig whose z = 0 is this pose of the target adds a circle at the origin. Corresponds to the paper's
-    figure of the calibration grid.
+    A rig whose z = 0 is this pose of the target adds a circle at the origin. Corresponds to the figure of the
+    calibration grid in Aubourg et al. (2019).
     """
     figure, axes = panels(len(images), width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}

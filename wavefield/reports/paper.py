@@ -1,4 +1,4 @@
-"""The page with every figure and number of the paper, for one cube, its waves and a still-water record."""
+"""The page with the figures and numbers of Aubourg et al. (2019) for another experiment."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,7 +31,7 @@ def paper(
     rest: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write the paper's figures and numbers for one experiment as one HTML file.
+    """Write the figures and numbers of Aubourg et al. (2019) for one experiment as one HTML file.
 
     Parameters
     ----------

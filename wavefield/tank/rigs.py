@@ -1,4 +1,4 @@
-"""Exact cameras of simulated experiments: the paper's rig, a light sheet's, and a platform's at sea."""
+"""Exact cameras of simulated experiments: the rig of Aubourg et al. (2019), light sheets, a platform."""
 
 from dataclasses import replace
 
@@ -21,10 +21,11 @@ _FOCAL_LENGTH = 35e-3  # m
 
 
 def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
-    """Return exact cameras as in the paper, with 35 mm lenses: two of 1024 x 1024 px, one of 2432 x 1728.
+    """Return the exact cameras of Aubourg et al. (2019), with 35 mm lenses.
 
-    Cameras 1 and 2 are on the sides of -x and +x, at 45 degrees and 4.5 m, with slightly tilted (Scheimpflug)
-    sensors: 1.5 mm/px in y and 2.2 mm/px in x. Camera 3 is 4.35 m above the water: 0.92 mm/px.
+    Cameras 1 and 2 (1024 x 1024 px) look from -x and +x, at 45 degrees and from 4.5 m, with slightly tilted
+    (Scheimpflug) sensors; a pixel covers 1.5 mm in y and 2.2 mm in x. Camera 3 (2432 x 1728 px) is 4.35 m
+    above the water; a pixel covers 0.92 mm.
 
     Parameters
     ----------

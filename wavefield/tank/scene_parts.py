@@ -45,7 +45,7 @@ class SceneRecord(Part):
 
 
 class PaperRig(Part):
-    """The paper's three cameras, only its two oblique ones, or a fourth at a right angle to these."""
+    """The three cameras of Aubourg et al. (2019), only the two oblique ones, or a fourth besides."""
 
     cameras: Literal[2, 3, 4] = 3
     scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
@@ -134,7 +134,7 @@ class Beads(Spots):
 
 
 class Texture(Part):
-    """White noise painted on the surface, as in the paper's test with synthetic images."""
+    """White noise painted on the surface, as in a test by Aubourg et al. (2019)."""
 
     kind: Literal["texture"] = "texture"
     mesh: Positive | None = Field(default=None, description="size of the grains, m; by default 1.5 pixels")
@@ -220,7 +220,7 @@ class Fault(Part):
 
 
 class Strings(Part):
-    """The paper's grid of white strings."""
+    """A grid of white strings, as in Aubourg et al. (2019)."""
 
     kind: Literal["strings"] = "strings"
     mesh: Positive = Field(default=0.10, description="m")

@@ -40,7 +40,7 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
                 image[top + i, left + j] += np.float32(part * wx[j])
 
 
-def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
+def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
     """Return the relative illumination of an image, (row, column), with a mean of about 1.
 
     It varies linearly in a random direction and decreases towards the edges. `size` is width and height in

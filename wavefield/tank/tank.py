@@ -171,7 +171,9 @@ class Tank:
         settings = self.scene.surface
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
-        seen = texture.meet(_shifted(self.rig[name], fault.shift), snapshot, max(self.sea.reach, MIN_REACH))
+        seen = texture.visible_water(
+            _shifted(self.rig[name], fault.shift), snapshot, max(self.sea.reach, MIN_REACH)
+        )
         x, y = seen.x, seen.y
         if settings.carried:  # look up the texture where the water was at the first frame
             drift = self._drift_since_start(frame)
@@ -195,14 +197,14 @@ class Tank:
         """Return the light of the open sea and the sky on the pixels of a camera, in grey levels."""
         camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
-        seen = texture.meet(camera, snapshot, self.sea.reach)
+        seen = texture.visible_water(camera, snapshot, self.sea.reach)
         moved = self._drift_since_start(frame)
         far = float(np.hypot(*view_on_water(camera).T).max())
         ripples, foam = (
             texture.texture_at(seen, moved, paints, far) / np.float32(np.sqrt(len(paints)))
             for paints in self._sea_paints
         )
-        image = texture.light(camera, seen, settings, foam, ripples)
+        image = texture.sea_image(camera, seen, settings, foam, ripples)
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
@@ -235,7 +237,7 @@ class Tank:
         if not isinstance(settings.target, Strings):
             cameras = [self.rig[name] for name in self.rig]
             middle = np.array([np.mean(grid.x), np.mean(grid.y), 0.0])
-            tilted = [targets.brought_into_view(pose, settings.target, middle, cameras) for pose in tilted]
+            tilted = [targets.move_into_view(pose, settings.target, middle, cameras) for pose in tilted]
         flat = targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
         return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}
 
@@ -256,7 +258,7 @@ class Tank:
         """Relative illumination of the pixels of each camera."""
         unevenness, seed = self.scene.light.unevenness, self.scene.seed * 97
         return {
-            name: sensor.uneven(self.rig[name].size, unevenness, seed + number)
+            name: sensor.illumination(self.rig[name].size, unevenness, seed + number)
             for number, name in enumerate(self.rig)
         }
 

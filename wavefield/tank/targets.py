@@ -54,7 +54,7 @@ def _rotation(axis: int, angle: float) -> Array:
     return out
 
 
-def brought_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
+def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
     """Return a pose moved towards the middle of the field, (3,), m, until all cameras see the whole board.
 
     The pose of a board that is too large for the field is unchanged.

@@ -56,7 +56,7 @@ ROUGHNESS = 0.15  # rms slope too fine to be drawn, which keeps the far sea dark
 
 
 @dataclass(frozen=True)
-class Seen:
+class VisibleWater:
     """The water that the sight line of each pixel meets, (row, column); NaN for sky and beyond the waves."""
 
     x: Array  # Positions, m
@@ -74,7 +74,7 @@ def horizon_dip(height: float) -> float:
     return float(np.sqrt(2.0 * height / EARTH_RADIUS))
 
 
-def meet(camera: Camera, snapshot: Snapshot, reach: float) -> Seen:
+def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWater:
     """Return the first water that the sight line of each pixel meets; waves may hide others.
 
     `snapshot` gives z, z_x and z_y; `reach` is the largest elevation, m.
@@ -91,7 +91,7 @@ def meet(camera: Camera, snapshot: Snapshot, reach: float) -> Seen:
         found, z_x, z_y = snapshot(x + dx * z, y + dy * z)
         steepness = np.clip(1.0 - dx * z_x - dy * z_y, 0.2, 5.0)  # 0 where the sight line grazes a crest
         z = z + (found - z) / steepness
-    return Seen(x + dx * z, y + dy * z, z, z_x, z_y)
+    return VisibleWater(x + dx * z, y + dy * z, z, z_x, z_y)
 
 
 def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, y: Array) -> Array:
@@ -110,7 +110,7 @@ def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, 
     return out
 
 
-def light(camera: Camera, seen: Seen, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
+def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
     """Return an image of sky and water, (row, column), grey levels of 255, without the noise of the camera.
 
     Each pixel of water is a facet with the slope of `seen` plus that of `ripples`. It mirrors the sky with
@@ -146,7 +146,7 @@ def _radiance(upward: Array) -> Array:
 
 
 def texture_at(
-    seen: Seen, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
+    seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
     """Return the sum of textures that the water carries, averaged over each pixel, (row, column).
 
