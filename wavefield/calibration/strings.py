@@ -208,9 +208,8 @@ def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
     return quality, DISC_RADII[best], np.maximum(grey, 1e-6)
 
 
-PRELIMINARY_TOLERANCE = 5e-3  # px: of fits that are repeated
-FIRST_BLUR = 0.6  # px: of the lens, before it is fitted
-BLURS = np.array([0.36, 0.42, 0.48, 0.54, 0.6, 0.68, 0.78, 0.9, 1.1])  # px: tried for the lens
+FIRST_BLUR = 0.67  # px: of lens and pixel, before it is fitted
+BLURS = np.array([0.46, 0.51, 0.56, 0.61, 0.67, 0.74, 0.83, 0.945, 1.14])  # px: tried for lens and pixel
 MAX_BLUR_CROSSINGS = 24  # by which the blur is fitted
 MAP_TOLERANCE = 0.15  # meshes
 NEIGHBOURHOOD = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)])
@@ -242,7 +241,7 @@ def _fitted(
     node, pixel = node[near], pixel[near]
     slopes = smooth.slopes(node)
     start = start_parameters(pixel, slopes, 0.6 * scale, FIRST_BLUR)
-    fit = fit_crossings(image, start, slopes, FIRST_BLUR, tolerance=PRELIMINARY_TOLERANCE)
+    fit = fit_crossings(image, start, slopes, FIRST_BLUR)
     good = _plausible(fit, pixel, slopes)
     if good.sum() < MIN_CROSSINGS:
         raise CalibrationError(NO_GRID)
@@ -260,7 +259,7 @@ def _fitted(
             break
         slopes = smooth.slopes(missing)
         start = start_parameters(expected, slopes, sigma, blur)
-        extra = fit_crossings(image, start, slopes, blur, tolerance=PRELIMINARY_TOLERANCE)
+        extra = fit_crossings(image, start, slopes, blur)
         added = _plausible(extra, expected, slopes)
         parameters = np.concatenate([parameters, extra.parameters[added]])
         node = np.concatenate([node, missing[added]])
