@@ -1,4 +1,3 @@
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,21 +41,6 @@ def test_the_record_at_rest_levels_the_rig(lab, capsys):
     remark = remark_on_rest(Experiment.load(lab), rig)
     assert (remark.kind, remark.weight) == ("water level", "note")
     assert "z = 0 is the water at rest" in str(remark)
-
-
-def test_the_visible_height_of_beads_is_reported_where_they_may_show(lab, tmp_path):
-    rig, experiment = Rig.load(lab.with_name("rig.yaml")), Experiment.load(lab)
-
-    def sentence(height, one=experiment):
-        found = {"height_m": height, "rms_m": 1e-4, "points": 100}
-        return str(remark_on_rest(one, replace(rig, provenance=rig.provenance | {"levelled": found})))
-
-    assert "`settings: {bead_height: 0.00042}`" in sentence(4.15e-4)
-    for height in (-3e-3, 3e-5, 1e-2):  # where the target lay, not beads
-        assert "bead_height" not in sentence(height)
-    stated = tmp_path / "experiment.yaml"
-    stated.write_text(lab.read_text() + "settings: {bead_height: 0.0004}\n")
-    assert "bead_height" not in sentence(4.15e-4, Experiment.load(stated))
 
 
 def test_what_is_not_levelled_is_asked_for(lab, tmp_path):

@@ -3,13 +3,10 @@
 import ast
 from pathlib import Path
 
-import numpy as np
-from test_time_and_motion import sea
-
 import wavefield
 from wavefield.commands.cli import main
 from wavefield.quality.cameras import _CAMERA_FAULTS as CAMERA_FAULTS
-from wavefield.quality.remarks import EXPLANATIONS, remark_on_mean_plane
+from wavefield.quality.remarks import EXPLANATIONS
 from wavefield.store.verdict import Remark
 
 
@@ -43,15 +40,3 @@ def test_explain_prints_one_or_all_and_suggests_a_code(capsys):
     assert max(map(len, lines)) <= 100
     assert main(["explain", "water-lvel"]) == 2
     assert "did you mean water-level?" in capsys.readouterr().err
-
-
-def test_a_tilted_mean_surface_is_remarked_upon_in_records_in_which_waves_average_out():
-    cube = sea(1, np.arange(401.0), node=0.05).assign(z_level_std=4e-4)
-    tilted = cube.assign(z=cube.z + 0.03 * (cube.x - 1.0))
-    assert list(remark_on_mean_plane(cube)) == []
-    (remark,) = remark_on_mean_plane(tilted)
-    assert (remark.subject, remark.kind, remark.weight) == ("rig", "water level", "remark")
-    assert abs(remark.values["tilt"] - 0.03) < 4 * remark.values["tilt_std"]
-    (raised,) = remark_on_mean_plane(cube.assign(z=cube.z + 0.02))
-    assert abs(raised.values["height_m"] - 0.02) < 3e-3
-    assert list(remark_on_mean_plane(tilted.isel(time=slice(0, 60)))) == [], "too short"

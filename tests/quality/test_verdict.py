@@ -13,7 +13,6 @@ from wavefield.matching import Prior
 from wavefield.measurement.error_budget import fast_waves
 from wavefield.quality.remarks import (
     remark_on_cameras_left_out,
-    remark_on_fast_waves,
     remark_on_unresolved_waves,
 )
 from wavefield.variables import Quality
@@ -83,18 +82,14 @@ def test_a_run_in_which_nothing_could_be_measured_failed(lab, capsys):
     assert main(["-q", "status", str(lab.with_name("cube.zarr"))]) == 1
 
 
-def test_waves_that_images_do_not_resolve_are_remarked_upon_by_their_share():
-    def weights(unresolved, w, w_std):
-        return [one.weight for one in remark_on_unresolved_waves(unresolved, 0.02, w, w_std)]
-
-    assert weights(0.0, 0.05, 0.001) == []
-    assert weights(1e-4, 0.05, 0.001) == []
-    assert weights(0.002, 0.05, np.hypot(0.002, 1e-3)) == ["note"]
-    assert weights(0.04, 0.05, np.hypot(0.04, 1e-3)) == ["remark"]
+def test_waves_that_are_not_measured_are_remarked_upon_by_their_share():
+    assert list(remark_on_unresolved_waves(0.05, 0.02, "They are short", "Come closer")) == []
+    (remark,) = remark_on_unresolved_waves(0.4, 0.02, "They are short", "Come closer")
+    assert str(remark).startswith("surface: waves of 2 cm and less have 40 % of the variance of w. They are")
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_waves_that_turn_by_more_than_half_a_turn_between_frames_are_remarked_upon(seed):
+def test_waves_that_turn_by_more_than_half_a_turn_between_frames_are_fast(seed):
     rng = np.random.default_rng(seed)
     pixel, k = float(rng.uniform(1e-3, 3e-3)), np.linspace(0.05, 2.0, 40)
     found = Prior.isotropic(k, k**-2.0, 1.0)
@@ -107,5 +102,3 @@ def test_waves_that_turn_by_more_than_half_a_turn_between_frames_are_remarked_up
     assert share > slower
     assert length > shorter
     assert fast_waves(none, pixel, 0.5 * half_a_turn) == (0.0, 0.0)
-    for share, weights in ((0.0, []), (0.01, ["note"]), (0.4, ["remark"])):
-        assert [one.weight for one in remark_on_fast_waves(share, length, half_a_turn)] == weights

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,19 +16,11 @@ from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_thread
 from wavefield.measurement import diagnose
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
-from wavefield.measurement.error_budget import fast_waves, level_std, ripples
+from wavefield.measurement.error_budget import fast_waves, ripples
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_record, samples
 from wavefield.pipeline.prepare import PreparedRun, expected_coverage, prepare
-from wavefield.quality.camera_motion import (
-    LazyInstant,
-    Synchrony,
-    delays,
-    level_motion,
-    remark_on_level,
-    remarks_on_clocks,
-    remarks_on_mounts,
-)
+from wavefield.quality.camera_motion import Synchrony, delays, remarks_on_clocks, remarks_on_mounts
 from wavefield.quality.cameras import INCONSISTENT, CameraFaults, PatchMatcher, find_camera_faults
 from wavefield.quality.record import (
     COMPARED,
@@ -42,12 +33,11 @@ from wavefield.quality.record import (
     steps_to_leave_out,
 )
 from wavefield.quality.remarks import (
+    HALF,
     remark_on_cameras_left_out,
     remark_on_coverage,
     remark_on_eps_piv,
-    remark_on_fast_waves,
     remark_on_holes,
-    remark_on_mean_plane,
     remark_on_probes,
     remark_on_rest,
     remark_on_steps,
@@ -62,23 +52,13 @@ from wavefield.store.ledger import Status
 from wavefield.store.read import open_cube, open_group
 from wavefield.store.recipe import state_of
 from wavefield.store.verdict import Remark, Verdict
-from wavefield.store.write_cube import clear_steps, write_level_std
+from wavefield.store.write_cube import clear_steps
 from wavefield.variables import FrameStatus, Quality
 
-
-@dataclass(frozen=True)
-class RunLimits:
-    """What the verdict on a run samples, and from which values on it remarks."""
-
-    instants: int = 4  # of a record, compared before a run and after it
-    instants_for_delays: int = 24  # of a record, by which delays of cameras are measured after its run
-    steps: int = 12  # of a cube whose stored values are read
-    steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
-    measured_by_all: float = 0.5  # of the nodes: 0.0 with a wrong camera, 0.9 in sound records
-
-
-LIMITS = RunLimits()
-
+INSTANTS = 4  # of a record, at which cameras are compared, before a run and after it
+MAX_INSTANTS = 24  # for delays of cameras after a run
+STEPS = 12  # of a cube, whose stored values are read
+MIN_STEPS = 5  # of a record: shorter ones have no neighbours to compare with
 
 _NOT_COMPARED = Remark(
     "cameras",
@@ -98,12 +78,12 @@ def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Camer
     each other.
     """
     count, matcher = prepared.steps + 1, _patch_matcher(prepared)
-    frames = evenly_spaced(count, LIMITS.instants)
+    frames = evenly_spaced(count, INSTANTS)
     with one_thread():  # each of them
         found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
     thickness = prepared.geometry.settings.sheet_thickness
     remarks = list(found.remarks)
-    if thickness is None and fraction_measured(quality, by_all=True) > LIMITS.measured_by_all:
+    if thickness is None and fraction_measured(quality, by_all=True) > HALF:
         remarks = [one for one in remarks if one.kind not in INCONSISTENT]
     if thickness is not None:
         remarks = [_NOT_COMPARED if one.kind == "disagree" else one for one in remarks]
@@ -125,55 +105,40 @@ def synchrony_of(prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int],
 
     if prepared.record is None:
         return Synchrony({})
-    instants = [LazyInstant(partial(images, k), partial(displacement, k)) for k in frames]
     with one_thread():  # each of them
-        return delays(prepared.geometry, prepared.record, instants, rate, threads_here(prepared.workflow))
+        threads = threads_here(prepared.workflow)
+        return delays(prepared.geometry, prepared.record, frames, images, displacement, rate, threads)
 
 
 def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
     return PatchMatcher(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
 
 
-@dataclass(frozen=True)
-class RecordCheck:
-    """What comparing all steps of a cube with their neighbours has shown."""
+def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
+    """Compare the steps of a cube with each other; clear those of a complete one in which time jumps.
 
-    ratios: RiseRatios  # NaN at steps that were cleared
-    level_motion: float  # Rms of the mean level that no wave explains, m; 0 if it is not significant
-    z_std: float  # Typical standard uncertainty of z, m
-
-
-def check_record(prepared: PreparedRun, status: Status) -> RecordCheck | None:
-    """Compare the steps of a cube with each other, and put into a complete one what that shows.
-
-    Steps whose frames lie on both sides of a lost, doubled or late frame are cleared; the motion of the mean
-    level that no wave explains enters `z_level_std`. Done again, it gives the same. None for light sheets and
-    for records of few steps.
+    These are steps whose frames lie on both sides of a lost, doubled or late frame. Done again, it gives the
+    same. Returns the ratios of the other steps; None for light sheets and for records of few steps.
     """
     sheet = prepared.geometry.settings.sheet_thickness is not None
-    if sheet or status.done + status.faulty < LIMITS.steps_compared:
+    if sheet or status.done + status.faulty < MIN_STEPS:
         return None
     cube = open_cube(status.store)
-    ratios, motion = rise_ratios(cube), level_motion(cube)
-    z_std = float(cube.z_std.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load().median())
-    motion = motion if motion > z_std else 0.0
+    ratios = rise_ratios(cube)
     found = steps_to_leave_out(ratios.discontinuous(), cube.sizes["time"])
     before = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
     cleared = np.union1d(found, before)
     if status.complete and cleared.size:
         clear_steps(status.store, cleared.tolist())
-    if status.complete and prepared.record is not None:
-        known = level_std(prepared.geometry, prepared.record)
-        write_level_std(status.store, float(np.hypot(known, motion)))
-    return RecordCheck(ratios.without(cleared), motion, z_std)
+    return ratios.without(cleared)
 
 
-def assess_run(prepared: PreparedRun, status: Status, checked: RecordCheck | None) -> Verdict:
+def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None) -> Verdict:
     """The verdict on a cube whose run has ended."""
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
-    sample = sample.isel(time=evenly_spaced(status.steps, LIMITS.steps)).load()
+    sample = sample.isel(time=evenly_spaced(status.steps, STEPS)).load()
     faults = compare_cameras(prepared, sample.quality.values)
     grave = any(one.weight == "grave" for one in faults.remarks)
     remarks = [
@@ -186,7 +151,7 @@ def assess_run(prepared: PreparedRun, status: Status, checked: RecordCheck | Non
         *remark_on_coverage(expected_coverage(prepared.rig, prepared.grid)),
         *remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"]),
         *remarks_on_fields({str(name): one.values for name, one in sample.items()}),
-        *(_stored_values(cube, sample, checked) if checked else ()),
+        *(_stored_values(cube, sample, ratios) if ratios else ()),
         *_short_waves(sample, prepared),
     ]
     return Verdict.of(remarks, faults.pairs, faults.frames)
@@ -201,7 +166,7 @@ def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tu
 def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Remark]:
     """Remarks on delays and motion of cameras, from the epipolar errors."""
     # of a short record, not most of its cost
-    instants = min(LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6))
+    instants = min(MAX_INSTANTS, max(INSTANTS, prepared.steps // 6))
     frames = [1 + k for k in evenly_spaced(prepared.steps - 1, instants)]
     yield from remarks_on_clocks(synchrony_of(prepared, cube, frames))
     yield from remarks_on_mounts(cube)
@@ -209,20 +174,29 @@ def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Rema
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
     """Remarks on waves too fast for the frame rate and too short for the images, by w of some steps."""
-    record = prepared.record
-    if record is None:
+    record, measured = prepared.record, sample.quality.values & int(Quality.MEASURED) != 0
+    if record is None or not measured.any():
         return
     rate, (_, wavelength) = prepared.experiment.frame_rate, record.ripples
-    yield from remark_on_fast_waves(*fast_waves(record.elevation, prepared.geometry.pixel, rate), rate)
+    aliased = (
+        f"They are aliased at {rate:.3g} Hz: their velocities are not measured, and the standard "
+        "uncertainties may be too small. Longer waves are right"
+    )
+    yield from remark_on_unresolved_waves(
+        *fast_waves(record.elevation, prepared.geometry.pixel, rate),
+        aliased,
+        "Raise the frame rate to twice as much or more",
+    )
     if not all(record.ripples):
         return
-    rise = float(np.sqrt(ripples(record.ripples, rate)[3]))
-    measured = sample.quality.values & int(Quality.MEASURED) != 0
-    if measured.any():
-        w, std = (sample[name].values[measured] for name in ("w", "w_std"))
-        yield from remark_on_unresolved_waves(
-            rise * rate, wavelength, float(np.sqrt(np.mean(np.square(w)))), float(np.median(std))
-        )
+    unresolved = float(ripples(record.ripples, rate)[3]) * rate**2
+    share = unresolved / (unresolved + float(np.mean(np.square(sample.w.values[measured]))))
+    missing = (
+        "The images do not resolve them: they are missing in w, and its standard uncertainty contains "
+        f"{1e3 * np.sqrt(unresolved):.3g} mm/s for them. Longer waves are right"
+    )
+    remedy = "Take images with smaller pixels to measure them"
+    yield from remark_on_unresolved_waves(share, wavelength, missing, remedy)
 
 
 def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
@@ -233,13 +207,10 @@ def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
     yield from remark_on_holes(fraction_measured(fields["quality"]))
 
 
-def _stored_values(cube: xr.Dataset, sample: xr.Dataset, checked: RecordCheck) -> Iterator[Remark]:
+def _stored_values(cube: xr.Dataset, sample: xr.Dataset, ratios: RiseRatios) -> Iterator[Remark]:
     yield from remark_on_kinematics(sample)
     yield from remark_on_cleared_steps(cube)
-    yield from remark_on_jitter(checked.ratios, sample)
-    pixel = float(cube.attrs["pixel_size"])
-    yield from remark_on_level(checked.level_motion, checked.z_std, pixel)
-    yield from remark_on_mean_plane(cube)
+    yield from remark_on_jitter(ratios, sample)
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:

@@ -369,7 +369,7 @@ def check(
         remarks += faults.remarks
         if not any(one.weight == "grave" for one in faults.remarks):
             found = _synchrony(trial)
-            delays = spell_delays(found.delays, 1 / experiment.frame_rate)
+            delays = spell_delays(found.delays)
             remarks += remarks_on_clocks(found)
     if prepared:
         wrong = _grave_cameras(prepared, faults.remarks if faults else ())

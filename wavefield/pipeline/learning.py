@@ -8,7 +8,7 @@ import numpy as np
 
 from wavefield.execution.process import one_thread
 from wavefield.pipeline.chunk import Source, read_frame
-from wavefield.quality.cameras import MIN_CORRELATION, PatchMatcher, compare
+from wavefield.quality.cameras import PatchMatcher, compare
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Frame
 
@@ -67,17 +67,16 @@ def steps_with_waves(
     if not len(layout.x):  # the grid is narrower than a patch
         return usual
 
-    def moved(k: int) -> np.ndarray:
+    def moved_from(k: int) -> np.ndarray:
         first, second = (layout.sampled(name, frame) for frame in (k, k + 1))
         if first is None or second is None:
             return np.zeros((0, 2))
-        found = compare(first[::4], second[::4])  # some thirty patches suffice
-        assert found is not None
-        good = (found.peak_correlation > MIN_CORRELATION) & np.isfinite(found.moved[:, 0])
-        return np.asarray(found.moved[good])
+        moved = compare(first[::4], second[::4])  # some thirty patches suffice
+        assert moved is not None
+        return moved[np.isfinite(moved[:, 0])]
 
     with ThreadPoolExecutor(threads) as pool:
-        motion = list(pool.map(moved, places))
+        motion = list(pool.map(moved_from, places))
     current = np.mean(np.concatenate(motion), axis=0) if any(map(len, motion)) else 0.0
     energy = {k: float(np.mean((m - current) ** 2)) if len(m) else 0.0 for k, m in zip(places, motion)}
     largest = max(*energy.values(), _MIN_MOTION_PX**2)

@@ -26,7 +26,7 @@ from wavefield.measurement.search_range import (
     wide_enough,
 )
 from wavefield.pipeline.opened_run import image_names
-from wavefield.quality.remarks import MIN_USEFUL_COVERAGE
+from wavefield.quality.remarks import MIN_COVERAGE
 from wavefield.rig import Camera, Rig
 from wavefield.rig.field import common_field, pixel_size
 from wavefield.sampling import evenly_spaced
@@ -97,7 +97,7 @@ def expected_coverage(rig: Rig, grid: Grid) -> float:
 def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
     """Refuse a grid that the cameras hardly see."""
     share = expected_coverage(rig, grid)
-    if share >= MIN_USEFUL_COVERAGE:
+    if share >= MIN_COVERAGE:
         return
     try:
         seen = common_field(rig.cameras.values())

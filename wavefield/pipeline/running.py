@@ -165,10 +165,10 @@ def process(
     with deferred_signals():  # what only the end needs comes when the rest is done
         from wavefield.pipeline.assess import assess_run, check_record, store_pair_statistics
     found = status(path)
-    checked = check_record(prepared, found)
+    ratios = check_record(prepared, found)
     if found.complete:
         store_pair_statistics(prepared, path)
-    verdict = assess_run(prepared, found, checked)
+    verdict = assess_run(prepared, found, ratios)
     verdict.save(path)
     if found.complete:
         if not open_group(path).attrs.get(FINISHED):

@@ -1,18 +1,18 @@
 """Cameras that are late, shake or were knocked, from the epipolar errors (eps_y) of moving water.
 
-Water makes no eps_y whatever its shape. What is constant or linear in it over the field belongs to the
-mounts: a camera that shakes makes it vary from step to step (tilt, roll), one that is knocked makes it jump
-once.
+Water causes no eps_y, whatever its shape: eps_y is the part of a displacement between two images that lies
+across their parallax. The part of it that is constant or linear over the field belongs to the mounts. It
+varies from step to step if a camera shakes (tilt, roll), and jumps once if a camera was knocked.
 
-A camera that is late by tau sees every bead tau times its velocity further on. Along the parallax of two
-cameras that is taken for height; across it no height does that, and eps_y is tau times the velocity across
-the sight lines, patch by patch: one regression over some instants gives tau. The low-order part, which
-every instant has of its own, is taken out before. The rows of a rolling shutter are read one after the
-other: the delay then grows with the difference between the rows in which two cameras show a place.
+A camera that is late by tau sees every bead tau times its velocity further on. Along the parallax this looks
+like height. Across it, eps_y is tau times the velocity across the sight lines, so that one regression of
+eps_y on that velocity, over patches of some instants, gives tau. Each instant has a constant and slopes of
+its own, which take up the motion of the mounts. The rows of a rolling shutter are read one after the other:
+the delay then grows with the difference between the rows in which two cameras see a place.
 
 Both sides of the regression must have one resolution, or tau is too large: they are means over one patch.
 The velocity is the mean of the steps before and after the frame, which is 5 % low for 2 Hz waves at 20 frames
-per second; so much is added to the uncertainty.
+per second; `BIAS` adds so much to the uncertainty.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,31 +24,22 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.quality.cameras import (
-    SIDE,
-    Array,
-    Pair,
-    rms_over_field,
-    scaled,
-)
-from wavefield.quality.remarks import CAMERA_LIMITS
-from wavefield.robust import PER_MEDIAN
-from wavefield.sampling import from_first_to_last
+from wavefield.quality.cameras import MIN_PATCHES, SIDE, Array, Pair, rms_over_field, scaled
+from wavefield.quality.remarks import GRAVE_MISS, MAX_MISS, MIN_NODES, SIGNIFICANCE
+from wavefield.robust import robust_std
 from wavefield.store.verdict import Remark
-from wavefield.water import GRAVITY
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
     from wavefield.rig import Camera
 
-MIN_PATCHES = 12  # of an instant
 BIAS = 0.05  # of a delay, because water turns between the steps whose velocity is taken
-_CELLS = 3  # along either side: parts of the field whose errors are independent
-SIGNIFICANCE = 4.0  # standard deviations
-MAX_READOUT_STD = 2e-3  # s: from the first row to the last; a less certain one is not determined
-MAX_STD_INTERVALS = 0.5  # of the frames: a less certain delay is not determined,
-MAX_INTERVALS = 1.5  # nor a longer one: water does not keep its velocity for so long,
-MIN_VELOCITY = 0.03  # px per frame, rms beside constant and slopes: what moves less is noise of the matching
+CELLS = 3  # along either side: parts of the field whose errors are independent
+MIN_VELOCITY = 0.03  # px per frame, rms without constant and slopes: less is noise of the matching
+MAX_STD = 0.5  # frame intervals: a delay of larger uncertainty is not determined
+MAX_READOUT_STD = 2e-3  # s, of the time from the first row to the last, likewise
+
+Images = Mapping[str, NDArray[Any] | None]  # of one instant, by camera
 
 
 @dataclass(frozen=True)
@@ -68,13 +59,6 @@ class Sample:
     low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
     speed: float = 0.0  # Of the beads in all directions, px per frame
     rows: Array | None = None  # (m,): By how many rows from the middle the second camera shows it lower
-
-
-class LazyInstant(NamedTuple):
-    """A frame, its images and how the water moves; both are read on demand."""
-
-    images: Callable[[], Mapping[str, NDArray[Any] | None]]  # By camera
-    displacement: Callable[[], NDArray[np.floating]]  # (3, ny, nx): Per frame, m; NaN: not measured
 
 
 class Synchrony(NamedTuple):
@@ -142,62 +126,37 @@ def _patch_means(values: Array, side: float) -> Array:
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """The delay of the second camera behind the first and its standard uncertainty, in frames.
-    Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own. The uncertainty
-    is from leaving out one part of the field after the other, at all instants: near patches depend on each
-    other, instants may show the same beads, and a single place may determine the delay.
+    """Delay of the second camera behind the first and its standard uncertainty, in frames.
+
+    Robust least squares (Huber at 2.5 standard deviations); None with fewer than two instants, or if too
+    little moves. The uncertainty is a jackknife over parts of the field, at all instants: near patches depend
+    on each other, instants may show the same beads, and a single place may determine the delay.
     """
     if len(samples) < 2:
         return None
     weights = [np.ones(len(s.miss)) for s in samples]
+    moving = np.concatenate([_cleared(s, w)[1] for s, w in zip(samples, weights)])
+    if not np.sqrt(np.mean(moving**2)) >= MIN_VELOCITY:
+        return None
     for _ in range(8):
-        fitted = _fit_delay(samples, weights)
-        if fitted is None:
-            return None
-        delay, left = fitted
-        scale = PER_MEDIAN * float(np.median(np.abs(np.concatenate(left)))) + 1e-9
-        weights = [np.minimum(1.0, 2.5 * scale / np.maximum(np.abs(r), 1e-12)) for r in left]
+        delay, left = _fit_delay(samples, weights)
+        limit = 2.5 * robust_std(np.concatenate(left)) + 1e-9
+        weights = [np.minimum(1.0, limit / np.maximum(np.abs(r), 1e-12)) for r in left]
     cells = [_cells(s) for s in samples]
-    changes = []
-    for cell in np.unique(np.concatenate(cells)):
-        others = _fit_delay(samples, [w * (c != cell) for w, c in zip(weights, cells)])
-        if others is None:
-            return None
-        changes.append(others[0] - delay)
-    return delay, float(np.sqrt((len(changes) - 1) / len(changes) * np.sum(np.square(changes))))
+    others = [
+        _fit_delay(samples, [w * (c != cell) for w, c in zip(weights, cells)])[0]
+        for cell in np.unique(np.concatenate(cells))
+    ]
+    share = (len(others) - 1) / len(others)
+    return delay, float(np.sqrt(share * np.sum(np.square(np.subtract(others, delay)))))
 
 
-def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]] | None:
-    """The delay, in frames, and the remaining mismatch; None if nothing moves."""
+def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]]:
+    """The delay, in frames, and the remaining mismatch."""
     cleared = [_cleared(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(cleared, weights))
-    if power <= 0:
-        return None
-    delay = sum(float((w * v * y).sum()) for (y, v), w in zip(cleared, weights)) / power
+    delay = sum(float((w * v * y).sum()) for (y, v), w in zip(cleared, weights)) / max(power, 1e-12)
     return delay, [y - delay * v for y, v in cleared]
-
-
-def is_determined(samples: Sequence[Sample], delay: float, std: float) -> bool:
-    """Whether the motion determines a delay, given its standard uncertainty, in frames."""
-    moving = np.concatenate([_cleared(s, np.ones(len(s.miss)))[1] for s in samples])
-    fast = float(np.sqrt(np.mean(moving**2))) >= MIN_VELOCITY
-    return fast and std < MAX_STD_INTERVALS and abs(delay) < MAX_INTERVALS
-
-
-def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """Delay from row to row, equal in both cameras, in frames."""
-    other = [
-        replace(s, velocity=s.velocity * s.rows, low=np.column_stack([s.low, s.velocity]))
-        for s in samples
-        if s.rows is not None
-    ]
-    return regress(other)
-
-
-def _cells(one: Sample) -> NDArray[np.intp]:
-    """Number of the part of the field that each patch lies in."""
-    column, row = np.clip((one.low[:, 1:3].T + 1) * (0.5 * _CELLS), 0, _CELLS - 1).astype(np.intp)
-    return np.asarray(row * _CELLS + column)
 
 
 def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
@@ -209,35 +168,58 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
     return rest[:, 0], rest[:, 1]
 
 
+def row_time_of(samples: Sequence[Sample]) -> tuple[float, float] | None:
+    """Delay from row to row, equal in both cameras, and its standard uncertainty, in frames."""
+    return regress(
+        [
+            replace(s, velocity=s.velocity * s.rows, low=np.column_stack([s.low, s.velocity]))
+            for s in samples
+            if s.rows is not None
+        ]
+    )
+
+
+def _cells(one: Sample) -> NDArray[np.intp]:
+    """Number of the part of the field that each patch lies in."""
+    column, row = np.clip((one.low[:, 1:3].T + 1) * (0.5 * CELLS), 0, CELLS - 1).astype(np.intp)
+    return np.asarray(row * CELLS + column)
+
+
 def delays(
     geometry: "GridGeometry",
     record: "LearnedRecord",
-    instants: Sequence[LazyInstant],
+    frames: Sequence[int],
+    images: Callable[[int], Images],
+    displacement: Callable[[int], NDArray[np.floating]],
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Delay of each camera's frames relative to most cameras, and delay from row to row."""
+    """Delay of each camera's frames relative to most cameras, and delay from row to row.
+
+    ``images`` gives those of a frame; ``displacement`` how the nodes move there, (3, ny, nx), metres per
+    frame, NaN where it is not measured.
+    """
     late: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
 
-    def samples_at(instant: LazyInstant) -> list[Sample | None]:
-        flat = _prepared(instant.images(), geometry, dict(record.beads))
-        displacement = instant.displacement()
-        return [sample(geometry, pair, flat, displacement) for pair in geometry.pairs]
+    def samples_at(frame: int) -> list[Sample | None]:
+        flat = _prepared(images(frame), geometry, dict(record.beads))
+        moved = displacement(frame)
+        return [sample(geometry, pair, flat, moved) for pair in geometry.pairs]
 
     with ThreadPoolExecutor(threads) as pool:
-        found_at = list(pool.map(samples_at, instants))
+        found_at = list(pool.map(samples_at, frames))
     for pair, of_pair in zip(geometry.pairs, zip(*found_at)):
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
         found = regress(samples)
-        if found is None or not is_determined(samples, *found):
-            continue
+        if found is None or found[1] > MAX_STD:
+            return Synchrony({})
         late[pair] = found
         if (row_time := row_time_of(samples)) is not None:
             row_times.append(row_time)
-    if len(late) < len(geometry.pairs):
+    if not late:
         return Synchrony({})
     height = max(geometry.rig[name].size[1] for name in geometry.surface_cameras)
     surest = min(row_times, key=lambda one: one[1], default=None)
@@ -277,12 +259,24 @@ def _of_cameras(found: Mapping[Pair, tuple[float, float]], rate: float) -> dict[
 
 def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
     """Remarks on delays between cameras, and on a rolling shutter that all of them share."""
-    yield from _on_delays(found.delays, found.speed)
+    for name, one in found.delays.items():
+        off, word = abs(one.seconds) * found.speed, "later" if one.seconds > 0 else "earlier"
+        if abs(one.seconds) > SIGNIFICANCE * one.std and off > MAX_MISS:
+            yield Remark(
+                name,
+                "delayed",
+                "remark",
+                f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
+                f"(+- {1e3 * one.std:.3f} ms)",
+                f"The water moves {off:.2f} px meanwhile: z is off by about as much",
+                "Trigger all cameras by one signal and give them one exposure time",
+                {"delay": one.seconds, "std": one.std, "px": off},
+            )
     if found.row_time is None:
         return
     late, std = abs(found.row_time.seconds) * found.rows, found.row_time.std * found.rows
     off = 0.5 * late * found.speed
-    if late < SIGNIFICANCE * std or std > MAX_READOUT_STD or off < CAMERA_LIMITS.delay_motion:
+    if late < SIGNIFICANCE * std or std > MAX_READOUT_STD or off < MAX_MISS:
         return
     order = "after" if found.row_time.seconds > 0 else "before"
     yield Remark(
@@ -297,96 +291,67 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
     )
 
 
-def _on_delays(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
-    for name, one in found.items():
-        if abs(one.seconds) < max(SIGNIFICANCE * one.std, CAMERA_LIMITS.delay):
-            continue
-        off, word = abs(one.seconds) * speed, "later" if one.seconds > 0 else "earlier"
-        yield Remark(
-            name,
-            "delayed",
-            "remark" if off > CAMERA_LIMITS.delay_motion else "note",
-            f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
-            f"(+- {1e3 * one.std:.3f} ms)",
-            f"The water moves {off:.2f} px meanwhile: z is off by about as much",
-            "Trigger all cameras by one signal and give them one exposure time",
-            {"delay": one.seconds, "std": one.std, "px": off},
-        )
-
-
-def spell_delays(found: Mapping[str, Delay], interval: float = np.inf) -> str:
-    """Text with the delays of all cameras; those with an uncertainty above half a frame interval (s) are
-    omitted.
-    """
+def spell_delays(found: Mapping[str, Delay]) -> str:
+    """Text with the delays of all cameras relative to most of them."""
     first = next((name for name, one in found.items() if one.std == 0), "")
-    words = []
-    for name, one in found.items():
-        late, std = 1e3 * one.seconds, 1e3 * one.std
-        if name == first or one.std >= MAX_STD_INTERVALS * interval:
-            continue
-        if abs(late) < 2.0 * std or abs(late) < 1e3 * CAMERA_LIMITS.delay:
-            within = max(abs(late) + std, 1e3 * CAMERA_LIMITS.delay)
-            words.append(f"{first} and {name} are synchronous within {within:.2g} ms")
-        else:
-            words.append(
-                f"{name} is {abs(late):.3f} +- {std:.3f} ms {'later' if late > 0 else 'earlier'} than {first}"
-            )
+    words = [
+        f"{name} is {1e3 * abs(one.seconds):.3f} +- {1e3 * one.std:.3f} ms "
+        f"{'later' if one.seconds > 0 else 'earlier'} than {first}"
+        for name, one in found.items()
+        if name != first
+    ]
     return "; ".join(words) or "not determined: too little moves or matches"
 
 
 # -- motion of the mounts, from eps_y at every step
 
-MAX_STEPS = 600  # steps that are read, evenly over the record
-MAX_NODES = 2000  # of each
-MIN_NODES = 50  # of a step
+MAX_NODES = 2000  # of each step
 MIN_STEPS_PER_SIDE = 3  # of a jump
-PIECE = 64  # steps in which the motion of the mean level is separated from slow waves
-MIN_FREEDOM = 3  # steps of a record more than slow waves can explain
-SLOW_WAVES = 3e-3  # singular value, of the largest, down to which slow waves explain the mean level
 
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Fit of a constant and slopes in x and y to the epipolar error eps_y, at several steps."""
+    """Constant and slopes in x and y fitted to the epipolar error eps_y of each step."""
 
-    steps: NDArray[np.intp]  # (n,): Which steps were read
+    steps: NDArray[np.intp]  # (n,): Those with enough measured nodes
     low: Array  # (n, 3), px: eps_y at the middle of the field; its change to the right and to the upper edge
     std: Array  # (n, 3): Standard uncertainty, px
 
 
 @dataclass(frozen=True)
 class Knock:
-    """A sudden turn of a camera, with its frame."""
+    """A sudden turn of a camera."""
 
     frame: int  # First frame (index in the record) after it
-    size: float  # Rms over the field of what eps_y is more since, px
+    size: float  # Change of eps_y, rms over the field, px
 
 
-def camera_motion(cube: xr.Dataset, steps: Sequence[int] | None = None) -> CameraMotion:
-    """Fit the low-order part of eps_y at steps of a cube."""
+def camera_motion(cube: xr.Dataset) -> CameraMotion:
+    """Fit the low-order part of eps_y at every step of a cube."""
     count, ny, nx = cube.eps_y.shape
     every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_NODES))))
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[every] for n in (nx, ny)))
     design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
-    chosen = from_first_to_last(count, MAX_STEPS) if steps is None else list(steps)
-    values = cube.eps_y.isel(time=chosen, y=every, x=every).values / float(cube.attrs["pixel_size"])
-    fits = {
-        k: fit for k, one in zip(chosen, values) if (fit := _fit_low_order(design, one.ravel())) is not None
-    }
+    chunk = max(cube.eps_y.chunksizes.get("time", (64,))[0], 1)
+    fits = {}
+    for start in range(0, count, chunk):
+        part = cube.eps_y.isel(time=slice(start, start + chunk), y=every, x=every).values
+        for k, values in enumerate(part / float(cube.attrs["pixel_size"]), start):
+            if (fit := _fit_low_order(design, values.ravel())) is not None:
+                fits[k] = fit
     low, std = (np.array([fit[part] for fit in fits.values()]).reshape(-1, 3) for part in (0, 1))
     return CameraMotion(np.array(list(fits), int), low, std)
 
 
 def _fit_low_order(design: Array, values: Array) -> tuple[Array, Array] | None:
-    good = np.isfinite(values)
-    if good.sum() < MIN_NODES:
+    """Coefficients and their standard uncertainties without blunders; None with too few values."""
+    near = np.isfinite(values)
+    if near.sum() >= MIN_NODES:
+        departure = values - np.median(values[near])
+        near &= np.abs(departure) < 4 * robust_std(departure[near]) + 1.0
+    if near.sum() < MIN_NODES:
         return None
-    middle = np.median(values[good])
-    spread = PER_MEDIAN * np.median(np.abs(values[good] - middle)) + 1e-6
-    good &= np.abs(values - middle) < 4 * spread + 1.0
-    A, b = design[good], values[good].astype(float)
-    if len(b) < MIN_NODES:
-        return None
+    A, b = design[near], values[near].astype(float)
     found = np.linalg.lstsq(A, b, rcond=None)[0]
     variance = float(np.var(b - A @ found))
     return found, np.sqrt(variance * np.diag(np.linalg.pinv(A.T @ A)))
@@ -403,28 +368,26 @@ def jump(low: Array) -> int | None:
     left = squares - (before**2).sum(axis=1) * cuts - (after**2).sum(axis=1) * (n - cuts)
     best = int(np.argmin(left))
     scatter = float(np.sqrt(max(left[best], 0.0) / max(n - 2, 1)))
-    if rms_over_field(after[best] - before[best]) < max(CAMERA_LIMITS.jump, 2 * scatter):
+    if rms_over_field(after[best] - before[best]) < max(MAX_MISS, 2 * scatter):
         return None
     return int(cuts[best])
 
 
-def knock(cube: xr.Dataset, found: CameraMotion) -> Knock | None:
+def knock(found: CameraMotion) -> Knock | None:
     """The largest jump of a record, dated to a frame; None if it does not jump."""
     at = jump(found.low)
     if at is None:
         return None
     before, after = (np.median(part, axis=0) for part in (found.low[:at], found.low[at:]))
-    between = range(max(int(found.steps[at - 1]) - 1, 0), int(found.steps[at]) + 1)
-    near = camera_motion(cube, list(between))
-    along = (near.low - before) @ (after - before) / float((after - before) @ (after - before))
+    near = slice(at - 1, at + 2)
+    along = (found.low[near] - before) @ (after - before) / float((after - before) @ (after - before))
     # a step shows the mean of its two frames: the one in which the knock falls is half way
-    whole = near.steps[along > 0.75]
-    frame = int(whole[0]) if whole.size else int(found.steps[at])
+    frame = int(found.steps[near][np.argmax(along > 0.75)])
     return Knock(frame, rms_over_field(after - before))
 
 
 def shaking(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
-    """Rms shake of the cameras' pictures from step to step, before and after a knock, and its uncertainty."""
+    """Rms over field and steps by which eps_y varies, before and after a knock, and its uncertainty, px."""
     cut = np.searchsorted(found.steps, knocked.frame) if knocked else 0
     parts = [part - part.mean(axis=0) for part in (found.low[:cut], found.low[cut:]) if len(part)]
     rest = np.concatenate(parts)
@@ -436,17 +399,17 @@ def shaking(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
 
 
 def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
-    """Remarks on cameras that are knocked or shake."""
+    """Remarks on cameras that were knocked within the record, or that shake."""
     found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return
-    one = knock(cube, found)
+    one = knock(found)
     if one is not None:
         frame = int(cube.frame[0]) + one.frame
         yield Remark(
             "rig",
             "moved",
-            "grave" if one.size > 10 * CAMERA_LIMITS.motion else "remark",
+            "grave" if one.size > GRAVE_MISS else "remark",
             f"sight lines miss each other by {one.size:.2f} px more from frame {frame} on",
             f"A camera was knocked between frames {frame - 1} and {frame}; z is off by as much or more since",
             "Run the two parts by themselves (`frames: {first, last}`), the second with a rig corrected by "
@@ -454,60 +417,14 @@ def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
             {"frame": frame, "px": one.size},
         )
     rms, std = shaking(found, one)
-    if rms > max(CAMERA_LIMITS.jump, 3 * std):
-        yield Remark(
-            "cameras",
-            "vibration",
-            "remark" if rms > CAMERA_LIMITS.motion else "note",
-            f"their sight lines miss each other by {rms:.3f} +- {std:.3f} px more or less from step to step",
-            "The cameras tilt or roll on their mounts: z and velocities are off by about as much",
-            "Stiffen the mounts and keep carriages, pumps and people away; `settings: {vibration: correct}` "
-            "turns the images back",
-            {"px": rms, "std": std},
-        )
-
-
-def level_motion(cube: xr.Dataset) -> float:
-    """Rms motion of the mean level that no wave explains, m; NaN where a record does not determine it.
-
-    The mean of z with a Blackman window suppresses waves shorter than a third of the field a thousandfold.
-    Longer gravity waves on a current U have frequencies below sqrt(g k) + U k, k = 6 pi / side, and are
-    fitted; what is left of a sound record is noise, and more is the motion of cameras along their parallax,
-    which eps_y does not show.
-    """
-    count, ny, nx = cube.z.shape
-    k = 6.0 * np.pi / min(np.ptp(cube.x.values), np.ptp(cube.y.values))
-    current = cube[["u", "v"]].isel(time=from_first_to_last(count, 8)).mean()
-    omega = np.sqrt(GRAVITY * k) + k * float(np.hypot(current.u, current.v))
-    highest = omega / (2.0 * np.pi * float(cube.attrs["frame_rate"]))  # cycles per step
-    window = np.outer(np.blackman(ny + 2)[1:-1], np.blackman(nx + 2)[1:-1])
-    squares, freedom = 0.0, 0
-    for start in range(0, count, PIECE):
-        z = cube.z.isel(time=slice(start, start + PIECE)).values.astype(float)
-        weight = np.where(np.isfinite(z), window, 0.0)
-        full = weight.sum(axis=(1, 2)) > 0.98 * window.sum()  # holes would let waves in
-        times = np.flatnonzero(full)
-        mean = (weight * np.nan_to_num(z)).sum(axis=(1, 2))[full] / weight.sum(axis=(1, 2))[full]
-        phase = 2.0 * np.pi * np.outer(times, np.linspace(0.0, highest, 2 * PIECE))
-        basis, size, _ = np.linalg.svd(np.hstack([np.cos(phase), np.sin(phase)]), full_matrices=False)
-        basis = basis[:, size > SLOW_WAVES * size[:1].max(initial=0.0)]
-        if len(times) - basis.shape[1] >= MIN_FREEDOM:
-            squares += float(np.sum(np.square(mean - basis @ (basis.T @ mean))))
-            freedom += len(times) - basis.shape[1]
-    return float(np.sqrt(squares / freedom)) if freedom else np.nan
-
-
-def remark_on_level(motion: float, z_std: float, pixel: float) -> Iterator[Remark]:
-    """Report a mean level that moves faster than waves do, rms, against the typical uncertainty of z, m."""
-    if motion > z_std:
+    if rms > max(MAX_MISS, SIGNIFICANCE * std):
         yield Remark(
             "cameras",
             "vibration",
             "remark",
-            f"the mean level moves by at least {1e3 * motion:.2g} mm rms ({motion / pixel:.2f} px), faster "
-            "than waves as long as the field",
-            f"A camera vibrates along the parallax: all of z moves by {motion / z_std:.1f} of its standard "
-            "uncertainty, which `z_level_std` contains, and w accordingly",
-            "Stiffen the mounts and keep carriages, pumps and people away",
-            {"level_std_m": motion, "px": motion / pixel},
+            f"from step to step their sight lines miss each other by {rms:.3f} +- {std:.3f} px, rms",
+            "The cameras tilt or roll on their mounts: z and velocities are off by about as much",
+            "Stiffen the mounts and keep carriages, pumps and people away; `settings: {vibration: correct}` "
+            "turns the images back",
+            {"px": rms, "std": std},
         )

@@ -1,16 +1,16 @@
-"""Cameras that are inconsistent with the others, and why: mirrored, swapped, late, blurred, covered, moved.
+"""Cameras that contradict the others, and why: mirrored, swapped, late, blurred, covered, moved.
 
-Patches of the images are laid on the plane of the water at rest and compared by normalised correlation,
-every camera with every other, at some instants of the record and independently of the measurement. A point
-at height z appears displaced along the parallax of the two cameras; what is displaced across it (eps_y)
-cannot be water, whatever its shape. A camera that agrees with none while the others agree among themselves
-is compared again as if its images were mirrored, another camera's, or of another moment: what makes it
+Patches of the images are laid on the plane of the water at rest and compared by normalised correlation, every
+camera with every other, at some instants of the record and independently of the measurement. A point at
+height z appears displaced along the parallax of the two cameras. A displacement across the parallax (eps_y)
+cannot come from water, whatever its shape. A camera that agrees with none while the others agree with each
+other is compared again as if its images were mirrored, another camera's, or of another moment: what makes it
 agree is what is wrong with it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from wavefield.grid import Grid
 from wavefield.matching.patch_shifts import locate
-from wavefield.quality.remarks import CAMERA_LIMITS
+from wavefield.quality.remarks import GRAVE_MISS, HALF, MAX_LOST, MAX_MISS, SIGNIFICANCE
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_at, pixel_size
 from wavefield.rig.stereo import parallax
@@ -44,14 +44,10 @@ FLIPS: dict[str, tuple[slice, ...]] = {
     "turned by 180 degrees": np.s_[::-1, ::-1],
 }
 MAX_DEPARTURE = 1.5  # px of eps_y from its smooth part
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """One camera's patches found again in another's images."""
-
-    moved: Array  # (n, 2): By how much along x and y, px on the water; NaN where not found
-    peak_correlation: Array  # (n,): Normalised correlation
+MAX_SCATTER = 0.4  # px of eps_y: more is not the same water
+MIN_PATCHES = 6  # that determine the smooth part of eps_y; with fewer no camera is judged
+MIN_AGREEMENT = 0.2  # of the patches of two cameras that see the same water; sound pairs have more than 0.3
+MAX_BLUR_RATIO = 1.6  # blur over that of the other cameras, in px and on the water
 
 
 @dataclass
@@ -144,65 +140,55 @@ def middle(patches: Image) -> Image:
     return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
 
 
-def compare(first: Image | None, second: Image | None) -> Comparison | None:
-    """Find the middle of each patch in another, (n, WHOLE, WHOLE)."""
+def compare(first: Image | None, second: Image | None) -> Array | None:
+    """Displacement (n, 2) of the middle of each patch in another, (n, WHOLE, WHOLE); NaN where not found."""
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
-    peak_correlation = np.zeros(len(first))
     templates = np.ascontiguousarray(middle(first))
     usual = templates.mean(axis=(1, 2))
     sound = templates.std(axis=(1, 2)) >= 1e-3  # not where something is NaN
     for k in np.flatnonzero(sound).tolist():
-        around = np.ascontiguousarray(second[k])
-        gaps = np.isnan(around)
-        if gaps.any():
-            around = np.where(gaps, usual[k], around)
-        column, row, peak_correlation[k] = locate(templates[k], around)
-        moved[k] = column - REACH, row - REACH
-    return Comparison(moved, peak_correlation)
+        around = np.ascontiguousarray(np.where(np.isnan(second[k]), usual[k], second[k]))
+        column, row, peak_correlation = locate(templates[k], around)
+        if peak_correlation > MIN_CORRELATION:
+            moved[k] = column - REACH, row - REACH
+    return moved
 
 
 @dataclass(frozen=True)
 class PairConsistency:
     """How two cameras agree."""
 
-    fraction: float  # Patches found again, and across the parallax where a smooth eps_y lets expect them
+    fraction: float  # Of the patches that were found again with an eps_y near its smooth part
     eps_y: Array  # (m,): Of those, px on the water
     smooth: Array  # (3,): Its smooth part: px, px per half width along x, along y
     places: NDArray[np.intp]  # (m,): Which patches
-    # (m,): Of those, m: by what they are displaced along the parallax
-    height: Array = field(default_factory=lambda: np.zeros(0))
+    height: Array  # (m,): Of those, from their displacement along the parallax, m
 
 
 def agreement(
-    patch_matcher: PatchMatcher, pair: Pair, found: Comparison | None, ground: NDArray[np.bool_] | None = None
+    patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
     """Consistency of two cameras: which patches in `ground` can show the same water in both."""
     n = len(patch_matcher.x)
-    nothing = PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp))
-    counted = n if ground is None else int(ground.sum())
-    if found is None or counted < 4:
-        return nothing
+    ground = np.ones(n, bool) if ground is None else ground
+    if moved is None or not ground.any():
+        return PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp), np.zeros(0))
     along, across = patch_matcher.across(pair)
-    eps_y = (found.moved * across).sum(axis=1)
-    height = (found.moved * along).sum(axis=1) * patch_matcher.pixel / patch_matcher.parallax(pair)
-    good = (found.peak_correlation > MIN_CORRELATION) & np.isfinite(eps_y)
-    if ground is not None:
-        good &= ground
-    if good.sum() < 4:
-        return nothing
+    eps_y = (moved * across).sum(axis=1)
+    height = (moved * along).sum(axis=1) * patch_matcher.pixel / patch_matcher.parallax(pair)
+    good = ground & np.isfinite(eps_y)
     design = np.stack([np.ones(n), *(scaled(v) for v in (patch_matcher.x, patch_matcher.y))], axis=-1)
-    smooth = np.array([np.median(eps_y[good]), 0.0, 0.0])
+    smooth = np.array([np.median(eps_y[good]) if good.any() else 0.0, 0.0, 0.0])
     for _ in range(4):  # refit the smooth part to what is near it
         near = good & (np.abs(eps_y - design @ smooth) < MAX_DEPARTURE)
-        if near.sum() < 8:
+        if near.sum() < MIN_PATCHES:
             break
         smooth = np.linalg.lstsq(design[near], eps_y[near], rcond=None)[0]
     near = good & (np.abs(eps_y - design @ smooth) < MAX_DEPARTURE)
-    return PairConsistency(
-        float(near.sum() / counted), eps_y[near], smooth, np.flatnonzero(near), height[near]
-    )
+    fraction = float(near.sum() / ground.sum())
+    return PairConsistency(fraction, eps_y[near], smooth, np.flatnonzero(near), height[near])
 
 
 def scaled(v: Array) -> Array:
@@ -226,10 +212,6 @@ def grounds(patch_matcher: PatchMatcher, frame: int, names: Sequence[str]) -> Ma
         else:
             out[name] = np.zeros(len(patch_matcher.x), bool)
     return out
-
-
-MAX_SCATTER = 0.4  # px of eps_y: more is not the same water
-MIN_PATCHES = 6  # with fewer no camera is judged
 
 
 class ConsistencyTable:
@@ -263,11 +245,8 @@ class ConsistencyTable:
         return agreement(patch_matcher, pair, found, ground)
 
     def level(self) -> float:
-        """Fraction of matched patches above which two cameras agree."""
-        return max(
-            CAMERA_LIMITS.agreement,
-            CAMERA_LIMITS.agreement_to_best * max(score(found) for found in self.found.values()),
-        )
+        """Fraction of matched patches above which two cameras agree: half of that of the best pair."""
+        return max(MIN_AGREEMENT, HALF * max(score(found) for found in self.found.values()))
 
     def good(self) -> list[Pair]:
         """Pairs of cameras that agree."""
@@ -287,7 +266,7 @@ class ConsistencyTable:
 
 def score(found: Sequence[PairConsistency]) -> float:
     """Agreement of two cameras over some instants: fraction of patches found; 0 if they scatter."""
-    scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
+    scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
     return float(np.mean([one.fraction for one in found]))
@@ -354,11 +333,11 @@ def find_camera_faults(
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
     for name in table.names:
         fraction = float(np.median(covered(table, name)))
-        if fraction > CAMERA_LIMITS.covered:
+        if fraction > MAX_LOST:
             yield Remark(
                 name,
                 "covered",
-                "grave" if fraction > CAMERA_LIMITS.covered_grave else "remark",
+                "grave" if fraction > HALF else "remark",
                 f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
                 "That part is measured by the others, or not at all",
                 "Check for objects in front of it and for missing light; draw lasting ones as a `mask:`",
@@ -378,7 +357,7 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
         on_water = float(np.median([widths[other] * pixels[other] for other in others]))
         # beads have a size: a camera of smaller pixels has wider images of them without being blurred
         wider = min(width / max(usual, 1e-9), width * pixels[name] / max(on_water, 1e-12))
-        if wider > CAMERA_LIMITS.blur_ratio and width > 1.0:
+        if wider > MAX_BLUR_RATIO and width > 1.0:
             yield Remark(
                 name,
                 "blurred",
@@ -416,7 +395,7 @@ def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
     share = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
     sentence = (
         f"at best {100 * share:.0f} % of the patches of two cameras match (sound records: more than "
-        f"{100 * CAMERA_LIMITS.agreement:.0f} %)"
+        f"{100 * MIN_AGREEMENT:.0f} %)"
     )
     if share > best:  # found, but of no use
         sentence += f", and their sight lines miss each other irregularly, by {MAX_SCATTER:g} px or more"
@@ -447,7 +426,7 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
     scores = {key: score(found) for key, found in tried.items()}
     (change, detail, _), best = max(scores.items(), key=lambda one: one[1])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
-    if best < max(CAMERA_LIMITS.agreement, level, 2 * now):
+    if best < max(MIN_AGREEMENT, level, 2 * now):
         return _disagree(table, name)
     return _explained(name, change, detail, {"agreement": best, "as it is": now})
 
@@ -490,8 +469,8 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         if not inconsistent & set(pair) and any(one.fraction > 0 for one in found)
     }
     missed = {pair: rms_over_field(value) for pair, value in smooth.items()}
-    beyond = [pair for pair, value in missed.items() if value > CAMERA_LIMITS.epipolar_error]
-    wrong = [pair for pair in beyond if _significance(table.found[pair]) > 4]
+    beyond = [pair for pair, value in missed.items() if value > MAX_MISS]
+    wrong = [pair for pair in beyond if _significance(table.found[pair]) > SIGNIFICANCE]
     if not wrong:
         return []
     most = max(missed[pair] for pair in wrong)
@@ -505,7 +484,7 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     between = " and of ".join("-".join(pair) for pair in wrong)
     sentence = (
         f"the sight lines of {between} miss each other by {most:.2f} px on the water (at most "
-        f"{CAMERA_LIMITS.epipolar_error} px after a good calibration)"
+        f"{MAX_MISS} px after a good calibration)"
     )
     return [_moved(subject, most, sentence, {f"eps_y {'-'.join(pair)}": px for pair, px in missed.items()})]
 
@@ -514,7 +493,7 @@ def _moved(subject: str, off: float, sentence: str, values: Mapping[str, float])
     return Remark(
         subject,
         "moved",
-        "grave" if off > CAMERA_LIMITS.epipolar_error_grave else "remark",
+        "grave" if off > GRAVE_MISS else "remark",
         sentence,
         "A camera has moved since the calibration, or the rig is another's: z is off by about as much, in px",
         "Correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
@@ -539,7 +518,7 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         spread = float(PER_MEDIAN * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
         if abs(off) > abs(worst):
             worst, sure, which = off, abs(off) / spread, (first, second)
-    if abs(worst) <= CAMERA_LIMITS.epipolar_error or sure < 6:
+    if abs(worst) <= MAX_MISS or sure < SIGNIFICANCE:
         return []
     names = " and ".join("-".join(pair) for pair in which)
     sentence = f"{names} see the same water at different heights, by {abs(worst):.2f} px along the parallax"
@@ -557,6 +536,6 @@ def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArra
 def _significance(found: Sequence[PairConsistency]) -> float:
     """Ratio of the smooth part to its uncertainty."""
     one = max(found, key=lambda each: each.fraction)
-    if len(one.eps_y) < 8:
+    if len(one.eps_y) < MIN_PATCHES:
         return 0.0
     return float(rms_over_field(one.smooth) / max(float(one.eps_y.std()) / np.sqrt(len(one.eps_y) - 3), 1e-3))

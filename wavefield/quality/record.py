@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import special  # scipy.stats takes half a second to import
 
-from wavefield.quality.remarks import RECORD_LIMITS
+from wavefield.quality.remarks import HALF, MAX_LOST, MIN_NODES, SIGNIFICANCE
 from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.clocks import is_alike, recorded_rates, video_rates, video_rotations
@@ -38,18 +38,17 @@ FAULTS = {
         "Put the frames of one setting of the camera into one record",
     ),
 }
-MIN_NODES = 50  # measured nodes of a step; with fewer it is not checked
 MARGIN_NODES = 3  # from the edge of the grid, where slopes are less accurate
 CHANGING_NOISE = 0.25  # of the variance of z by noise; the rest stays with the beads from frame to frame
 COMPARED = ["z", "z_t", "u", "v", "w", "z_std", "u_std", "v_std", "w_std"]
 PATH_REACH = 2  # steps: the six frames of a step reach so many steps to either side
-MAX_LEFT_OUT = 0.5  # of the steps of a record with several discontinuities; more are not left out
 PATCHES = 8  # along the shorter side of the field
 # A wave that turns by p from frame to frame has the ratio p / sin p. Where most turn by more than a sixth of
 # a turn, sound simulated seas scatter as much as a lost frame does, and nothing is judged.
 MAX_RATIO = 1.2
 CELLS = 3  # parts of the field along either side whose ratios are compared
-SIGNIFICANCE = 4.0  # standard deviations
+DISCONTINUITY = 0.3  # logarithm of a step's ratio over that of its neighbours; a lost frame changes it by 0.5
+MAX_MISFIT = 1.6  # standard uncertainties: sound seas have 0.1 to 1.2
 MIN_RATIO = 0.05  # smallest ratio that counts: log(0) of a doubled frame
 JITTER_VARIANCE = 4.375  # variance of the difference of consecutive ratios over that of the frame times
 VARYING_TURN = 0.5  # of (ratio - 1)^2: variance of ratios because the waves in view change; simulated seas
@@ -114,14 +113,14 @@ def remark_on_frames(
             continue
         for fault, (words, remedy) in FAULTS.items():
             # one setting of a camera gives frames of one size: a single other one is reported
-            least = 0 if fault == FrameFault.WRONG_SIZE else max(1, RECORD_LIMITS.bad_frames * len(read))
+            least = 0 if fault == FrameFault.WRONG_SIZE else max(1, MAX_LOST * len(read))
             bad = [index for index, (other, _) in found.faults.items() if other == fault and index in read]
             if len(bad) > least:
                 numbers = spell_ranges([series[name].first + index for index in bad], 3)
                 what = f"frames read {words}: frames {numbers} ({found.faults[bad[0]][1]})"
                 yield _bad_frames(name, len(bad), len(read), what, remedy)
         pairs = sum(index - 1 in read for index in read)
-        if len(found.repeated) > max(1, RECORD_LIMITS.bad_frames * pairs):
+        if len(found.repeated) > max(1, MAX_LOST * pairs):
             numbers = spell_ranges([series[name].first + index for index in sorted(found.repeated)], 3)
             what = f"frames read equal the frame before them in every pixel: frames {numbers}"
             remedy = "Copy the recording again, or leave these frames out (`frames`)"
@@ -132,7 +131,7 @@ def _bad_frames(name: str, bad: int, count: int, what: str, remedy: str) -> Rema
     return Remark(
         name,
         "bad frames",
-        "grave" if bad > RECORD_LIMITS.usable_steps * count else "remark",
+        "grave" if bad > HALF * count else "remark",
         f"{bad} of {count} {what}",
         "Their steps are measured without them, or not at all",
         remedy,
@@ -154,12 +153,12 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """Remarks on cameras with many missing frames, and on cameras with few common steps."""
     for name, one in series.items():  # recordings with a clock report dropped images themselves
         missing = one.missing
-        if one.times is not None or len(missing) <= RECORD_LIMITS.bad_frames * len(one):
+        if one.times is not None or len(missing) <= MAX_LOST * len(one):
             continue
         yield Remark(
             name,
             "missing frames",
-            "grave" if len(missing) > RECORD_LIMITS.usable_steps * len(one) else "remark",
+            "grave" if len(missing) > HALF * len(one) else "remark",
             f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}",
             "Their steps are measured without this camera, or not at all",
             "Copy them, or state the range of frames that is complete (`frames`)",
@@ -169,7 +168,7 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
         return
     complete = complete_steps(series)
     share = float(complete.mean())
-    if share < RECORD_LIMITS.usable_steps:
+    if share < HALF:
         yield Remark(
             "record",
             "missing frames",
@@ -240,7 +239,7 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
     if not len(places):
         return
     usual = float(np.median(intervals / places))
-    uneven = np.abs(intervals - places * usual) > RECORD_LIMITS.uneven_interval * usual
+    uneven = np.abs(intervals - places * usual) > 0.5 * usual
     dropped = int((places - 1).sum())
     if dropped:
         first = int(there[np.argmax(places > 1)])
@@ -319,7 +318,7 @@ class RiseRatios:
         jump[1:-1] = log[1:-1] - 0.5 * (log[:-2] + log[2:])
         std[1:-1] = np.sqrt(relative[1:-1] + 0.25 * (relative[:-2] + relative[2:]))
         size = np.nan_to_num(np.abs(jump))
-        found = size > np.maximum(RECORD_LIMITS.discontinuity, SIGNIFICANCE * np.nan_to_num(std))
+        found = size > np.maximum(DISCONTINUITY, SIGNIFICANCE * np.nan_to_num(std))
         around = np.pad(size, PATH_REACH)
         largest = np.lib.stride_tricks.sliding_window_view(around, 2 * PATH_REACH + 1).max(axis=1)
         return np.flatnonzero(found & (size == largest))
@@ -402,7 +401,7 @@ def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[n
     """Steps whose six frames lie on both sides of a discontinuity; none if that is most of a record."""
     apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
     out = np.flatnonzero(apart.min(axis=1, initial=steps) <= PATH_REACH)
-    return out if discontinuous.size == 1 or out.size <= MAX_LEFT_OUT * steps else out[:0]
+    return out if discontinuous.size == 1 or out.size <= HALF * steps else out[:0]
 
 
 def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
@@ -411,13 +410,13 @@ def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
     fields, rate = {name: sample[name].values for name in COMPARED}, float(sample.attrs["frame_rate"])
     misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
     misfit = float(np.nanmedian(misfits)) if np.isfinite(misfits).any() else 0.0
-    if misfit > RECORD_LIMITS.kinematic_misfit:
+    if misfit > MAX_MISFIT:
         yield Remark(
             "record",
             "kinematics",
-            "grave" if misfit > RECORD_LIMITS.kinematic_misfit_grave else "remark",
+            "grave" if misfit > 2 * MAX_MISFIT else "remark",
             f"z_t - w + u . grad z is {misfit:.1f} times its standard uncertainty (at most"
-            f" {RECORD_LIMITS.kinematic_misfit} in sound records)",
+            f" {MAX_MISFIT} in sound records)",
             "The surface does not rise as its water moves: z or the velocities are wrong",
             "Check frame rate, synchronisation and seeding; waves may be too short for the images",
             {"kinematic_misfit": misfit},
@@ -450,7 +449,7 @@ def remark_on_jitter(ratios: RiseRatios, sample: xr.Dataset) -> Iterator[Remark]
     stds = [float(np.median(sample[f"{name}_std"].values[measured])) for name in "uvw"]
     # a step's displacement contains the errors of both frame times
     over = np.sqrt(2.0) * jitter * max(size / std for size, std in zip(sizes, stds))
-    if over > RECORD_LIMITS.jitter:
+    if over > 1.0:
         yield Remark(
             "record",
             "frame times",

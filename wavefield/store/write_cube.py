@@ -102,14 +102,6 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
             _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
 
 
-def write_level_std(path: Path, level_std: float) -> None:
-    """Write the standard uncertainty of z = 0, m, unless it is there."""
-    array = open_group(path, "r+")["z_level_std"]
-    if float(array[()]) != level_std:
-        with writing(path):
-            array[...] = level_std
-
-
 def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.ndarray) -> None:
     """Write the status of a chunk's steps."""
     group["frame_status"][start : start + frame_status.size] = frame_status
