@@ -31,13 +31,12 @@ from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
 from wavefield.store.metadata import FINISHED, update_metadata
 from wavefield.store.preview import create_preview
-from wavefield.store.read import measured_rate, open_group, read_layout
+from wavefield.store.read import open_group, read_layout
 from wavefield.store.recipe import check_recipe
-from wavefield.store.relabel import relabel
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import check_verdict
 from wavefield.store.verify import missing_chunks
-from wavefield.store.write_cube import remove_partial_files, reset_chunks
+from wavefield.store.write_cube import relabel, remove_partial_files, reset_chunks
 from wavefield.text import spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus, frames_of_path
 
@@ -92,9 +91,9 @@ def run(
     Results do not depend on the workflow: neither on the number of workers nor on the size of chunks.
 
     A store goes on with the recipe that it was begun with: settings, rig, grid, names of images, and the
-    version of the measurement. Its labels may change: name, description, `offset` of all cameras, frame rate,
-    water; they are written into the cube, and nothing is measured again. Other images under the same names
-    are refused if some frames (first, middle, last) show it.
+    version of the measurement. Its labels may change: name, description, water; they are written into the
+    cube, and nothing is measured again. Other images under the same names are refused if some frames (first,
+    middle, last) show it.
 
     Worker processes start by importing the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
@@ -194,7 +193,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         check_images(str(path), json.loads(group.attrs.get("fingerprints", "{}")), prepared.series)
         remove_partial_files(path)
         prepared = prepared.with_prior(json.loads(str(group.attrs["recipe"]))["record"])
-        for change in relabel(path, prepared.recipe, labels(prepared.experiment, path)):
+        for change in relabel(path, prepared.experiment.name, labels(prepared.experiment, path)):
             log.info("labelled anew, nothing is measured again: %s", change)
         return prepared, read_layout(open_group(path))
     log.info("learning beads, spectra and noise from sample frames")
@@ -249,7 +248,7 @@ def _work_off(
     prepared: PreparedRun, lock: Lock, todo: Sequence[Chunk], map_unordered: MapFunction, tracker: "_Tracker"
 ) -> None:
     path = lock.store
-    work = Work(path, prepared.geometry, prepared.model, measured_rate(open_group(path)))
+    work = Work(path, prepared.geometry, prepared.model, prepared.experiment.frame_rate)
     failures: list[tuple[Chunk, BaseException]] = []
     succeeded = bad_frames = 0
     tracker.start()

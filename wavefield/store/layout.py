@@ -20,6 +20,7 @@ from wavefield.store.metadata import seal_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find
+from wavefield.water import WATER
 
 # arrays of which every chunk of steps has a file of its own; the ledger is written last
 CHUNKED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "frame_status")
@@ -45,6 +46,9 @@ INNER_CHUNK_STEPS = 8  # steps that a reader must decode to see one
 FILES_OF_ALL_CHUNKS = {"array.write_empty_chunks": True}  # so that a file that is not there was lost
 
 
+# attributes that describe the experiment: they may change after the measurement
+DESCRIPTION = ("experiment_file", "image_folder", "description", *WATER)
+
 CubeGroup: TypeAlias = Any  # an open cube: `zarr.Group` types arrays and groups alike
 
 
@@ -60,6 +64,11 @@ class StoreLayout:
     def chunks(self) -> list[tuple[int, int]]:
         """Ranges of steps (start, stop) of all chunks, in order."""
         return [(i, min(i + self.chunk_steps, self.steps)) for i in range(0, self.steps, self.chunk_steps)]
+
+
+def title(experiment: str) -> str:
+    """Title of a cube, an attribute of the CF conventions."""
+    return f"water surface and its velocity, {experiment}"
 
 
 def create_store(
@@ -99,10 +108,9 @@ def _lay_out(
         zarr_format=3,
         attributes={
             "Conventions": "CF-1.11",
-            "title": f"water surface and its velocity, {recipe.experiment}",
+            "title": title(recipe.experiment),
             "experiment": recipe.experiment,
             "frame_rate": recipe.frame_rate,
-            "measured_frame_rate": recipe.frame_rate,
             "cameras": list(layout.cameras),
             "steps_per_block": steps,
             "recipe": recipe.to_json(),

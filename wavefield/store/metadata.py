@@ -40,17 +40,12 @@ def read_metadata(path: Path) -> dict[str, Any]:
     return data
 
 
-def update_metadata(
-    path: Path, attributes: Mapping[str, object], arrays: Mapping[str, Mapping[str, object]] | None = None
-) -> None:
-    """Change attributes of a cube and of its arrays, the cube's own last; None removes one."""
+def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
+    """Change attributes of a cube; None removes one."""
     data = read_metadata(path)
+    merged = {**data["attributes"], **attributes}
+    data["attributes"] = {name: value for name, value in merged.items() if value is not None}
     with writing(path):
-        for name, changed in (arrays or {}).items():
-            array = data["consolidated_metadata"]["metadata"][name]
-            array["attributes"] = _merged(array["attributes"], changed)
-            _write(path / name / "zarr.json", array)
-        data["attributes"] = _merged(data["attributes"], attributes)
         _write_sealed(path, data)
 
 
@@ -61,16 +56,8 @@ def seal_metadata(path: Path) -> None:
 
 def _write_sealed(path: Path, data: dict[str, Any]) -> None:
     data["attributes"][CHECKSUM] = _checksum(data)
-    _write(path / "zarr.json", data)
-
-
-def _write(file: Path, data: object) -> None:
-    with atomic(file, replace=True) as draft:
+    with atomic(path / "zarr.json", replace=True) as draft:
         draft.write_text(json.dumps(data, indent=1), encoding="utf-8")
-
-
-def _merged(old: Mapping[str, object], changed: Mapping[str, object]) -> dict[str, object]:
-    return {name: value for name, value in {**old, **changed}.items() if value is not None}
 
 
 def _checksum(data: Mapping[str, Any]) -> int:

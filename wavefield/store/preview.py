@@ -21,9 +21,9 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from wavefield.atomic_write import writing
 from wavefield.errors import StoreError
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING, CubeGroup, in_16_bits
-from wavefield.store.read import measured_rate, read_layout
+from wavefield.store.read import read_layout
 from wavefield.text import one_line
-from wavefield.variables import CUBE_FIELDS, TABLE
+from wavefield.variables import CUBE_FIELDS
 
 _GROUP = "preview"
 _NODES = 2000  # of a preview: every fourth of 150 x 200, either way
@@ -44,8 +44,7 @@ def thinning(group: CubeGroup) -> Thinning:
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
-    rate = float(group.attrs["frame_rate"]) / measured_rate(group)  # a corrected clock leaves what is stored
-    scales = tuple(PACKING.get(name, 1.0) * (rate if TABLE[name].units == "m s-1" else 1.0) for name in names)
+    scales = tuple(PACKING.get(name, 1.0) for name in names)
     return Thinning(math.ceil(math.sqrt(ny * nx / most)), names, scales)
 
 
@@ -106,7 +105,7 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
     if preview is not None:
         _chunk(group, start).unlink(missing_ok=True)  # Zarr would read what is there, which may be damaged
         ordered = {name: np.asarray(fields[name]) for name in thin.names}
-        thinned = _thinned(ordered, thin.every, [PACKING.get(name, 1.0) for name in thin.names])
+        thinned = _thinned(ordered, thin.every, thin.scales)
         preview[..., start : start + thinned.shape[-1]] = thinned
 
 

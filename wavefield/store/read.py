@@ -132,11 +132,6 @@ def read_layout(group: Any) -> StoreLayout:
     )
 
 
-def measured_rate(group: CubeGroup) -> float:
-    """Frame rate that velocities are stored for; the cube's own may have been corrected since."""
-    return float(group.attrs.get("measured_frame_rate", group.attrs["frame_rate"]))
-
-
 def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     """Open a cube, lazily.
 

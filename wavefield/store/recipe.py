@@ -24,6 +24,10 @@ def recipe_of(attributes: Mapping[Any, Any]) -> dict[str, Any]:
         return {}
 
 
+# entries that no value depends on: the name, what was learned (it follows from the rest), versions
+_LABELS = ("experiment", "record", "software")
+
+
 @dataclass(frozen=True)
 class Recipe:
     """What a cube was made from and how."""
@@ -44,10 +48,9 @@ class Recipe:
     # Checksum of the image that is subtracted from the frames of each camera; empty without any
     background: Mapping[str, str] = field(default_factory=dict)
     algorithm: int = 0  # Version of the measurement, raised when its values change
-    # What was learned from sample frames of the whole record: beads, spectra, noise. Not
-    # part of the hash: it follows from the rest
+    # What was learned from sample frames of the whole record: beads, spectra, noise
     record: Mapping[str, Any] = field(default_factory=dict)
-    # Versions of this program and of what it rests on; not part of the hash
+    # Versions of this program and of what it rests on
     software: Mapping[str, str] = field(default_factory=lambda: _software())
 
     def to_json(self) -> str:
@@ -56,25 +59,9 @@ class Recipe:
 
     @property
     def hash(self) -> str:
-        """Sixteen hexadecimal digits that change whenever values of the cube could.
-        Name and clock are labels (`wavefield.store.relabel`) that change no values.
-        """
-        data = asdict(self)
-        del data["software"], data["record"], data["experiment"]
-        for name in ("mask", "departures", "background"):  # cubes from before there were any have none
-            if not data[name]:
-                del data[name]
-        first, last = data.pop("frames")
-        stamped = any(times for _, _, times in data["images"].values())
-        data["images"] = {
-            name: [pattern, first - offset, times]
-            for name, (pattern, offset, times) in data["images"].items()
-        }
-        # of frames' numbers only which files they are and how many, the rate only where times place frames
-        data["frames"] = last - first + 1
-        if not stamped and not self.departures:
-            del data["frame_rate"]
-        text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+        """Sixteen hexadecimal digits that change whenever values of the cube could."""
+        values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
+        text = json.dumps(values, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -85,10 +72,9 @@ def _software() -> dict[str, str]:
 
 
 def differences(old: str, new: str) -> list[str]:
-    """Entries in which two recipes differ."""
+    """Entries, other than labels, in which two recipes differ."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
-    ignored = ("software.", "record.")
-    keys = [key for key in {**a, **b} if not key.startswith(ignored) and a.get(key) != b.get(key)]
+    keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
 
 
@@ -100,14 +86,11 @@ def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
         yield prefix, data
 
 
-_LABELS = ("experiment:", "frame_rate:")
-
-
 def _hash_of(recipe: str) -> str:
-    """A recipe as text, without labels, which may have changed since."""
+    """Hash of a recipe that is given as text; empty for one of another version of this program."""
     try:
         return Recipe(**json.loads(recipe)).hash
-    except (TypeError, ValueError):  # another version's
+    except (TypeError, ValueError):
         return ""
 
 
@@ -134,7 +117,7 @@ def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> N
     there = str(attributes["recipe"])
     if _hash_of(there) == recipe.hash:
         return
-    found = [d for d in differences(there, recipe.to_json()) if not d.startswith(_LABELS)]
+    found = differences(there, recipe.to_json())
     more = f" and {len(found) - 2} more" if len(found) > 2 else ""
     raise StoreError(
         f"{path} was made with another recipe ({'; '.join(found[:2])}{more}); write to another store with -o"

@@ -16,12 +16,14 @@ import zarr
 from wavefield.atomic_write import make_durable, writing
 from wavefield.store.layout import (
     CHUNKED,
+    DESCRIPTION,
     FILES_OF_ALL_CHUNKS,
     MISSING,
     PACKING,
     CubeGroup,
     chunk_path,
     in_16_bits,
+    title,
 )
 from wavefield.store.metadata import FINISHED, update_metadata
 from wavefield.store.preview import write_preview
@@ -100,6 +102,16 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
                 )
             write_preview(group, start, fields)
             _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
+
+
+def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
+    """Give a cube the name and the attributes (`DESCRIPTION`) of an experiment; returns what differed."""
+    labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
+    there = open_group(path).attrs
+    changed = [key for key, value in labels.items() if there.get(key) != value]
+    if changed:
+        update_metadata(path, labels)
+    return [f"{key}: {there.get(key)!r} there, {labels[key]!r} here" for key in changed]
 
 
 def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.ndarray) -> None:
