@@ -259,12 +259,9 @@ FAULTS: dict[str, Spoil] = {
     "rig in millimetres": rig(1000.0),
     "z_range in millimetres": note(settings={"z_range": [-80.0, 80.0]}),
     "bead_height in millimetres": note(settings={"bead_height": 0.4}),
-    "depth in centimetres": note(water={"depth": 70.0}),
-    "depth of less than the waves": note(water={"depth": 0.0007}),
     "level of the water in millimetres": note(water={"depth": 0.7, "level": 20.0}),
     "density in g cm-3": note(water={"depth": 0.7, "density": 1.0}),
     "surface tension in mN m-1": note(water={"depth": 0.7, "surface_tension": 73.0}),
-    "frame rate in Hz of microseconds": note(frame_rate=50000.0),
     "frame rate of yes": text("frame_rate: 20.0", "frame_rate: yes"),
     # disk
     "no room on the disk": full_disk,

@@ -15,8 +15,6 @@ REFUSED = {
 FOUND = {
     "the first frame of another size": "1 of 13 frames read have another size or type than the others",
     "grid of four times the field": "of the grid's nodes in common view",
-    "depth in centimetres": "water.depth of experiment.yaml is 70 m",
-    "frame rate in Hz of microseconds": "m/s at 50000 Hz",
     "no room on the disk": "Free some space",
 }
 
@@ -48,13 +46,6 @@ def test_several_faults_at_once_are_all_named(lab, monkeypatch):
     assert status == 3
     for sentence in FOUND.values():
         assert sentence in words
-
-
-def test_waves_below_the_bottom_are_reported(lab):
-    FAULTS["depth of less than the waves"](lab)
-    status, words = outcome(lab / "experiment.yaml")
-    assert status == 3
-    assert "water.depth of experiment.yaml is 0.0007 m, but the surface is" in words
 
 
 def test_sound_experiments_raise_no_alarm(lab):

@@ -11,7 +11,8 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
 from wavefield.pipeline import Workflow, catalog_add, check, run, run_catalog, status
-from wavefield.variables import CUBE_FIELDS, FrameStatus
+from wavefield.store.ledger import BadFrames
+from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 
 
 def test_check_reports_what_a_run_will_take(tank, reference):
@@ -51,11 +52,13 @@ def test_check_names_what_is_missing_and_does_not_stop_there(own_tank):
         (folder / "cam1" / f"img_{n:05d}.tif").unlink()
     (folder / "cam2" / "img_00005.tif").write_bytes(b"")
     found = check(own_tank, workflow=HERE)
-    assert found.cameras[0].missing == (3, 4, 9)
-    assert found.cameras[1].small == (5,)
+    assert [camera.bad for camera in found.cameras] == [
+        (BadFrames("cam1", FrameFault.MISSING, (3, 4, 9)),),
+        (BadFrames("cam2", FrameFault.UNREADABLE, (5,)),),
+        (),
+    ]
     assert "cam1: 14 frames" in str(found)
-    assert "3 missing: frames 3-4, 9" in str(found)
-    assert "1 file is empty or truncated: frame 5" in str(found)
+    assert "cam1: missing: frame 3-4, 9" in str(found)
     (folder / "rig.yaml").unlink()
     found = check(own_tank, workflow=HERE)
     assert not found.ready
@@ -77,11 +80,11 @@ def test_check_distinguishes_uniform_images_from_truncated_ones(own_tank):
     whole = folder / "cam3" / "img_00011.png"
     whole.write_bytes(whole.read_bytes()[:1000])
     camera = check(own_tank, workflow=HERE).cameras[2]
-    assert (camera.blank, camera.other, camera.small) == ((2, 3, 6), (8,), (11,))
-    assert str(camera).endswith(
-        "; 1 file is empty or truncated: frame 11; 3 files are blank (all pixels equal): frames 2-3, 6; "
-        "1 file is of another size or type: frame 8"
-    )
+    assert {bad.fault: bad.numbers for bad in camera.bad} == {
+        FrameFault.UNREADABLE: (11,),
+        FrameFault.BLANK: (2, 3, 6),
+        FrameFault.WRONG_SIZE: (8,),
+    }
 
 
 def test_check_counts_frames_as_run_does_and_names_their_files(own_tank):
@@ -90,10 +93,10 @@ def test_check_counts_frames_as_run_does_and_names_their_files(own_tank):
     for n in (14, 15, 16):
         (own_tank.parent / "cam2" / f"img_{n:05d}.tif").unlink()
     found = check(own_tank, workflow=HERE)
-    assert "1 missing: frame 103 (frame n is file n -100)" in str(found.cameras[0])
-    assert str(found.cameras[0]).endswith("; not used: 3 after the record")
+    assert "cam1: missing: frame 103" in str(found.cameras[0])
+    assert "; not used: 3 after the record" in str(found.cameras[0])
     assert found.steps == 13
-    assert found.cameras[1].missing == ()  # no gaps are invented at the ends
+    assert found.cameras[1].bad == ()  # no gaps are invented at the ends
     state = run(own_tank, workflow=HERE)
     assert [str(bad) for bad in state.bad_frames] == ["cam1: missing: frame 103"]
     assert state.steps == 13

@@ -32,11 +32,10 @@ from wavefield.pipeline.prepare import (
     load_files,
     prepare,
     refuse_small_fields,
-    remark_on_depth,
-    remark_on_speed,
 )
 from wavefield.quality.camera_motion import Synchrony, remarks_on_clocks, spell_delays
 from wavefield.quality.record import (
+    FAULTS,
     FrameInspection,
     complete_steps,
     inspect_frames,
@@ -52,8 +51,9 @@ from wavefield.quality.remarks import (
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import COMPRESSION
+from wavefield.store.ledger import BadFrames
 from wavefield.store.verdict import Remark, Verdict
-from wavefield.text import short_path, spell_ranges, spell_time
+from wavefield.text import short_path, spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus
 
 MIN_FREE_SHARE = 1.1  # of what a run writes
@@ -73,13 +73,10 @@ class Cost:
 
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
-        text = (
+        return (
             f"{spell_time(self.seconds)} on {workers} ({self.step_seconds:.2f} s per step), "
             f"{self.memory / 1e9:.2f} GB of memory per worker, {spell_size(self.disk)} of disk"
         )
-        if self.free < MIN_FREE_SHARE * self.disk:
-            text += f" - but only {spell_size(self.free)} are free: free some room or write elsewhere with -o"
-        return text
 
 
 @dataclass(frozen=True)
@@ -142,45 +139,23 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Frames of one camera.
-    Of a record of more than 40 frames only a sample is read.
-    """
+    """Frames of one camera; of a record of more than 40 frames only a sample is read."""
 
     name: str  # The camera
     frames: int  # Frames that have a file
     size: tuple[int, int]  # (width, height), px
     dtype: str  # Type of the images
-    # Numbers of the frames that have none: those of the run, file numbers plus the camera's `offset`
-    missing: tuple[int, ...]
-    small: tuple[int, ...]  # Numbers of the frames whose file is empty or truncated
-    blank: tuple[int, ...] = ()  # Numbers of those without any contrast
-    other: tuple[int, ...] = ()  # Numbers of those of another size or type than the first
+    # Frames that are missing or bad. They are numbered as in the run: file numbers plus the camera's `offset`
+    bad: tuple[BadFrames, ...]
     beyond: tuple[int, int] = (0, 0)  # Frames before and after the record, which are not used
-    offset: int = 0  # Of the camera: number of a frame less that of its file
     first: int = 0  # Number of the first frame of the record
 
     def __str__(self) -> str:
         text = f"{self.name}: {self.frames} frames of {self.size[0]} x {self.size[1]} px, {self.dtype}"
-        if self.missing:
-            text += f"; {len(self.missing)} missing: {_frames(self.missing)}"
-        for numbers, state in (
-            (self.small, "empty or truncated"),
-            (self.blank, "blank (all pixels equal)"),
-            (self.other, "of another size or type"),
-        ):
-            if numbers:
-                files = "1 file is" if len(numbers) == 1 else f"{len(numbers)} files are"
-                text += f"; {files} {state}: {_frames(numbers)}"
-        if self.offset and (self.missing or self.small or self.blank or self.other):
-            text += f" (frame n is file n {-self.offset:+d})"
         ends = [f"{n} {where}" for n, where in zip(self.beyond, ("before", "after")) if n]
         if ends:
             text += f"; not used: {' and '.join(ends)} the record"
-        return text
-
-
-def _frames(numbers: tuple[int, ...]) -> str:
-    return f"frame{'s' if len(numbers) > 1 else ''} {spell_ranges(numbers)}"
+        return "\n    ".join([text, *map(str, self.bad)])
 
 
 @dataclass(frozen=True)
@@ -339,12 +314,8 @@ def check(
     series = experiment.open_frames()
     measuring = {name: series[name] for name in experiment.measuring_cameras}
     sample = sample_frames(measuring)
-    inspections = {
-        name: inspect_frames(one, tuple(sorted({*sample, 0, len(one) - 1}))) for name, one in series.items()
-    }
-    cameras = tuple(
-        _summary(one, inspections[name], experiment.cameras[name].offset) for name, one in series.items()
-    )
+    inspections = {name: inspect_frames(one, sample) for name, one in series.items()}
+    cameras = tuple(_summary(one, inspections[name]) for name, one in series.items())
     prepared, trial, faults, problem = None, None, None, ""
     try:
         prepared = prepare(experiment, rig, workflow)
@@ -358,7 +329,7 @@ def check(
         problem = str(error)
     coverage = expected_coverage(prepared.rig, prepared.grid) if prepared else None
     remarks = [
-        *remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample),
+        *remark_on_frames(measuring, {name: inspections[name] for name in measuring}),
         *remark_on_recordings(experiment, series),
         *remark_on_probe_file(experiment, record_span(experiment, series)),
     ]
@@ -409,14 +380,8 @@ def _remarks_on_trial(
     """Remarks on rig and grid, and on the fields of the step tried unless a camera is faulty."""
     yield remark_on_rest(prepared.experiment, prepared.rig)
     yield from remark_on_coverage(coverage)
-    yield from remark_on_depth(prepared.experiment, prepared.rig, fields.get("z", np.zeros(0)))
-    if not fields or wrong:
-        return
-    yield from remarks_on_fields(fields)
-    motion = prepared.motion
-    if motion and motion.found:
-        pixels = float(np.abs([motion.x, motion.y]).max())
-        yield from remark_on_speed(prepared.experiment, prepared.rig, prepared.grid, pixels)
+    if fields and not wrong:
+        yield from remarks_on_fields(fields)
 
 
 def _grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:
@@ -437,20 +402,18 @@ def _remark_on_disk(cost: Cost) -> Remark:
     )
 
 
-def _summary(series: FrameSeries, found: FrameInspection, offset: int) -> CameraCheck:
-    """Summary of one camera; frames are numbered as in the run."""
-    missing = tuple(int(n) for n in series.missing)
+def _summary(series: FrameSeries, found: FrameInspection) -> CameraCheck:
+    """Summary of one camera."""
     rows, columns = series.shape
+    faults = {FrameFault.MISSING: tuple(int(n) for n in series.missing)}
+    for fault in FAULTS:
+        faults[fault] = tuple(series.first + k for k, (kind, _) in found.faults.items() if kind == fault)
     return CameraCheck(
         series.camera,
-        len(series) - len(missing),
+        len(series) - len(series.missing),
         (columns, rows),
         series.dtype,
-        missing,
-        small=found.numbers(series.first, FrameFault.UNREADABLE),
-        blank=found.numbers(series.first, FrameFault.BLANK),
-        other=found.numbers(series.first, FrameFault.WRONG_SIZE),
+        tuple(BadFrames(series.camera, fault, numbers) for fault, numbers in faults.items() if numbers),
         beyond=series.beyond,
-        offset=offset,
         first=series.first,
     )

@@ -1,16 +1,15 @@
 """Everything that a run needs, read and checked before it starts: frames, rig, grid, settings, search ranges.
 
-Rigs, grids, depths and search ranges that cannot be in metres are refused, or are remarks of `check`.
+Rigs, grids and search ranges that cannot be in metres are refused.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.cluster import count_workers
@@ -27,24 +26,18 @@ from wavefield.measurement.search_range import (
 )
 from wavefield.pipeline.opened_run import image_names
 from wavefield.quality.remarks import MIN_COVERAGE
-from wavefield.rig import Camera, Rig
-from wavefield.rig.field import common_field, pixel_size
+from wavefield.rig import Rig
+from wavefield.rig.field import common_field
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries, masks, mean_images
 from wavefield.series.clocks import frame_departures
 from wavefield.store.recipe import Recipe
-from wavefield.store.verdict import Remark
 from wavefield.variables import CUBE_FIELDS, TABLE
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings
 
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: a macro lens, and a platform at sea
-_MAX_DEPTH_DISTANCES = (
-    10.0  # depth over the distance of the cameras; waves in view do not feel deeper bottoms
-)
-_MAX_SPEED = 30.0  # m/s, of water: faster than the crest of any breaking wave
-_MAX_NODES_TRIED = 300  # along each side of a grid, for the common view
 _MIN_BLOCKS = 21  # along the longer side of what is matched
 _MAX_ELEVATION_SHARE = 0.5  # of the distance of the nearest camera
 _MAX_THICKNESS_SHARE = 0.05  # of that distance, for beads and light sheets
@@ -85,12 +78,12 @@ def refuse_own_frame(rig: Rig, rig_file: str) -> None:
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Share of the grid's nodes, at most some hundred along each side, that every camera sees at rest."""
-    x, y = (nodes[:: 1 + len(nodes) // _MAX_NODES_TRIED] for nodes in (grid.x_nodes, grid.y_nodes))
-    visible = np.ones((len(y), len(x)), bool)
+    """Share of the grid that every camera sees at rest."""
+    x, y = np.linspace(*grid.x), np.linspace(*grid.y)[:, None]  # enough of the nodes
+    visible = np.ones((y.size, x.size), bool)
     with np.errstate(all="ignore"):  # a grid in another unit may be anywhere
         for name in rig:
-            visible &= rig[name].sees(x[None, :], y[:, None], 0.0)
+            visible &= rig[name].sees(x, y, 0.0)
     return float(visible.mean())
 
 
@@ -140,46 +133,6 @@ def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
             )
 
 
-def remark_on_depth(experiment: Experiment, rig: Rig, z: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report a depth of the water that is unlikely to be in metres."""
-    depth = experiment.water.depth
-    if depth is None:
-        return
-    lowest = float(np.nanmin(z, initial=0.0)) if np.isfinite(z).any() else 0.0
-    distance = float(np.median(_distances(rig)))
-    if -lowest > depth:
-        found = f"the surface is {-lowest:.2g} m below still water in the step tried"
-    elif depth > _MAX_DEPTH_DISTANCES * distance:
-        found = f"the cameras are only {distance:.2g} m away from the water"
-    else:
-        return
-    yield Remark(
-        "water",
-        "lengths",
-        "remark",
-        f"water.depth of {experiment.path.name} is {depth:g} m, but {found}",
-        "Dispersion and depth correction would be wrong",
-        "Is it in metres? Leave it out where the waves in view are too short to feel the bottom",
-        {"depth": depth, "lowest": lowest, "distance": distance},
-    )
-
-
-def remark_on_speed(experiment: Experiment, rig: Rig, grid: Grid, pixels: float) -> Iterator[Remark]:
-    """Report water that moves too fast; ``pixels`` is its largest displacement in a step."""
-    speed = pixels * pixel_size(rig, grid) * experiment.frame_rate
-    if speed > _MAX_SPEED:
-        yield Remark(
-            "record",
-            "frame rate",
-            "grave",
-            f"the water moves by {pixels:.0f} px from frame to frame, {speed:.3g} m/s at "
-            f"{experiment.frame_rate:g} Hz",
-            f"No water is that fast (at most {_MAX_SPEED:g} m/s): velocities are wrong by a factor",
-            f"Is frame_rate of {experiment.path.name} in Hz, and the rig in metres?",
-            {"speed": speed},
-        )
-
-
 def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
     """What to call a rig in a message."""
     if isinstance(rig, Rig):
@@ -190,19 +143,15 @@ def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
     return str(rig) if rig is not None else str(experiment.resolve(named or "rig.yaml"))
 
 
-def _middle(camera: Camera) -> tuple[tuple[float, float], np.ndarray]:
-    """Place (x, y) of the middle of an image on the water, and the vector to the camera, metres."""
-    width, height = camera.size
-    x, y = (float(v) for v in camera.unproject(0.5 * (width - 1), 0.5 * (height - 1)))
-    centre = np.asarray(camera.centre, float)
-    if not (np.isfinite(x) and np.isfinite(y)):
-        return (float(centre[0]), float(centre[1])), np.array([0.0, 0.0, centre[2]])
-    return (x, y), centre - (x, y, 0.0)
-
-
 def _distances(rig: Rig) -> list[float]:
     """Distance of each camera from the water in the middle of its image, metres."""
-    return [float(np.linalg.norm(_middle(camera)[1])) for camera in rig.cameras.values()]
+    distances = []
+    for camera in rig.cameras.values():
+        x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))
+        level = np.isfinite(x + y)  # else the middle of the image is above the horizon
+        below = (x, y, 0.0) if level else (*camera.centre[:2], 0.0)
+        distances.append(float(np.linalg.norm(np.subtract(camera.centre, below))))
+    return distances
 
 
 # -- the run

@@ -8,8 +8,9 @@ lost, doubled or late, so that w over dz/dt + u . grad z jumps where time does. 
 Neither uses what the standard uncertainties were computed from.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -37,6 +38,10 @@ FAULTS = {
         "have another size or type than the others",
         "Put the frames of one setting of the camera into one record",
     ),
+    FrameFault.REPEATED: (
+        "equal the frame before them in every pixel",
+        "Copy the recording again, or leave these frames out (`frames`)",
+    ),
 }
 MARGIN_NODES = 3  # from the edge of the grid, where slopes are less accurate
 CHANGING_NOISE = 0.25  # of the variance of z by noise; the rest stays with the beads from frame to frame
@@ -61,40 +66,35 @@ class FrameInspection:
 
     read: tuple[int, ...]  # Indices of the frames that were read
     faults: Mapping[int, tuple[FrameFault, str]]  # Fault and sentence of those that are bad
-    repeated: frozenset[int]  # Indices of those that equal the frame before them in every pixel
-
-    def numbers(self, first: int, fault: FrameFault) -> tuple[int, ...]:
-        """Numbers of the frames with a fault."""
-        return tuple(first + index for index, (kind, _) in self.faults.items() if kind == fault)
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Indices of the frames to read: all of a short record, else those of some random steps."""
+    """Indices of the frames to read: all of a short record, else both ends and those of some random steps."""
     complete = complete_steps(series)
     if len(complete) < MAX_FRAMES_READ_ALL:
         return tuple(range(len(complete) + 1))
     # evenly spaced ones would all be good, or all be bad, where every second frame is
     drawn = np.random.default_rng(0).permutation(np.flatnonzero(complete))[:SAMPLED_STEPS]
-    return tuple(sorted({int(frame) for step in drawn for frame in (step, step + 1)}))
+    return tuple(sorted({0, len(complete), *drawn.tolist(), *(drawn + 1).tolist()}))
 
 
-def inspect_frames(series: FrameSeries, indices: tuple[int, ...]) -> FrameInspection:
-    """Read some frames of a camera and compare each with the one before it, where that was read, too."""
+def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspection:
+    """Read some frames of a camera, and compare each with the one before it if that was read as well."""
     faults: dict[int, tuple[FrameFault, str]] = {}
-    repeated, read = set(), []
-    before, image_before = -2, None
+    read: list[int] = []
+    last: Any = None
     for index in indices:
         if series.entries[index] is None:
             continue
-        read.append(index)
         image, fault, message = series.read(index)
-        alike = image is not None and image_before is not None and np.array_equal(image, image_before)
+        follows = bool(read) and read[-1] == index - 1
+        if follows and image is not None and last is not None and np.array_equal(image, last):
+            fault, message = FrameFault.REPEATED, series.place(index)
         if fault:
             faults[index] = fault, message
-        elif alike and before == index - 1:
-            repeated.add(index)
-        before, image_before = index, image
-    return FrameInspection(tuple(read), faults, frozenset(repeated))
+        read.append(index)
+        last = image
+    return FrameInspection(tuple(read), faults)
 
 
 def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
@@ -104,39 +104,27 @@ def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
 
 
 def remark_on_frames(
-    series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection], sample: tuple[int, ...]
+    series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection]
 ) -> Iterator[Remark]:
     """Report cameras with many bad or repeated frames."""
     for name, found in inspections.items():
-        read = [index for index in found.read if index in set(sample)]
-        if not read:
-            continue
         for fault, (words, remedy) in FAULTS.items():
+            bad = [index for index, (other, _) in found.faults.items() if other == fault]
+            repeated = fault == FrameFault.REPEATED
+            count = sum(index - 1 in found.read for index in found.read) if repeated else len(found.read)
             # one setting of a camera gives frames of one size: a single other one is reported
-            least = 0 if fault == FrameFault.WRONG_SIZE else max(1, MAX_LOST * len(read))
-            bad = [index for index, (other, _) in found.faults.items() if other == fault and index in read]
-            if len(bad) > least:
-                numbers = spell_ranges([series[name].first + index for index in bad], 3)
-                what = f"frames read {words}: frames {numbers} ({found.faults[bad[0]][1]})"
-                yield _bad_frames(name, len(bad), len(read), what, remedy)
-        pairs = sum(index - 1 in read for index in read)
-        if len(found.repeated) > max(1, MAX_LOST * pairs):
-            numbers = spell_ranges([series[name].first + index for index in sorted(found.repeated)], 3)
-            what = f"frames read equal the frame before them in every pixel: frames {numbers}"
-            remedy = "Copy the recording again, or leave these frames out (`frames`)"
-            yield _bad_frames(name, len(found.repeated), pairs, what, remedy)
-
-
-def _bad_frames(name: str, bad: int, count: int, what: str, remedy: str) -> Remark:
-    return Remark(
-        name,
-        "bad frames",
-        "grave" if bad > HALF * count else "remark",
-        f"{bad} of {count} {what}",
-        "Their steps are measured without them, or not at all",
-        remedy,
-        {"bad": bad, "frames": count},
-    )
+            if len(bad) <= (0 if fault == FrameFault.WRONG_SIZE else max(1, MAX_LOST * count)):
+                continue
+            numbers = spell_ranges([series[name].first + index for index in bad], 3)
+            yield Remark(
+                name,
+                "bad frames",
+                "grave" if len(bad) > HALF * count else "remark",
+                f"{len(bad)} of {count} frames read {words}: frames {numbers} ({found.faults[bad[0]][1]})",
+                "Their steps are measured without them, or not at all",
+                remedy,
+                {"bad": len(bad), "frames": count},
+            )
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
