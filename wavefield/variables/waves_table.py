@@ -149,7 +149,7 @@ rows(
 # ---- /coherence ----
 rows("coherence", ("k",), ("valid", "1", "where the waves exceed the noise"), dtype="bool")
 for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
-    _common = "complex; real part: mean over both signs of omega; w and nl add up to tot; may exceed 1"
+    _common = "complex; C of w and of nl add up to C of tot; real part: mean over both signs of omega"
     rows(
         "coherence",
         ("term", *_dims),
@@ -187,9 +187,9 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "z is at frame times; nl is (u - U) . grad z, with the mean current U. `E` is integrated over"
-    " the angle of k; its azimuthal mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by each"
-    " method, corrected for the response in time and, with a gain, in space.",
+    "spectra": "z is taken at frame times; nl is (u - U) . grad z with the mean current U. `E` is integrated"
+    " over the angle of k; its azimuthal mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by"
+    " each method, corrected for the response in time and, with a gain, in space.",
     "coherence": "Coherence of the rate of rise z_t + U . grad z with w, with -(u - U) . grad z and with"
     " their sum. `gamma2` is the squared coherence. For unrelated signals its mean is 1 / `samples`, and it"
     " exceeds `level` in 5 % of cases.",
@@ -197,7 +197,7 @@ GROUPS = {
     "statistics": "Distributions and moments of z and of the displacements over one step.",
     "dispersion": "If no current could be fitted, only the theory is stored.",
     "fusion": "Noise of stereo z and of integrated w, and their best combination.",
-    "direction": "On the dispersion relation, at frequencies that segment and grid resolve; NaN below noise."
+    "direction": "Directions of the energy on the dispersion relation; NaN if it is below the noise."
     " wavespectra reads it: `xarray.open_dataset(store, engine='zarr', group='direction').spec`.",
     "higher_order": "Missing if the record has fewer than four segments.",
 }
