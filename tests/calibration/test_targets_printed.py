@@ -48,7 +48,7 @@ def test_a_board_that_is_symmetric_when_turned_is_noted():
     image, _ = seen((7, 5), 0.05, chessboard((7, 5), 0.05))
     points = find_target(image, Target("chessboard", 0.05, (7, 5)))
     assert "has the same image" in points.notes[0]
-    e1, e2 = SmoothMap(points.node, points.pixel, np.inf).slopes(np.array([[3, 2]]))[0]
+    e1, e2 = SmoothMap(points.node, points.pixel).slopes(np.array([[3, 2]]))[0]
     assert e1[0] > 0
     assert e1[0] * e2[1] - e1[1] * e2[0] < 0
 

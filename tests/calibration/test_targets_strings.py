@@ -79,7 +79,7 @@ def test_crossings_under_the_marks_are_left_out_and_indices_are_right_handed():
     nodes = set(map(tuple, points.node))
     assert (0, 0) not in nodes
     assert (1, 0) not in nodes
-    e1, e2 = SmoothMap(points.node, points.pixel, 5.0).slopes(np.array([[0, 0]]))[0]
+    e1, e2 = SmoothMap(points.node, points.pixel).slopes(np.array([[0, 0]]))[0]
     assert e1[0] * e2[1] - e1[1] * e2[0] < 0  # rows run downwards
 
 

@@ -7,12 +7,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wavefield.calibration.lattice import (
+    MAX_SEEDS,
     Candidates,
     SmoothMap,
     TargetLattice,
     cross,
     independent_pair,
-    map_of_nodes,
     most_central,
 )
 from wavefield.calibration.observations import LIMITS
@@ -97,7 +97,7 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
     """Columns, rows and greys of the pixels of each dot's cell: within half a mesh of it."""
-    half_mesh = 0.5 * SmoothMap(node, pixel, np.inf).slopes(node)
+    half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
     reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
     height, width = image.shape
@@ -126,7 +126,7 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
     """Centroid of the image of a disc (radius in meshes) minus the image of its centre, (n, 2), px."""
-    smooth = map_of_nodes(node, pixel)
+    smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
     a = 2 * np.pi * np.arange(spokes) / spokes
@@ -151,7 +151,7 @@ def right_handed(
     With an image, squares of a chessboard decide: the one between nodes (0, 0) and (1, 1) is dark.
     """
     last = np.array(shape) - 1
-    if cross(*SmoothMap(node, pixel, np.inf).slopes(last[None] / 2)[0]) > 0:
+    if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
     turns = [node, last - node]
     if shape[0] == shape[1]:
@@ -174,7 +174,7 @@ def right_handed(
 
 def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int, int]) -> bool:
     a, b = (v.ravel() for v in np.meshgrid(np.arange(shape[0] - 1), np.arange(shape[1] - 1)))
-    x, y = np.rint(SmoothMap(node, pixel, np.inf)(np.stack([a, b], -1) + 0.5)).astype(int).T
+    x, y = np.rint(SmoothMap(node, pixel)(np.stack([a, b], -1) + 0.5)).astype(int).T
     height, width = image.shape
     grey = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
     even = (a + b) % 2 == 0
@@ -199,13 +199,13 @@ def make_points(
 ) -> TargetPoints:
     """Points with their uncertainty: from noise, or the misfit of a smooth map where that is larger."""
     try:
-        smooth = map_of_nodes(node, pixel)
+        smooth = SmoothMap(node, pixel)
     except ValueError:
         raise CalibrationError("the points found are not on a plane target; photograph it again") from None
     free = max(len(node) - 4 - len(smooth.powers), 1)
     limited = np.minimum(smooth.misfit, 6 * smooth.spread)
     map_std = float(np.sqrt(limited**2 @ np.ones(len(node)) / (2 * free)))
-    inlier = smooth.misfit < max(6 * smooth.spread * 1.2, 0.1)
+    inlier = smooth.inlier()
     if not inlier.all():
         notes = (*notes, f"{(~inlier).sum()} of {len(inlier)} points out of place were left out")
     std = np.maximum(np.broadcast_to(noise, len(node)), map_std)
@@ -222,7 +222,7 @@ def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
             f"{len(rings)} of the three rings that mark origin, x and y were found; all must be in view "
             "and in focus"
         )
-    smooth = map_of_nodes(node, pixel)
+    smooth = SmoothMap(node, pixel)
     for k in range(3):
         origin, one, two = np.roll(rings, -k, 0)
         for x_arm, y_arm in ((one - origin, two - origin), (two - origin, one - origin)):
@@ -232,9 +232,6 @@ def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
             if along_axes and cross(x @ slopes, y @ slopes) < 0:  # rows of images run downwards
                 return np.asarray((node - origin) @ np.stack([x, y], -1))
     raise CalibrationError("the three rings do not stand at a right angle along the rows and columns of dots")
-
-
-MAX_SEEDS = 6  # dots near the middle from which a lattice is grown: one of them may be dirt
 
 
 def find_dots(image: Image, target: Target) -> TargetPoints:

@@ -13,6 +13,7 @@ from wavefield.parabola import parabola_vertex
 from wavefield.rig.lens import Array
 from wavefield.robust import reweighted_lstsq, robust_std
 
+MAX_SEEDS = 12  # nodes near the middle from which a lattice is grown: some of them may be dirt
 REACH = 100  # nodes a lattice may extend from its seed in each direction
 MAX_MISFIT = 0.22  # meshes between a node and its prediction
 MIN_STRENGTH = 0.4  # of a node, relative to those around it
@@ -204,18 +205,19 @@ class TargetLattice:
                 return
 
 
-MIN_NODES_FOR_CUBIC = 40
-RAYLEIGH_MEDIAN = 1.177  # median length of a vector whose components have unit standard deviation
-DIFFERENCE_STEP = 0.05  # meshes
+MIN_NODES_FOR_CUBIC = 40  # four times its coefficients
+OUTLIER_DEVIATIONS = 7.0  # of a node from its smooth map: nodes in order are within six
 
 
 class SmoothMap:
-    """A homography, and a cubic of its pixels for the lens distortion, fitted robustly to nodes (n, 2).
-    Radial distortion is a cubic in pixels, not in indices, whatever the obliquity of the target.
+    """Smooth map from indices of nodes (n, 2) to pixels (n, 2), px, that a few outliers do not change.
+    A homography, and a cubic of its pixels for the lens distortion: radial distortion is a cubic in pixels,
+    not in indices, whatever the obliquity of the target. ValueError if there is no homography.
     """
 
-    def __init__(self, node: ArrayLike, pixel: ArrayLike, tolerance: float) -> None:
+    def __init__(self, node: ArrayLike, pixel: ArrayLike) -> None:
         node, pixel = np.asarray(node, float), np.asarray(pixel, float)
+        tolerance = max(1.0, 0.1 * mesh_length(node, pixel))  # px: distortion is no outlier
         matrix, vote = cv2.findHomography(node, pixel, cv2.RANSAC, tolerance)
         if matrix is None:
             raise ValueError("no homography")
@@ -225,18 +227,23 @@ class SmoothMap:
         degree = 3 if inlier.sum() >= MIN_NODES_FOR_CUBIC else 1
         self.powers = [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
 
-        def spread(misfit: Array) -> float:
-            return robust_std(misfit[inlier]) / RAYLEIGH_MEDIAN + 1e-4
+        def spread(residual: Array) -> float:
+            return robust_std(residual[inlier].ravel()) + 1e-4
 
         def reweight(residual: Array) -> Array:
             misfit = np.hypot(*residual.T)
-            weight: Array = 1.0 / np.sqrt(np.maximum(1.0, misfit / (3.0 * spread(misfit))) ** 3)
+            weight: Array = 1.0 / np.sqrt(np.maximum(1.0, misfit / (3.0 * spread(residual))) ** 3)
             return weight
 
         q = self._homography(node)
         self.cubic, rest = reweighted_lstsq(self._basis(q), pixel - q, inlier.astype(float), reweight, 8)
-        self.misfit: Array = np.hypot(*rest.T)
-        self.spread = spread(self.misfit)  # per axis, px
+        self.misfit: Array = np.hypot(*rest.T)  # distance of each node from its place, px
+        self.spread = spread(rest)  # per axis, px
+
+    def inlier(self, std: Array | float = 0.0) -> Mask:
+        """Which nodes are in their place, to the scatter of all and their own standard uncertainty, px."""
+        out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), 0.1)
+        return out
 
     def _homography(self, node: Array) -> Array:
         q = np.c_[node, np.ones(len(node))] @ self.matrix.T
@@ -256,10 +263,7 @@ class SmoothMap:
     def slopes(self, node: ArrayLike) -> Array:
         """Mesh vectors at nodes, (n, 2, 2): [:, 0] along i, [:, 1] along j, px."""
         node = np.asarray(node, float)
-        steps = DIFFERENCE_STEP * np.eye(2)
-        return np.stack(
-            [(self(node + step) - self(node - step)) / (2 * DIFFERENCE_STEP) for step in steps], 1
-        )
+        return np.stack([self(node + half) - self(node - half) for half in 0.5 * np.eye(2)], 1)
 
 
 def mesh_length(node: Nodes, pixel: Array) -> float:
@@ -269,8 +273,3 @@ def mesh_length(node: Nodes, pixel: Array) -> float:
     if not len(a):
         return 4.0
     return float(np.percentile(np.hypot(*(pixel[a] - pixel[near[a, b]]).T), 1))
-
-
-def map_of_nodes(node: Nodes, pixel: Array) -> SmoothMap:
-    """The smooth map with a tolerance of a tenth of a mesh, one pixel at least."""
-    return SmoothMap(node, pixel, max(1.0, 0.1 * mesh_length(node, pixel)))

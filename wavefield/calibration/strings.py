@@ -5,7 +5,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wavefield.calibration.lattice import (
+    MAX_SEEDS,
     REACH,
+    WINDOW,
     Candidates,
     SmoothMap,
     TargetLattice,
@@ -14,6 +16,7 @@ from wavefield.calibration.lattice import (
     crossings,
     independent_pair,
 )
+from wavefield.calibration.observations import LIMITS
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.string_crossings import WIDTH1, WIDTH2, Crossings, fit_crossings, start_parameters
 from wavefield.calibration.target import Target
@@ -21,8 +24,6 @@ from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 
 SCALES = (1.5, 2.5, 4.0)  # px; a string may be under 2 px wide in one camera and 4 px in another
-MIN_CROSSINGS = 12
-MAX_SEEDS = 12  # per scale
 MIN_SEED_LIGHT = 0.35  # along a seed's vectors, relative to the light of the crossings
 NO_GRID = (
     "no grid of white strings was found in the image; it needs a dark ground, and strings in focus that "
@@ -36,12 +37,12 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
     best_scale, most = SCALES[0], 0.0
     for scale in SCALES:
         candidates = crossings(image, scale)
-        if len(candidates.pixel) < MIN_CROSSINGS:
+        if len(candidates.pixel) < LIMITS.min_nodes:
             continue
         for start, e1, e2 in _seeds(image, candidates):
             lattice = TargetLattice(start, e1, e2)
             lattice.grow(candidates, image.shape[::-1])
-            if len(lattice) < MIN_CROSSINGS:
+            if len(lattice) < LIMITS.min_nodes:
                 continue
             light = _light_along(image, lattice)
             if light > 1.03 * most:
@@ -76,7 +77,7 @@ def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Arr
     height, width = image.shape
     light = _above_ground(image, candidates.scale)
     pixel = candidates.pixel[candidates.strong]
-    if len(pixel) < MIN_CROSSINGS:
+    if len(pixel) < LIMITS.min_nodes:
         return []
     bright = np.median(sample(light, pixel))
     tree = cKDTree(pixel)
@@ -208,11 +209,8 @@ def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
     return quality, DISC_RADII[best], np.maximum(grey, 1e-6)
 
 
-FIRST_BLUR = 0.67  # px: of lens and pixel, before it is fitted
 BLURS = np.array([0.46, 0.51, 0.56, 0.61, 0.67, 0.74, 0.83, 0.945, 1.14])  # px: tried for lens and pixel
 MAX_BLUR_CROSSINGS = 24  # by which the blur is fitted
-MAP_TOLERANCE = 0.15  # meshes
-NEIGHBOURHOOD = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)])
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
@@ -221,36 +219,31 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
     """
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
-    mesh = np.median(np.hypot(*np.moveaxis(lattice.predict(node)[1], -1, 0)))
-    tolerance = MAP_TOLERANCE * mesh
-    node = numbered_from_marks(image, _map(node, pixel, tolerance), node)
-    fit, node, notes = _fitted(image, node, pixel, tolerance, scale)
+    node = numbered_from_marks(image, _map(node, pixel), node)
+    fit, node, notes = _fitted(image, node, pixel, scale)
     height, width = image.shape
     return TargetPoints(node, fit.pixel, fit.std, (width, height), notes)
 
 
 def _fitted(
-    image: Image, node: Nodes, pixel: Array, tolerance: float, scale: float
+    image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
     """Fit all crossings, then those that the lattice lacks; reject; fit once more with the noise found."""
     height, width = image.shape
-    bare = ~_under_marks(node)
-    node, pixel = node[bare], pixel[bare]
-    smooth = _map(node, pixel, tolerance)
-    near = smooth.misfit < tolerance
-    node, pixel = node[near], pixel[near]
-    slopes = smooth.slopes(node)
-    start = start_parameters(pixel, slopes, 0.6 * scale, FIRST_BLUR)
-    fit = fit_crossings(image, start, slopes, FIRST_BLUR)
+    smooth = _map(node, pixel)
+    node = node[~_under_marks(node)]
+    pixel, slopes = smooth(node), smooth.slopes(node)
+    blur = float(np.median(BLURS))
+    fit = fit_crossings(image, start_parameters(pixel, slopes, 0.6 * scale, blur), slopes, blur)
     good = _plausible(fit, pixel, slopes)
-    if good.sum() < MIN_CROSSINGS:
+    if good.sum() < LIMITS.min_nodes:
         raise CalibrationError(NO_GRID)
     noise = _noise(fit, good)
     sigma = float(np.median(fit.sigma[good]))
     blur = _lens_blur(image, fit, slopes, good)
     parameters, node = fit.parameters[good], node[good]
     for _ in range(3):
-        smooth = _map(node, parameters[:, :2], tolerance)
+        smooth = _map(node, parameters[:, :2])
         missing = _missing(node)
         expected = smooth(missing)
         inside = ((expected > 1) & (expected < [width - 2, height - 2])).all(1)
@@ -267,16 +260,15 @@ def _fitted(
             break
     slopes = smooth.slopes(node)
     fit = fit_crossings(image, parameters, slopes, blur, noise)
-    good = _plausible(fit, _map(node, fit.pixel, tolerance)(node), slopes) & _like_neighbours(fit)
+    good = _plausible(fit, _map(node, fit.pixel)(node), slopes) & _like_neighbours(fit)
     good &= ((fit.pixel > -0.5) & (fit.pixel < [width - 0.5, height - 0.5])).all(1)
-    smooth = _map(node[good], fit.pixel[good], tolerance)
-    misfit = np.hypot(*(fit.pixel - smooth(node)).T)
-    good &= misfit < np.maximum(6 * np.hypot(smooth.spread, fit.std) * 1.2, 0.1)
-    if good.sum() < MIN_CROSSINGS:
+    good[good] = _map(node[good], fit.pixel[good]).inlier(fit.std[good])
+    if good.sum() < LIMITS.min_nodes:
         raise CalibrationError(
-            f"only {good.sum()} usable crossings of strings were found; at least {MIN_CROSSINGS} are needed"
+            f"only {good.sum()} usable crossings of strings were found, {LIMITS.min_nodes} at least are "
+            "needed: photograph the target nearer, sharper, or with more of it in view"
         )
-    notes = (f"{len(node) - good.sum()} crossings of {len(node)} left out (hidden, spoilt or out of place)",)
+    notes = (f"{(~good).sum()} crossings of {len(good)} left out (hidden, spoilt or out of place)",)
     return fit.only(good), node[good], notes
 
 
@@ -286,16 +278,16 @@ def _under_marks(node: Nodes) -> Mask:
     return out
 
 
-def _map(node: Nodes, pixel: Array, tolerance: float) -> SmoothMap:
+def _map(node: Nodes, pixel: Array) -> SmoothMap:
     try:
-        return SmoothMap(node, pixel, tolerance)
+        return SmoothMap(node, pixel)
     except ValueError:
         raise CalibrationError(NO_GRID) from None
 
 
 def _missing(node: Nodes) -> Nodes:
-    """Nodes next to the present ones, and holes between them, without those under the marks."""
-    places = around(node, NEIGHBOURHOOD)
+    """Nodes within two of the present ones that were not found, without those under the marks."""
+    places = around(node, WINDOW)
     present = set(map(tuple, node))
     return np.array([n for n in places[~_under_marks(places)] if tuple(n) not in present]).reshape(-1, 2)
 

@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from wavefield.calibration.dots import dot_centres, find_blobs, make_points
 from wavefield.calibration.lattice import Candidates, SmoothMap, TargetLattice, cross, most_central
+from wavefield.calibration.observations import LIMITS
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
@@ -28,7 +29,7 @@ class PlateLevel:
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
         self.node, self.pixel, self.shift = node, pixel, shift
-        self.smooth = SmoothMap(node, pixel, 2.0)
+        self.smooth = SmoothMap(node, pixel)
         slopes = self.smooth.slopes(node)
         self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
 
@@ -148,7 +149,6 @@ def _skewness(patch: Array) -> float:
     return float(np.hypot.reduce(moments) / size**3)
 
 
-MIN_DOTS = 12  # of a level
 MIN_MARK_WIDTH = 4.7  # px, of a dot in place of which a triangle is recognised: dust passes for smaller ones
 MAX_PARALLAX = 0.4  # of a cell: most that the other level's dots may be off the middles
 DECISIVE_FRACTION = 0.4  # of all blobs: a level that has them is taken without further trials
@@ -172,8 +172,8 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
                 best = count, polarity, one, other, centre
     if best is None:
         raise CalibrationError(
-            f"no two levels of at least {MIN_DOTS} dots each were found; the target must be in focus, its "
-            "dots at least five pixels wide"
+            f"no two levels of at least {LIMITS.min_nodes} dots each were found; the target must be in "
+            "focus, its dots at least five pixels wide"
         )
     _, polarity, one, other, centre = best
     for marked, second in ((one, other), (other, one)):
@@ -204,7 +204,7 @@ def _width(level: PlateLevel, target: Target) -> float:
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
     """The largest lattice whose cells have a dot of the other level about their middle."""
-    if len(centre) < 2 * MIN_DOTS:
+    if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
     best, most = None, 0
@@ -212,7 +212,7 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLeve
         for e1, e2 in _repeated_vectors(centre, tree, k):
             lattice = TargetLattice(centre[k], e1, e2)
             lattice.grow(Candidates(centre, area, 1.0), size)
-            if len(lattice) <= max(most, MIN_DOTS - 1):
+            if len(lattice) <= max(most, LIMITS.min_nodes - 1):
                 continue
             level = _without_outliers(lattice.node, lattice.pixel)
             if level is not None and len(level.node) > most and _middles_filled(level, centre):
@@ -228,8 +228,8 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
         level = PlateLevel(node, pixel, shift)
     except (ValueError, np.linalg.LinAlgError):
         return None
-    inlier = level.smooth.misfit < max(6 * level.smooth.spread, 0.05 * level.side)
-    if inlier.sum() < MIN_DOTS:
+    inlier = level.smooth.inlier()
+    if inlier.sum() < LIMITS.min_nodes:
         return None
     return level if inlier.all() else PlateLevel(node[inlier], pixel[inlier], shift)
 
@@ -257,7 +257,7 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
 def _middles_filled(level: PlateLevel, centre: Array) -> bool:
     """Whether the other dots are about the middles of the cells, and not on their edges."""
     rest = _other_dots(level, centre)
-    if len(rest) < MIN_DOTS:
+    if len(rest) < LIMITS.min_nodes:
         return False
     off = np.mod(level.index_of(rest), 1.0) - 0.5
     return bool(np.mean((np.abs(off) < MAX_PARALLAX).all(1)) > 0.8)
@@ -277,7 +277,7 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
     """The other level: dots off the middles of the first one's cells by a parallax that varies slowly."""
     rest = _other_dots(one, centre)
-    if len(rest) < MIN_DOTS:
+    if len(rest) < LIMITS.min_nodes:
         return None
     index = one.index_of(rest)
     off = np.angle(np.exp(2j * np.pi * (index - 0.5)).mean(0)) / (2 * np.pi)
@@ -286,13 +286,13 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
         parallax = index - node - 0.5
         basis = np.c_[np.ones(len(index)), index]
         inlier = (np.abs(parallax - np.median(parallax - off, 0) - off) < 0.22).all(1)
-        if inlier.sum() < MIN_DOTS:
+        if inlier.sum() < LIMITS.min_nodes:
             return None
         off = basis @ np.linalg.lstsq(basis[inlier], parallax[inlier], rcond=None)[0]
     node = np.floor(index - off).astype(np.int64)
     inlier = (np.abs(index - node - 0.5 - off) < 0.15).all(1)
     _, first = np.unique(node[inlier], axis=0, return_index=True)
-    if len(first) < MIN_DOTS:
+    if len(first) < LIMITS.min_nodes:
         return None
     return _without_outliers(node[inlier][first], rest[inlier][first], shift=1)
 
