@@ -19,9 +19,9 @@ from wavefield.rig.rig import Rig
 from wavefield.series.experiment import Experiment
 from wavefield.series.probes import read_probes
 from wavefield.series.proposal import propose
+from wavefield.store.cube import open_cube
 from wavefield.store.export import export
 from wavefield.store.ledger import status
-from wavefield.store.read import open_cube
 from wavefield.store.verify import verify
 from wavefield.store.wave_store import open_waves
 from wavefield.tank.plan import plan

@@ -19,8 +19,8 @@ from wavefield.execution.lock import Lock
 from wavefield.measurement import sample_steps
 from wavefield.pipeline import Workflow, chunk, open_cube, run, status
 from wavefield.store import write_cube
+from wavefield.store.cube import open_stored
 from wavefield.store.layout import PACKING
-from wavefield.store.read import open_stored
 from wavefield.store.verify import verify
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
 from wavefield.waves.record import find_record

@@ -22,7 +22,7 @@ from wavefield.quality.camera_motion import (
 )
 from wavefield.quality.cameras import rms_over_field
 from wavefield.quality.remarks import SIGNIFICANCE
-from wavefield.store.read import open_cube
+from wavefield.store.cube import open_cube
 
 
 @pytest.fixture

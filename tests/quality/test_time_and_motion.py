@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 from wavefield.quality.record import MAX_MISFIT, remark_on_kinematics, rise_ratios, steps_to_leave_out
+from wavefield.store.cube import open_cube
 from wavefield.store.layout import StoreLayout, create_store
-from wavefield.store.read import open_cube
 from wavefield.store.recipe import Recipe
 from wavefield.store.verify import verify
 from wavefield.store.write_cube import clear_steps, write_chunk

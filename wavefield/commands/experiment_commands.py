@@ -25,7 +25,7 @@ from wavefield.commands.sources import (
     is_store,
     source_of_experiment,
 )
-from wavefield.store.store_paths import beside
+from wavefield.store import beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

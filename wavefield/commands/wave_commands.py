@@ -7,7 +7,7 @@ import click
 from wavefield.commands import campaign_commands
 from wavefield.commands.progress import Progress, print_next
 from wavefield.commands.sources import CUBE, FILE, STORE, find_cube
-from wavefield.store.store_paths import beside
+from wavefield.store import beside
 from wavefield.text import short_path
 
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)

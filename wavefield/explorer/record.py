@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
 from wavefield.figures.display import BALANCE, DERIVED
+from wavefield.store import beside
 from wavefield.store.layout import MISSING
 from wavefield.store.preview import read_steps, read_thinned, thinning
 from wavefield.store.read import open_group, read_array, read_layout
-from wavefield.store.store_paths import beside
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus
 
 if TYPE_CHECKING:  # slow to import: the first map does not need it

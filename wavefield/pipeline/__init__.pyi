@@ -6,9 +6,9 @@ from wavefield.pipeline.checking import Check, check
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.running import run
+from wavefield.store.cube import open_cube
 from wavefield.store.export import export
 from wavefield.store.ledger import Status, status
-from wavefield.store.read import open_cube
 
 __all__ = [
     "Check",

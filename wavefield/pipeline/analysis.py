@@ -33,7 +33,8 @@ def _open(cube: "str | Path | xr.Dataset") -> "xr.Dataset":
         raise CubeError(
             f"analyze needs a cube or the path of one, got a {type(cube).__name__}: give the cube itself"
         )
-    from wavefield.store.read import find_store, is_cube, open_stored
+    from wavefield.store.cube import open_stored
+    from wavefield.store.read import find_store, is_cube
 
     cube = find_store(cube)
     if is_cube(cube):  # written by a run
@@ -262,9 +263,9 @@ def write_smoothed(
     import zarr
 
     from wavefield.atomic_write import Product, atomic, check_writable
-    from wavefield.store.read import open_cube
+    from wavefield.store import beside
+    from wavefield.store.cube import open_cube
     from wavefield.store.recipe import source_of, state_of
-    from wavefield.store.store_paths import beside
     from wavefield.variables import CUBE_DIMS
     from wavefield.waves.smooth import smooth
 

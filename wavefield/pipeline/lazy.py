@@ -137,7 +137,7 @@ def reconstruct(
     0.025
     """
     from wavefield.measurement import GridGeometry, Settings, sample_steps
-    from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
+    from wavefield.store import cube as _cube  # noqa: F401  # registers `cube.wavefield`
     from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
 
     settings = Settings() if settings is None else settings

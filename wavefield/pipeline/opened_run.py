@@ -26,9 +26,9 @@ from wavefield.sampling import from_first_to_last
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.frames import CameraMask
 from wavefield.series.masks import covered_series
-from wavefield.store.read import find_store, open_cube
+from wavefield.store import beside
+from wavefield.store.read import find_store
 from wavefield.store.recipe import recipe_of, source_of, state_of
-from wavefield.store.store_paths import beside
 
 if TYPE_CHECKING:  # half a second to import, which a run needs at its end alone
     import xarray as xr
@@ -397,6 +397,8 @@ def open_run(
     ((3, 4), 'basin')
     """
     store = find_store(store)
+    from wavefield.store.cube import open_cube  # xarray, which a run does not need at its start
+
     cube = open_cube(store)
     return Run(
         cube,

@@ -27,13 +27,13 @@ from wavefield.pipeline.prepare import PreparedRun, load_files, prepare, refuse_
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
 from wavefield.series import Experiment, FrameSeries
+from wavefield.store import beside
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
 from wavefield.store.metadata import FINISHED, update_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.recipe import check_recipe
-from wavefield.store.store_paths import beside
 from wavefield.store.verdict import check_verdict
 from wavefield.store.verify import missing_chunks
 from wavefield.store.write_cube import relabel, remove_partial_files, reset_chunks
@@ -104,7 +104,7 @@ def run(
 
     >>> import tempfile
     >>> from wavefield.images import write_image
-    >>> from wavefield.store.read import open_cube
+    >>> from wavefield.store.cube import open_cube
     >>> from wavefield.tank import Scene, Tank
     >>> tank = Tank(Scene.load("demo").with_(rig={"crop": 0.12}, sea={"shortest": 0.15}))
     >>> note = "{name: a, frame_rate: 20, rig: rig.yaml, grid: {x: [-.04, .04], y: [-.06, .06], step: .01}"

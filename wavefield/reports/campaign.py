@@ -11,8 +11,8 @@ from wavefield.atomic_write import Product, identity_of, write_text
 from wavefield.pipeline import open_run
 from wavefield.reports.html import Head, ReportSection, Table, render
 from wavefield.reports.numbers import with_interval
+from wavefield.store import beside
 from wavefield.store.ledger import status
-from wavefield.store.store_paths import beside
 
 # group and variable of the wave store, heading, factor to the displayed unit
 _COLUMNS = (

@@ -15,9 +15,9 @@ from wavefield.reports.html import Head, ReportSection, render
 from wavefield.reports.numbers import RunNumbers, in_light_sheet
 from wavefield.reports.result import attention, recipe, result, run_summary
 from wavefield.reports.waves import nonlinearity, spectra
+from wavefield.store import beside
 from wavefield.store.read import find_store
 from wavefield.store.recipe import source_of
-from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
 
 

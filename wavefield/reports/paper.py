@@ -19,7 +19,8 @@ from wavefield.reports.html import Head, Picture, ReportSection, Table, Text, re
 from wavefield.reports.numbers import number, rms_of
 from wavefield.reports.waves import nonlinearity, spectra
 from wavefield.rig.field import pixel_size
-from wavefield.store.read import find_store, open_cube
+from wavefield.store.cube import open_cube
+from wavefield.store.read import find_store
 from wavefield.store.recipe import source_of
 from wavefield.waves import plane_coherence
 

@@ -15,7 +15,7 @@ from wavefield.errors import StoreError
 from wavefield.series.clocks import frame_departures
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
-from wavefield.store.read import open_cube
+from wavefield.store.cube import open_cube
 from wavefield.variables import TABLE
 
 CHUNK_BYTES = 100_000_000  # read at once

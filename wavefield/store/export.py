@@ -10,8 +10,8 @@ import numpy as np
 
 from wavefield.atomic_write import Product, atomic, check_writable
 from wavefield.errors import StoreError
+from wavefield.store.cube import open_cube
 from wavefield.store.ledger import unfinished_note
-from wavefield.store.read import open_cube
 from wavefield.store.recipe import recipe_of, source_of
 from wavefield.variables import CUBE_DIMS, TABLE, Quality
 

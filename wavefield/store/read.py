@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import zarr
@@ -12,16 +12,9 @@ from zarr.storage import LocalStore
 
 from wavefield.atomic_write import MARK_ATTRIBUTE
 from wavefield.errors import StoreError
-from wavefield.store.layout import CHUNKED, PACKING, CubeGroup, StoreLayout, chunk_path, named_damage
-from wavefield.store.metadata import CHECKSUM, FINISHED, read_metadata
+from wavefield.store.layout import CHUNKED, CubeGroup, StoreLayout, chunk_path, named_damage
+from wavefield.store.metadata import FINISHED, read_metadata
 from wavefield.text import one_line
-from wavefield.variables import CUBE_FIELDS, TABLE, annotate
-from wavefield.water import stated_water
-
-if TYPE_CHECKING:  # not needed by workers, and slow to import
-    import xarray as xr
-
-Chunks = dict[str, int] | int | Literal["auto"] | None
 
 
 class CubeStore(LocalStore):
@@ -130,90 +123,3 @@ def read_layout(group: Any) -> StoreLayout:
         cameras=tuple(group.attrs["cameras"]),
         first_frame=int(group["frame"][0]),
     )
-
-
-def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
-    """Open a cube, lazily.
-
-    Parameters
-    ----------
-    path : path
-        Store written by `run`, or a folder that holds one.
-    chunks : optional
-        As in `xarray.open_zarr`; by default one Dask chunk per chunk.
-
-    Returns
-    -------
-    Dataset
-        The variables of `wavefield.variables`, attributes with the recipe. Steps not yet measured, and those
-        over frames that the run found lost, doubled or late (``frame_status`` 4), are NaN. The values are
-        those that ``xarray.open_zarr(path)`` gives. The names of the cameras and the response to waves
-        (``gain_z``, ...) are coordinates. Every field has ``path_frames`` and the stated depth of the water
-        as attributes, so that ``cube.w`` keeps them. The recipe, the rig, the response and the flags of
-        `quality` are read with ``cube.wavefield``.
-
-    Raises
-    ------
-    StoreError
-        If it is not there, is not a cube, or its metadata are damaged. A file that is missing or damaged
-        raises the same error when it is read.
-
-    Examples
-    --------
-    A cube of ten steps in chunks of four.
-
-    >>> import wavefield as wf
-    >>> cube = wf.open_cube("cube.zarr")
-    >>> cube.z.dims, cube.z.shape, cube.z.chunks[0]
-    (('time', 'y', 'x'), (10, 3, 4), (4, 4, 2))
-    """
-    from wavefield.store import accessor  # noqa: F401  # registers `cube.wavefield`
-    from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
-
-    stored = open_stored(path, chunks)
-    stored = stored.reset_coords("path_frames")  # a coordinate in cubes of version 1.0
-    stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])
-    order = dict.fromkeys((*CUBE_FIELDS, *stored.data_vars))
-    cube = stored[list(order)].assign_coords(stored.coords)
-    cube = cube.assign_coords(camera=("camera", np.array(stored.attrs["cameras"]), TABLE["camera"].attrs))
-    cube.encoding.pop("coordinates", None)
-    for name in PACKING:
-        if cube[name].dtype == "float64":  # as 16-bit values are unpacked
-            cube[name] = cube[name].astype("float32")
-    # a variable that is taken out of the cube keeps them, and plots do not name them in their titles
-    stated = {"path_frames": int(cube["path_frames"]), **stated_water(cube.attrs)}
-    for name in CUBE_FIELDS:
-        cube[name].attrs |= stated
-    return annotate(cube)
-
-
-def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
-    """Open all that a cube's store holds, as it is stored; parameters and errors as of `open_cube`."""
-    import xarray as xr
-
-    from wavefield.store.lazy_variable import named_variable
-
-    path = find_store(path)
-    layout = read_layout(open_group(path))
-    if chunks == "auto":
-        chunks = {"time": layout.chunk_steps}
-    try:
-        found: xr.Dataset = xr.open_zarr(CubeStore(path, read_only=True), chunks=None)
-    except StoreError:
-        raise
-    except Exception as error:  # whatever a library makes of damaged bytes
-        raise StoreError(f"{path} is damaged ({one_line(error)[:200]}); copy the cube again") from None
-    lazy = {
-        name: named_variable(path / str(name), one)
-        for name, one in found.variables.items()
-        if name not in found.xindexes
-    }
-    out = found.assign({name: lazy[name] for name in found.data_vars})
-    out = out.assign_coords({name: lazy[name] for name in lazy if name in found.coords})
-    for name in (CHECKSUM, FINISHED):  # of the store, not of the measurement
-        out.attrs.pop(name, None)
-    out.encoding["source"] = str(path)
-    if chunks is None:
-        return out
-    changed = (path / "zarr.json").stat().st_mtime_ns
-    return out.chunk(chunks, token=f"{path.absolute()} {changed}")

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from wavefield.atomic_write import check_replaceable, write_text
 from wavefield.errors import StoreError
 from wavefield.file_access import refuse_pipe
-from wavefield.store.store_paths import beside
+from wavefield.store import beside
 from wavefield.text import full_stop, one_line
 
 Weight = Literal["note", "remark", "grave"]

@@ -10,7 +10,7 @@ import numpy as np
 from wavefield.atomic_write import has_mark, read_mark
 from wavefield.errors import StoreError
 from wavefield.store.layout import CHUNKED, CubeGroup, StoreLayout, chunk_path
-from wavefield.store.read import find_store, is_cube, open_group, open_stored, read_layout
+from wavefield.store.read import find_store, is_cube, open_group, read_layout
 from wavefield.store.write_cube import reset_chunks
 from wavefield.text import spell_ranges
 
@@ -101,6 +101,8 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     >>> [(damage.variable, damage.what) for damage in verify(copy).damages]
     [('z', 'missing')]
     """
+    from wavefield.store.cube import open_stored  # xarray, which a run does not need at its start
+
     path = find_store(store)
     if path.is_dir() and not is_cube(path) and has_mark(path):
         sound = read_mark(path) is not None

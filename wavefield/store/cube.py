@@ -1,0 +1,190 @@
+"""A cube as an xarray Dataset: opened lazily, with ``cube.wavefield``, and errors that name the file."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from xarray.backends import BackendArray
+from xarray.core import indexing
+
+from wavefield.errors import StoreError
+from wavefield.rig.camera import Camera
+from wavefield.rig.rig import Rig
+from wavefield.store.layout import PACKING, named_damage
+from wavefield.store.metadata import CHECKSUM, FINISHED
+from wavefield.store.read import CubeStore, find_store, open_group, read_layout
+from wavefield.store.recipe import recipe_of
+from wavefield.text import one_line
+from wavefield.variables import CUBE_FIELDS, TABLE, Quality, annotate
+from wavefield.water import stated_water
+
+Chunks = dict[str, int] | int | Literal["auto"] | None
+
+
+def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
+    """Open a cube, lazily.
+
+    Parameters
+    ----------
+    path : path
+        Store written by `run`, or a folder that holds one.
+    chunks : optional
+        As in `xarray.open_zarr`; by default one Dask chunk per chunk.
+
+    Returns
+    -------
+    Dataset
+        The variables of `wavefield.variables`, attributes with the recipe. Steps not yet measured, and those
+        over frames that the run found lost, doubled or late (``frame_status`` 4), are NaN. The values are
+        those that ``xarray.open_zarr(path)`` gives. The names of the cameras and the response to waves
+        (``gain_z``, ...) are coordinates. Every field has ``path_frames`` and the stated depth of the water
+        as attributes, so that ``cube.w`` keeps them. The recipe, the rig, the response and the flags of
+        `quality` are read with ``cube.wavefield``.
+
+    Raises
+    ------
+    StoreError
+        If it is not there, is not a cube, or its metadata are damaged. A file that is missing or damaged
+        raises the same error when it is read.
+
+    Examples
+    --------
+    A cube of ten steps in chunks of four.
+
+    >>> import wavefield as wf
+    >>> cube = wf.open_cube("cube.zarr")
+    >>> cube.z.dims, cube.z.shape, cube.z.chunks[0]
+    (('time', 'y', 'x'), (10, 3, 4), (4, 4, 2))
+    """
+    from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
+
+    stored = open_stored(path, chunks)
+    stored = stored.reset_coords("path_frames")  # a coordinate in cubes of version 1.0
+    stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])
+    order = dict.fromkeys((*CUBE_FIELDS, *stored.data_vars))
+    cube = stored[list(order)].assign_coords(stored.coords)
+    cube = cube.assign_coords(camera=("camera", np.array(stored.attrs["cameras"]), TABLE["camera"].attrs))
+    cube.encoding.pop("coordinates", None)
+    for name in PACKING:
+        if cube[name].dtype == "float64":  # as 16-bit values are unpacked
+            cube[name] = cube[name].astype("float32")
+    # a variable that is taken out of the cube keeps them, and plots do not name them in their titles
+    stated = {"path_frames": int(cube["path_frames"]), **stated_water(cube.attrs)}
+    for name in CUBE_FIELDS:
+        cube[name].attrs |= stated
+    return annotate(cube)
+
+
+def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
+    """Open all that a cube's store holds, as it is stored; parameters and errors as of `open_cube`."""
+    path = find_store(path)
+    layout = read_layout(open_group(path))
+    if chunks == "auto":
+        chunks = {"time": layout.chunk_steps}
+    try:
+        found: xr.Dataset = xr.open_zarr(CubeStore(path, read_only=True), chunks=None)
+    except StoreError:
+        raise
+    except Exception as error:  # whatever a library makes of damaged bytes
+        raise StoreError(f"{path} is damaged ({one_line(error)[:200]}); copy the cube again") from None
+    lazy = {
+        name: named_variable(path / str(name), one)
+        for name, one in found.variables.items()
+        if name not in found.xindexes
+    }
+    out = found.assign({name: lazy[name] for name in found.data_vars})
+    out = out.assign_coords({name: lazy[name] for name in lazy if name in found.coords})
+    for name in (CHECKSUM, FINISHED):  # of the store, not of the measurement
+        out.attrs.pop(name, None)
+    out.encoding["source"] = str(path)
+    if chunks is None:
+        return out
+    changed = (path / "zarr.json").stat().st_mtime_ns
+    return out.chunk(chunks, token=f"{path.absolute()} {changed}")
+
+
+class _NamedArray(BackendArray):
+    """A lazy array of a store; what goes wrong when it is read is a `StoreError` with its path."""
+
+    def __init__(self, path: Path, variable: xr.Variable) -> None:
+        self.path, self.variable = path, variable
+        self.shape, self.dtype = variable.shape, variable.dtype
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> np.ndarray:
+        support = indexing.IndexingSupport.OUTER
+        out: np.ndarray = indexing.explicit_indexing_adapter(key, self.shape, support, self._read)
+        return out
+
+    def _read(self, key: tuple[Any, ...]) -> np.ndarray:
+        with named_damage(self.path):
+            return np.asarray(self.variable[key].values)
+
+
+def named_variable(path: Path, variable: xr.Variable) -> xr.Variable:
+    """The same lazy variable; errors on reading it name the path of its array."""
+    data = indexing.LazilyIndexedArray(_NamedArray(path, variable))
+    return xr.Variable(variable.dims, data, variable.attrs, variable.encoding)
+
+
+@xr.register_dataset_accessor("wavefield")
+class CubeAccessor:
+    """Properties of a cube other than its fields, as ``cube.wavefield``.
+
+    Parameters
+    ----------
+    cube : Dataset
+        Of `open_cube`, `reconstruct` or ``xr.open_dataset("cube.zarr", engine="wavefield")``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> quality = np.full((1, 2, 2), int(Quality.MEASURED), np.uint16)
+    >>> quality[0, 0, 0] = int(Quality.FILLED | Quality.MASKED)
+    >>> cube = xr.Dataset({"quality": (("time", "y", "x"), quality)})
+    >>> cube.wavefield.flagged("masked").values.tolist()
+    [[[True, False], [False, False]]]
+    """
+
+    def __init__(self, cube: xr.Dataset) -> None:
+        self._cube = cube
+
+    def flagged(self, name: str) -> xr.DataArray:
+        """Nodes whose `quality` has a flag.
+
+        Parameters
+        ----------
+        name : str
+            One of the ``flag_meanings`` of `quality`, such as "measured", "filled" or "masked".
+
+        Returns
+        -------
+        DataArray of bool, (time, y, x)
+
+        Raises
+        ------
+        ValueError
+            If there is no such flag.
+        """
+        flags = {flag.name.lower(): flag for flag in Quality if flag.name}
+        if name not in flags:
+            raise ValueError(f"quality has no flag {name!r}; it has {', '.join(flags)}")
+        found: xr.DataArray = (self._cube["quality"] & int(flags[name])) != 0
+        return found.rename(name)
+
+    @property
+    def gain(self) -> xr.Dataset:
+        """Response of the measurement to waves, (direction, k): what it keeps of their amplitude."""
+        names = [f"gain_{name}" for name in "zuvw" if f"gain_{name}" in self._cube]
+        return self._cube[names].reset_coords(names)
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """What the cube was made from: images, rig, grid, settings, versions; empty if it is not stated."""
+        return recipe_of(self._cube.attrs)
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras that measured; none if the cube does not state them."""
+        cameras = self.recipe.get("rig", {})
+        return Rig({name: Camera.from_dict(camera) for name, camera in cameras.items()})
