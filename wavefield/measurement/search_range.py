@@ -16,7 +16,6 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import ready, usable
 from wavefield.measurement.rectify import rectify
 from wavefield.measurement.settings import Settings
-from wavefield.variables import Quality
 
 
 @dataclass(frozen=True)
@@ -85,16 +84,6 @@ def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, floa
     """Displacements that matching in time reaches, along x and y, px."""
     reach = (-4.0, 4.0)  # of the pyramid without a search, px
     return settings.piv.search_x or reach, settings.piv.search_y or reach
-
-
-def beyond(settings: Settings, moved: NDArray[np.float64]) -> bool:
-    """Whether most of the displacements (n, 2), px, are outside the search range."""
-    if len(moved) < 3:
-        return False
-    out = np.zeros(len(moved), bool)
-    for along, (low, high) in zip(moved.T, searched(settings)):
-        out |= (along < low) | (along > high)
-    return bool(out.mean() > 0.5)
 
 
 COARSE_PX = 2  # averaged along each side: how differently cameras see a bead matters less
@@ -251,7 +240,6 @@ def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometr
 
 BORDER_FRACTION = 0.03  # of the range of elevations at either end
 MIN_FRACTION_AT_BORDER = 0.01  # of the nodes
-MIN_MEASURED_FRACTION = 0.5  # of the nodes in view
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
@@ -268,35 +256,3 @@ def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
     spare = BORDER_FRACTION * (searched[1] - searched[0])
     outside = (known < searched[0] + spare) | (known > searched[1] - spare)
     return bool(outside.mean() > MIN_FRACTION_AT_BORDER)
-
-
-def few_measured(quality: NDArray[np.uint8]) -> bool:
-    """Whether fewer than half of the nodes in view were measured."""
-    seen = (quality & np.uint8(Quality.OUTSIDE)) == 0
-    measured = (quality[seen] & np.uint8(Quality.MEASURED)) != 0
-    return bool(measured.size) and bool(measured.mean() < MIN_MEASURED_FRACTION)
-
-
-def rose_beyond(images: Mapping[str, NDArray[Any] | None], geometry: GridGeometry) -> bool:
-    """Whether the water of an instant is outside the search range, according to a wider search."""
-
-    def read(name: str, _: int) -> NDArray[Any] | None:
-        image = images.get(name)
-        if image is None or not usable(image, geometry.rig[name].size):
-            return None
-        return ready(image, geometry.sights[name].binning)
-
-    found = first_heights(read, geometry, [0])
-    return bool(found.found) and (found.z[0] < geometry.z_range[0] or found.z[1] > geometry.z_range[1])
-
-
-def moved_beyond(
-    one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, geometry: GridGeometry
-) -> bool:
-    """Whether a camera's image moved beyond the search range, according to a wider search."""
-    size, count = geometry.rig[name].size, geometry.sights[name].binning
-    if one is None or other is None or not usable(one, size) or not usable(other, size):
-        return False
-    a, b = (np.asarray(ready(image, count), np.float32) for image in (one, other))
-    moved = shifts(a, b)
-    return beyond(geometry.settings, confirmed(moved[:, :2]))

@@ -229,7 +229,7 @@ _BIN_EDGES = np.linspace(-5, 5, 101)  # rms
 def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     """Errors of pairs of cameras, each measured alone at some steps; None where no step can be.
 
-    Returns rms, rms_all, beyond (error,), density (error, bin), with the coordinates quantity, cameras and
+    Returns rms, beyond (error,), density (error, bin), with the coordinates quantity, cameras and
     units (error,): ``eps_y``, ``sigma_z``, ``eps_piv`` of pairs; ``z``, ``dx``, ``dy``, ``dz`` of one pair
     minus another; ``z_recombined``, z of a direct pair recombined from two minus z measured directly.
     """
@@ -262,7 +262,6 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     return xr.Dataset(
         {
             "rms": ("error", np.array(rms)),
-            "rms_all": ("error", [float(np.sqrt(np.mean(v**2))) if v.size else np.nan for v in finite]),
             "beyond": ("error", np.array(beyond)),
             "density": (("error", "bin"), [_density(v, one) for v, one in zip(finite, rms)]),
         },

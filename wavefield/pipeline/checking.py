@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -335,16 +335,15 @@ def check(
     ]
     if trial and trial.cost.free < MIN_FREE_SHARE * trial.cost.disk:
         remarks.append(_remark_on_disk(trial.cost))
+    if prepared and coverage is not None:
+        remarks += [remark_on_rest(prepared.experiment, prepared.rig), *remark_on_coverage(coverage)]
     delays = ""
     if trial and faults:
         remarks += faults.remarks
         if not any(one.weight == "grave" for one in faults.remarks):
             found = _synchrony(trial)
             delays = spell_delays(found.delays)
-            remarks += remarks_on_clocks(found)
-    if prepared:
-        wrong = _grave_cameras(prepared, faults.remarks if faults else ())
-        remarks += _remarks_on_trial(prepared, coverage or 0.0, trial.fields if trial else {}, wrong)
+            remarks += [*remarks_on_clocks(found), *remarks_on_fields(trial.fields)]
     verdict = Verdict.of(remarks) if remarks else None
     if faults:
         verdict = Verdict.of(remarks, faults.pairs, faults.frames)
@@ -372,22 +371,6 @@ def _synchrony(trial: Trial) -> Synchrony:
     fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
     cube, first = xr.Dataset(fields), trial.start
     return synchrony_of(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
-
-
-def _remarks_on_trial(
-    prepared: PreparedRun, coverage: float, fields: Mapping[str, NDArray[Any]], wrong: Sequence[Remark]
-) -> Iterator[Remark]:
-    """Remarks on rig and grid, and on the fields of the step tried unless a camera is faulty."""
-    yield remark_on_rest(prepared.experiment, prepared.rig)
-    yield from remark_on_coverage(coverage)
-    if fields and not wrong:
-        yield from remarks_on_fields(fields)
-
-
-def _grave_cameras(prepared: PreparedRun, remarks: Iterable[Remark]) -> list[Remark]:
-    """Grave remarks on single cameras."""
-    cameras = set(prepared.rig)
-    return [one for one in remarks if one.weight == "grave" and one.subject in cameras]
 
 
 def _remark_on_disk(cost: Cost) -> Remark:

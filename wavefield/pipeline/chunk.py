@@ -162,7 +162,7 @@ def measure_chunk(
     fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures, terms))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, chunk, geometry)
-    _find_ranges(frames, fields, status, chunk, geometry)
+    _find_high_water(frames, fields["z"], status, chunk, geometry)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
     return Measured(fields, status, faults, messages)
@@ -185,36 +185,23 @@ def _find_dim_frames(
                     lazy.messages[index] = f"{name} frame at index {index} is nearly blank"
 
 
-def _find_ranges(
+def _find_high_water(
     frames: Mapping[str, ChunkFrames],
-    fields: Mapping[str, np.ndarray],
+    z: np.ndarray,
     status: np.ndarray,
     chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
-    """Mark frames after which the water left the range that is searched; their steps have faults."""
-    from wavefield.measurement.search_range import at_border, few_measured, moved_beyond, rose_beyond
+    """Mark the frames of steps whose water reaches an end of the range of elevations that is searched."""
+    from wavefield.measurement.search_range import at_border
 
-    def mark(name: str, step: int, words: str) -> None:
-        index = chunk.start + step
-        frames[name].faults.setdefault(index, FrameFault.RANGE)
-        frames[name].messages.setdefault(index, f"{name} frame at index {index}: {words}")
-        status[step] = max(status[step], FrameStatus.DONE_WITH_FAULTS)
-
-    for step in range(len(status)):
-        quality = fields["quality"][step]
-        if status[step] != FrameStatus.FAILED and at_border(fields["z"][step], geometry.z_range):
-            mark(geometry.reference, step, "the water reaches the border of the elevations searched")
-        if status[step] == FrameStatus.FAILED and rose_beyond(
-            {name: lazy[step + AROUND] for name, lazy in frames.items()}, geometry
-        ):
-            mark(geometry.reference, step, "the water is beyond the elevations that are searched")
-        if few_measured(quality) or status[step] == FrameStatus.FAILED:
-            for name in geometry.velocity_cameras:
-                if name in frames and moved_beyond(
-                    frames[name][step + AROUND], frames[name][step + AROUND + 1], name, geometry
-                ):
-                    mark(name, step, "the water moves further than is searched")
+    for step in np.flatnonzero(status != FrameStatus.FAILED).tolist():
+        if at_border(z[step], geometry.z_range):
+            index, reference = chunk.start + step, frames[geometry.reference]
+            sentence = "the water reaches the border of the elevations searched"
+            reference.faults.setdefault(index, FrameFault.RANGE)
+            reference.messages.setdefault(index, f"{geometry.reference} frame at index {index}: {sentence}")
+            status[step] = FrameStatus.DONE_WITH_FAULTS
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def steps_with_waves(
         first, second = (layout.sampled(name, frame) for frame in (k, k + 1))
         if first is None or second is None:
             return np.zeros((0, 2))
-        moved = compare(first[::4], second[::4])  # some thirty patches suffice
+        moved = compare(first[::2], second[::2])  # some thirty patches suffice
         assert moved is not None
         return moved[np.isfinite(moved[:, 0])]
 

@@ -34,7 +34,7 @@ Pair = tuple[str, str]
 SIDE = 32  # px of a patch
 REACH = 40  # px: search radius of a patch
 WHOLE = SIDE + 2 * REACH
-MAX_PATCHES = 120
+MAX_PATCHES = 60  # over the field; sound records of 15 are judged without false alarms
 MIN_CORRELATION = 0.5  # of patches that show the same water
 BACKGROUND_PX = 31  # wider structures are not details
 INCONSISTENT = ("mirrored", "swapped", "offset", "disagree")  # kinds of remark on cameras that match none
@@ -88,25 +88,29 @@ class PatchMatcher:
         return self._maps[name]
 
     def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """Patches of one image with their surroundings, (n, WHOLE, WHOLE) grey levels.
+        """Patches of one image with their surroundings, (n, WHOLE, WHOLE) grey levels; kept for later calls.
         The image may be flipped (`change`) and taken `through` the lens of another camera.
         """
         key = (name, frame, change, through)
         if key not in self._patches:
-            self._patches[key] = self.sampled(name, frame, change, through)
+            self._patches[key] = self.sampled(*key)
         return self._patches[key]
 
     def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """As `patches`, without caching."""
+        """As `patches`, without keeping them."""
         image = self.read(name, frame)
         if image is not None and change:
             image = np.asarray(image)[FLIPS[change]]
         return _sampled(image, *self._map(through or name))
 
-    def contrast(self, name: str, frame: int) -> Array | None:
-        """Standard deviation of each patch, grey levels."""
+    def textured(self, name: str, frame: int) -> NDArray[np.bool_]:
+        """Patches (n,) in which a camera shows something: a fifth of its usual contrast at least."""
         patches = self.patches(name, frame)
-        return None if patches is None else np.nan_to_num(middle(patches).std(axis=(1, 2)).astype(float))
+        if patches is None:
+            return np.zeros(len(self.x), bool)
+        contrast = np.nan_to_num(middle(patches).std(axis=(1, 2)).astype(float))
+        some = contrast[contrast > 0.5]
+        return np.asarray(contrast > 0.2 * (np.median(some) if some.size else np.inf))
 
     def across(self, pair: Pair) -> tuple[Array, Array]:
         """Unit vectors along and across the parallax of two cameras, each (n, 2)."""
@@ -201,19 +205,6 @@ def rms_over_field(smooth: Array) -> float:
     return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 
-def grounds(patch_matcher: PatchMatcher, frame: int, names: Sequence[str]) -> Mapping[str, NDArray[np.bool_]]:
-    """Patches (n,) in which each camera shows something: contrast of a fifth of its median at least."""
-    out = {}
-    for name in names:
-        contrast = patch_matcher.contrast(name, frame)
-        if contrast is not None and len(contrast):
-            usual = np.median(contrast[contrast > 0.5]) if (contrast > 0.5).any() else np.inf
-            out[name] = contrast > 0.2 * usual
-        else:
-            out[name] = np.zeros(len(patch_matcher.x), bool)
-    return out
-
-
 class ConsistencyTable:
     """Agreements of all pairs at all instants."""
 
@@ -224,7 +215,8 @@ class ConsistencyTable:
         self.pairs: list[Pair] = list(combinations(names, 2))
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # lays out its lens
-            self.grounds = dict(zip(frames, pool.map(lambda k: grounds(patch_matcher, k, names), frames)))
+            textured = pool.map(lambda k: {name: patch_matcher.textured(name, k) for name in names}, frames)
+            self.grounds = dict(zip(frames, textured))
             found = list(pool.map(lambda k: [self.compare(pair, k) for pair in self.pairs], frames))
             blurs = list(pool.map(lambda k: [blur(patch_matcher.read(name, k)) for name in names], frames))
         self.found: dict[Pair, list[PairConsistency]] = dict(zip(self.pairs, map(list, zip(*found))))
@@ -247,11 +239,6 @@ class ConsistencyTable:
     def level(self) -> float:
         """Fraction of matched patches above which two cameras agree: half of that of the best pair."""
         return max(MIN_AGREEMENT, HALF * max(score(found) for found in self.found.values()))
-
-    def good(self) -> list[Pair]:
-        """Pairs of cameras that agree."""
-        limit = self.level()
-        return [pair for pair, found in self.found.items() if score(found) >= limit]
 
     def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
         """Of every pair, over time."""
@@ -290,15 +277,6 @@ def blur(image: NDArray[np.generic] | None) -> float:
     return float(np.mean(sizes)) if sizes else float("nan")
 
 
-def covered(table: ConsistencyTable, name: str) -> list[float]:
-    """Fraction of the patches in which a camera shows nothing where another shows something."""
-    out = []
-    for ground in table.grounds.values():
-        others = np.mean([ground[other] for other in table.names if other != name], axis=0) > 0.5
-        out.append(float((others & ~ground[name]).sum() / max(others.sum(), 1)))
-    return out
-
-
 @dataclass(frozen=True)
 class CameraFaults:
     """Result of `find_camera_faults`."""
@@ -332,7 +310,11 @@ def find_camera_faults(
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
     for name in table.names:
-        fraction = float(np.median(covered(table, name)))
+        covered = []
+        for ground in table.grounds.values():
+            others = np.mean([ground[other] for other in table.names if other != name], axis=0) > 0.5
+            covered.append((others & ~ground[name]).sum() / max(others.sum(), 1))
+        fraction = float(np.median(covered))
         if fraction > MAX_LOST:
             yield Remark(
                 name,
@@ -371,19 +353,16 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
     """Cameras that agree with none, and what explains it."""
-    good = table.good()
-    if len(good) == len(table.pairs):
-        return set(), []
-    inconsistent = {name for name in table.names if not any(name in pair for pair in good)}
-    if not inconsistent:  # a wide pair may see too different pictures; each still agrees with a third
-        return set(), []
     level = table.level()
+    good = [pair for pair, found in table.found.items() if score(found) >= level]
+    # two cameras far apart may see too different pictures, while each agrees with a third
+    inconsistent = {name for name in table.names if not any(name in pair for pair in good)}
     consistent = [name for name in table.names if name not in inconsistent]
     remarks = [
         _explain(table, name, consistent or [n for n in table.names if n != name], level, count)
         for name in sorted(inconsistent)
     ]
-    if not consistent:  # nobody agrees with anybody: what is explained goes first
+    if inconsistent and not consistent:  # nobody agrees with anybody: what is explained goes first
         remarks = [one for one in remarks if one.kind != "disagree"][:1] or [_disagree(table)]
     return inconsistent, remarks
 

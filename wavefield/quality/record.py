@@ -43,7 +43,6 @@ FAULTS = {
         "Copy the recording again, or leave these frames out (`frames`)",
     ),
 }
-MARGIN_NODES = 3  # from the edge of the grid, where slopes are less accurate
 CHANGING_NOISE = 0.25  # of the variance of z by noise; the rest stays with the beads from frame to frame
 COMPARED = ["z", "z_t", "u", "v", "w", "z_std", "u_std", "v_std", "w_std"]
 PATH_REACH = 2  # steps: the six frames of a step reach so many steps to either side
@@ -273,16 +272,10 @@ def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, r
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.abs(residual) / np.sqrt(variance)
-    usable = measured & _inner(measured) & np.isfinite(ratio)
+    usable = measured & np.isfinite(ratio)
     return np.array(
         [PER_MEDIAN * np.median(r[ok]) if ok.sum() >= MIN_NODES else np.nan for r, ok in zip(ratio, usable)]
     )
-
-
-def _inner(mask: Mask) -> Mask:
-    out = np.zeros_like(mask)
-    out[:, MARGIN_NODES:-MARGIN_NODES, MARGIN_NODES:-MARGIN_NODES] = True
-    return out
 
 
 @dataclass(frozen=True)

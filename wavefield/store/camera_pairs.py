@@ -18,7 +18,6 @@ register(
     Variable(
         "rms", ("error",), "", "rms of an error, without values beyond three times the rms", group=GROUP
     ),
-    Variable("rms_all", ("error",), "", "rms of an error", group=GROUP),
     Variable("beyond", ("error",), "1", "fraction of values beyond three times the rms", group=GROUP),
     Variable(
         "density",
