@@ -14,8 +14,8 @@ _LEAST_MEMORY = 500_000_000  # bytes of a worker: with its libraries alone it ha
 class Between(ConfigSection):
     """Least and greatest number of workers; more than the least are requested while chunks wait."""
 
-    minimum: int = Field(ge=1, examples=["2"], description="workers to ask for at once")
-    maximum: int = Field(ge=1, examples=["40"], description="most workers")
+    minimum: int = Field(ge=1, examples=["2"], description="workers requested at once")
+    maximum: int = Field(ge=1, examples=["40"], description="upper limit, requested while work is waiting")
 
     @model_validator(mode="after")
     def _ordered(self) -> "Between":
@@ -46,10 +46,10 @@ class Workflow(ConfigSection):
         description="worker processes; auto: one per core",
     )
     memory: str | None = Field(
-        default=None, examples=["2 GB"], description="limit of a worker; beyond it the worker is replaced"
+        default=None, examples=["2 GB"], description="limit of a worker; above it, the worker is replaced"
     )
     address: str | None = Field(
-        default=None, examples=["tcp://host:8786"], description="of a running scheduler"
+        default=None, examples=["tcp://host:8786"], description="address of a running scheduler"
     )
     slurm: dict[str, Any] = Field(
         default_factory=dict,

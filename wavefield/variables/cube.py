@@ -133,7 +133,7 @@ register(
             ("w", "vertical velocity", "upward_sea_water_velocity"),
         )
     ),
-    _cube("eps_y", "m", "stereo mismatch across the sight line"),
+    _cube("eps_y", "m", "epipolar error, as a distance on z = 0"),
     _cube("eps_piv", "pixel", "misfit of the cameras' displacements"),
     _cube("z_std", "m", "standard uncertainty of z", meaning="excludes `z_level_std`"),
     Variable(
@@ -147,8 +147,8 @@ register(
     _cube("u_std", "m s-1", "standard uncertainty of u"),
     _cube("v_std", "m s-1", "standard uncertainty of v"),
     _cube("w_std", "m s-1", "standard uncertainty of w"),
-    _cube("quality", "1", "how a value came about", dtype="uint16", extra=_flags(Quality)),
-    Variable("frame_status", ("time",), "1", "ledger of the run", dtype="uint8", extra=_flags(FrameStatus)),
+    _cube("quality", "1", "how the values were obtained", dtype="uint16", extra=_flags(Quality)),
+    Variable("frame_status", ("time",), "1", "state of each step", dtype="uint8", extra=_flags(FrameStatus)),
 )
 
 CUBE_FIELDS = tuple(name for name, row in TABLE.items() if row.dims == CUBE_DIMS)
