@@ -60,17 +60,13 @@ def test_opening_reads_one_frame_per_camera_and_nothing_else_before_it_is_needed
 )
 def test_indexing_gives_what_the_images_hold(experiment, key):
     everything = np.stack([number_image(n) for n in range(3, 13)])
-    image = xr.open_dataset(experiment, engine="wavefield", group="cam1").image
+    image = xr.open_datatree(experiment, engine="wavefield")["cam1"].image
     np.testing.assert_array_equal(image[key].values, everything[key])
 
 
-def test_all_cameras_in_one_dataset(experiment):
-    flat = xr.open_dataset(experiment, engine="wavefield", chunks={})
-    assert flat.cam2.dims == ("time", "cam2_row", "cam2_column")
-    assert int(flat.cam2[4, 0, 0]) == 7
-    assert "cam1" not in xr.open_dataset(experiment, engine="wavefield", drop_variables="cam1")
-    with pytest.raises(ValueError, match="has no camera 'cam9'; it has cam1, cam2"):
-        xr.open_dataset(experiment, engine="wavefield", group="cam9")
+def test_an_experiment_is_no_dataset(experiment):
+    with pytest.raises(ValueError, match="open_datatree opens the images of an experiment"):
+        xr.open_dataset(experiment, engine="wavefield")
 
 
 def test_missing_frames_are_zeros_and_a_warning(experiment):
@@ -83,16 +79,8 @@ def test_missing_frames_are_zeros_and_a_warning(experiment):
     assert int(tree["cam1"].image[5, 0, 0]) == 8
 
 
-def test_images_may_be_elsewhere(experiment, tmp_path):
-    moved = tmp_path / "away" / "experiment.yaml"
-    moved.parent.mkdir()
-    moved.write_text(experiment.read_text())
-    tree = xr.open_datatree(moved, engine="wavefield", folder=str(tmp_path))
-    assert int(tree["cam1"].image[0, 0, 0]) == 3
-
-
 def test_lazy_images_travel_to_other_processes(experiment):
-    image = xr.open_dataset(experiment, engine="wavefield", group="cam1").image
+    image = xr.open_datatree(experiment, engine="wavefield")["cam1"].image
     again = pickle.loads(pickle.dumps(image[2:4]))
     np.testing.assert_array_equal(again.values[:, 0, 0], [5, 6])
 

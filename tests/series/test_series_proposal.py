@@ -44,8 +44,8 @@ def test_what_is_proposed_is_an_experiment_file(folder, capsys):
     }
     assert made.cameras["cam3"].offset == -5
     for words in (
-        "5 images, 0 to 5, 1 missing",
-        "begins 5 later than another",
+        "5 images, 0 to 5",
+        "6 images, 5 to 10",
         "TO FILL IN: Hz",
         "24 images are not of waves, by their names",
     ):

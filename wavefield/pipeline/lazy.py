@@ -69,7 +69,7 @@ class ArraySource:
 
 
 def reconstruct(
-    frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
+    frames: xr.DataTree | Mapping[str, xr.DataArray],
     rig: Rig | str | Path,
     grid: Grid | Mapping[str, Any] | None = None,
     settings: "Settings | None" = None,
@@ -86,7 +86,7 @@ def reconstruct(
 
     Parameters
     ----------
-    frames : DataTree, Dataset or mapping of str to DataArray
+    frames : DataTree or mapping of str to DataArray
         Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
         ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
         ``mask`` next to an image, (row, column) or (time, row, column), is true where pixels do not count.
@@ -301,15 +301,13 @@ def _from_record(known: "Known") -> dict[str, np.ndarray]:
 
 
 def _images(
-    frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
+    frames: xr.DataTree | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, xr.Variable]]:
     """Images and masks by camera."""
     if isinstance(frames, xr.DataTree):
         nodes = {name: node.to_dataset() for name, node in frames.children.items()}
         images = {name: node["image"] for name, node in nodes.items() if "image" in node}
         return images, {name: node["mask"].variable for name, node in nodes.items() if "mask" in node}
-    if isinstance(frames, xr.Dataset):
-        return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, {}
     return {str(name): array for name, array in frames.items()}, {}
 
 

@@ -57,11 +57,10 @@ class FrameArray(BackendArray):
 
 
 class ExperimentBackend(BackendEntrypoint):
-    """Opens the images of an experiment file, or a cube, lazily."""
+    """Opens lazily: images of an experiment file as a tree, a cube or smoothed fields as a Dataset."""
 
     description = "cubes, and image series of the cameras of an experiment file"
-    open_dataset_parameters = ("filename_or_obj", "drop_variables", "group", "folder")
-    supports_groups = True
+    open_dataset_parameters = ("filename_or_obj", "drop_variables")
 
     def guess_can_open(self, filename_or_obj: object) -> bool:
         """Whether this is an experiment file."""
@@ -72,39 +71,18 @@ class ExperimentBackend(BackendEntrypoint):
             return False
 
     def open_dataset(
-        self,
-        filename_or_obj: object,
-        *,
-        drop_variables: str | Iterable[str] | None = None,
-        group: str | None = None,
-        folder: str | None = None,
+        self, filename_or_obj: object, *, drop_variables: str | Iterable[str] | None = None
     ) -> xr.Dataset:
-        """Open one camera (``group="cam1"``), all as variables of their names, a cube, or smoothed fields."""
+        """Open a cube, or what `wavefield smooth` wrote."""
         path = Path(str(filename_or_obj).removeprefix("file://"))
-        if path.is_dir() or path.suffix == ".zarr":
-            found = _smoothed(path) if has_mark(path) else _cube(path)
-            return found.drop_vars(_listed(drop_variables))
-        groups = self.open_groups_as_dict(filename_or_obj, folder=folder)
-        root = groups.pop("/")
-        name = (group or "").strip("/")
-        if not name:
-            out = xr.merge([_named(camera, path.strip("/")) for path, camera in groups.items()])
-        elif f"/{name}" in groups:
-            out = groups[f"/{name}"]
-        else:
-            cameras = ", ".join(path.strip("/") for path in groups)
-            raise ValueError(f"{filename_or_obj} has no camera {name!r}; it has {cameras}")
-        return out.assign_coords(root.coords).assign_attrs(root.attrs).drop_vars(_listed(drop_variables))
+        if path.is_file():
+            raise ValueError(f"{path} is not a store; xarray.open_datatree opens the images of an experiment")
+        found = _smoothed(path) if has_mark(path) else _cube(path)
+        return found.drop_vars([drop_variables] if isinstance(drop_variables, str) else drop_variables or [])
 
-    def open_groups_as_dict(
-        self,
-        filename_or_obj: object,
-        *,
-        drop_variables: str | Iterable[str] | None = None,
-        folder: str | None = None,
-    ) -> dict[str, xr.Dataset]:
-        """Open the root (time) and one group per camera."""
-        experiment = Experiment.load(str(filename_or_obj), folder)
+    def open_datatree(self, filename_or_obj: object, **_: Any) -> xr.DataTree:
+        """Open all cameras as a tree: ``/cam1``, ``/cam2``, ..., each with ``image(time, row, column)``."""
+        experiment = Experiment.load(str(filename_or_obj))
         series = experiment.open_frames()
         if experiment.mask:
             warnings.warn(
@@ -113,24 +91,9 @@ class ExperimentBackend(BackendEntrypoint):
                 FrameWarning,
                 stacklevel=2,
             )
-        drop = _listed(drop_variables)
-        coordinates = _coordinates(experiment, next(iter(series.values())))
-        groups = {"/": xr.Dataset(coords=coordinates, attrs=_attributes(experiment))}
-        measuring = {name: series[name] for name in experiment.measuring_cameras}
-        departures = frame_departures(measuring)
-        groups |= {f"/{name}": _camera(s, departures) for name, s in series.items()}
-        return {path: group.drop_vars(drop, errors="ignore") for path, group in groups.items()}
-
-    def open_datatree(
-        self,
-        filename_or_obj: object,
-        *,
-        drop_variables: str | Iterable[str] | None = None,
-        folder: str | None = None,
-    ) -> xr.DataTree:
-        """Open all cameras as a tree: ``/cam1``, ``/cam2``, ..., each with ``image(time, row, column)``."""
-        groups = self.open_groups_as_dict(filename_or_obj, drop_variables=drop_variables, folder=folder)
-        return xr.DataTree.from_dict(groups)
+        departures = frame_departures({name: series[name] for name in experiment.measuring_cameras})
+        nodes = {"/": _root(experiment, next(iter(series.values())))}
+        return xr.DataTree.from_dict(nodes | {f"/{n}": _camera(s, departures) for n, s in series.items()})
 
 
 def _cube(path: Path) -> xr.Dataset:
@@ -153,15 +116,6 @@ def _smoothed(path: Path) -> xr.Dataset:
     return found
 
 
-def _listed(names: str | Iterable[str] | None) -> list[str]:
-    return [names] if isinstance(names, str) else list(names or [])
-
-
-def _named(camera: xr.Dataset, name: str) -> xr.Dataset:
-    own = {part: f"{name}_{part}" for part in ("row", "column", "present")}
-    return camera.drop_vars("camera").rename({"image": name} | own)
-
-
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     array = FrameArray(series)
     image = xr.Variable(
@@ -182,14 +136,14 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     )
 
 
-def _coordinates(experiment: Experiment, series: FrameSeries) -> dict[str, Any]:
+def _root(experiment: Experiment, series: FrameSeries) -> xr.Dataset:
+    """Times and numbers of the frames, and attributes of the experiment."""
     number = series.first + np.arange(len(series))
-    return {
-        "time": ("time", experiment.frame_times(series), TABLE["frames/time"].attrs),
-        "frame": ("time", number, TABLE["frames/frame"].attrs),
-    }
-
-
-def _attributes(experiment: Experiment) -> dict[str, Any]:
-    start = {"experiment": experiment.name, "frame_rate": experiment.frame_rate}
-    return start | experiment.water.attributes()
+    return xr.Dataset(
+        coords={
+            "time": ("time", experiment.frame_times(series), TABLE["frames/time"].attrs),
+            "frame": ("time", number, TABLE["frames/frame"].attrs),
+        },
+        attrs={"experiment": experiment.name, "frame_rate": experiment.frame_rate}
+        | experiment.water.attributes(),
+    )

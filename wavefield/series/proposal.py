@@ -23,7 +23,7 @@ _NOTE = """\
 # Proposed from the images in {folder}; check every line, then run `wavefield check`.
 name: {name}
 frame_rate:                   # TO FILL IN: Hz, such as 20.0; image files do not state it
-cameras:
+cameras:                      # offset: the first image is frame 0, if all cameras began together
 {cameras}
 {others}# calibration:                # images of a target, which `wavefield calibrate` turns into rig.yaml
 #   target: {{kind: chessboard, mesh: 0.03, shape: [9, 6]}}
@@ -43,12 +43,6 @@ class NumberedImages:
 
     pattern: str  # Path from the folder, with ``{frame}`` for the number
     numbers: tuple[int, ...]  # The numbers, in order
-
-    @property
-    def step(self) -> int:
-        """Usual difference of two numbers."""
-        gaps = sorted(b - a for a, b in zip(self.numbers, self.numbers[1:]))
-        return gaps[len(gaps) // 2] if gaps else 1
 
 
 def files_below(folder: Path) -> Iterator[Path]:
@@ -163,16 +157,7 @@ def propose(folder: str | Path) -> str:
 
 
 def _cameras(records: dict[str, NumberedImages]) -> Iterator[str]:
-    first = min(one.numbers[0] for one in records.values())
     for name, one in records.items():
-        low, high, step = one.numbers[0], one.numbers[-1], one.step
-        remark = f"{len(one.numbers)} images, {low} to {high}"
-        offset = -low  # time 0 is that of the first image, as the clocks of probes mostly have it
-        if step > 1:
-            remark += f", every {step}th number: are {step - 1} in between missing?"
-        elif len(one.numbers) < high - low + 1:
-            remark += f", {high - low + 1 - len(one.numbers)} missing"
-        more = f", offset: {offset}" if offset else ""
-        if low > first:
-            remark += f"; begins {low - first} later than another: the same moment, or missing frames?"
-        yield f'  {name}: {{images: "{one.pattern}"{more}}}    # {remark}'
+        low, high = one.numbers[0], one.numbers[-1]
+        offset = f", offset: {-low}" if low else ""
+        yield f'  {name}: {{images: "{one.pattern}"{offset}}}    # {len(one.numbers)} images, {low} to {high}'
