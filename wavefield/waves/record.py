@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft, ndimage
+from scipy.sparse.linalg import LinearOperator, cg
 
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
@@ -17,88 +18,60 @@ from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
 
 Array = NDArray[Any]
 
-_WEIGHTS = (15 / 20, -6 / 20, 1 / 20)  # of the steps at 1, 2, 3: exact for polynomials of fifth degree
-IN_TIME = len(_WEIGHTS)  # steps before and after that a missing value depends on
-FLOOR = 1e-8  # of the largest power of a ring: the range in which a noise-free field is still interpolated
+FILL_MARGIN = 8  # steps before and after a missing value that help to fill it; more change nothing
+FLOOR = 1e-8  # of the largest power: the range in which a noise-free field is still interpolated
 ITERATIONS = 12  # of conjugate gradients: with a fifth of the nodes missing at random more change nothing
-ROUNDING = 1e-28  # of the first residual's square: what is left of it is rounding, and in the end 0 / 0
-_LAG = 2  # nodes between the values of a fourth difference, which grows with k^4
+ROUNDS = 3  # spectrum from the filled block, values from the spectrum; a fourth changes nothing
 
 
-def fill_nodes(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Fill the missing nodes of steps (steps, ny, nx) that are not missing as a whole.
-    First each step is interpolated smoothly, then the error predicted from the steps around is subtracted.
-    """
-    holes = ~np.isfinite(block) & ~missing[:, None, None]
+def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
+    """Fill the missing steps, and nodes, of a piece of a record (steps, ny, nx)."""
+    if not missing.any() and all_finite(block):
+        return block
+    hole = ~np.isfinite(block) | missing[:, None, None]
+    at = np.flatnonzero(hole.any(axis=(1, 2)))
+    near = slice(max(at[0] - FILL_MARGIN, 0), at[-1] + FILL_MARGIN + 1)
     out = block.copy()
-    alone = {}
-    for t in np.flatnonzero(holes.any(axis=(1, 2))).tolist():
-        alone[t] = block[t].copy()
-        alone[t][holes[t]] = out[t][holes[t]] = most_probable(block[t], holes[t])
-    for t, field in alone.items():
-        near = slice(t - IN_TIME, t + IN_TIME + 1)
-        if near.start < 0 or near.stop > len(block) or missing[near].any():
-            continue
-        guess = np.zeros(field.shape)
-        for distance, weight in enumerate(_WEIGHTS, 1):
-            for other in (t - distance, t + distance):
-                guess += weight * alone.get(other, block[other])
-        guess *= _agreement(field, guess)
-        out[t][holes[t]] = guess[holes[t]] + most_probable(block[t] - guess, holes[t])
+    out[hole] = most_probable(block[near], hole[near])
     return out
 
 
 def fill_error(block: Array) -> float:
-    """Standard deviation of `fill_nodes` at the middle of 2 `IN_TIME` + 1 steps; NaN without holes.
+    """Standard deviation of `fill` at the middle of 2 `FILL_MARGIN` + 1 steps; NaN without holes.
     Measured on present nodes, in holes of the same shapes half a field away.
     """
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
     elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps: a hole stays for some of them
-    known = elsewhere[IN_TIME] & ~holes[IN_TIME]
-    if not known.any() or holes[IN_TIME].all():
+    known = elsewhere[FILL_MARGIN] & ~holes[FILL_MARGIN]
+    if not known.any() or holes[FILL_MARGIN].all():
         return np.nan
-    holed = np.where(elsewhere, np.nan, block)
-    missing = np.asarray(~np.isfinite(block).any(axis=(1, 2)))
-    filled = fill_nodes(holed, missing)[IN_TIME]
-    return float(np.sqrt(np.mean((filled - block[IN_TIME])[known] ** 2)))
+    filled = fill(np.where(elsewhere, np.nan, block), np.zeros(len(block), bool))[FILL_MARGIN]
+    return float(np.sqrt(np.mean((filled - block[FILL_MARGIN])[known] ** 2)))
 
 
-def _agreement(field: Array, guess: Array) -> float:
-    """Factor on a prediction (ny, nx) that leaves the least short-wave energy of a field."""
-    short = []
-    for values in (field.astype(np.float64), guess):
-        parts = [np.zeros(1)]
-        for axis, n in enumerate(values.shape):
-            if n > 4 * _LAG:
-                starts = [np.arange(i * _LAG, n - (4 - i) * _LAG) for i in range(5)]
-                moved = [weight * values.take(at, axis) for weight, at in zip((1, -4, 6, -4, 1), starts)]
-                parts.append(np.sum(moved, axis=0).ravel())
-        short.append(np.concatenate(parts))
-    power = float(short[1] @ short[1])
-    return float(np.clip(short[0] @ short[1] / power, 0, 1)) if power > 0 else 0.0
-
-
-def most_probable(field: Array, hole: NDArray[np.bool_]) -> Array:
-    """Values of the missing nodes (hole.sum(),) of a field (ny, nx): conditional mean of a Gaussian process.
-    Its spectrum S is that of the filled field, averaged over rings of wavenumber, with G = 1 - min(S) / S the
-    values are the solution of x_m = G_mm x_m + G_mo x_o, by conjugate gradients. Two rounds, from the mean of
-    near nodes.
+def most_probable(block: Array, hole: NDArray[np.bool_]) -> Array:
+    """Values missing, (hole.sum(),), in a block (steps, ny, nx): conditional mean of a Gaussian process.
+    Its spectrum S is that of the filled block over frequency and rings of wavenumber. With G = 1 - min(S) / S
+    the values solve x_m = G_mm x_m + G_mo x_o. The first ones are means of near nodes and steps.
     """
-    mean = field[~hole].mean(dtype=float) if not hole.all() else 0.0
-    known = np.where(hole, 0.0, field - mean).astype(float)
-    weight = ndimage.gaussian_filter((~hole).astype(float), 1.0)
+    mean = block[~hole].mean(dtype=float)
+    known = np.where(hole, 0, block - mean).astype(block.dtype)
+    weight = ndimage.gaussian_filter((~hole).astype(block.dtype), 1.0)
     x = (ndimage.gaussian_filter(known, 1.0) / np.maximum(weight, 1e-9))[hole]
-    ny, nx = hole.shape  # cosines of half a period and more
+    _, ny, nx = hole.shape  # cosines of half a period and more
     distance = np.hypot(np.linspace(0, 1, ny)[:, None], np.linspace(0, 1, nx))
     ring = np.rint(distance * min(ny, nx)).astype(int)
-    for _ in range(2):
-        total = np.bincount(ring.ravel(), (fft.dctn(_with(known, hole, x), norm="ortho") ** 2).ravel())
-        power = total / np.maximum(np.bincount(ring.ravel()), 1)
+    line = np.arange(len(hole))[:, None, None] * (ring.max() + 1) + ring
+    cells = np.maximum(np.bincount(line.ravel()), 1)
+    for _ in range(ROUNDS):
+        total = np.bincount(line.ravel(), (fft.dctn(_with(known, hole, x), norm="ortho") ** 2).ravel())
+        power = total / cells
         least = max(power[power > 0].min(initial=np.inf), FLOOR * power.max())
         if not np.isfinite(least) or least == power.max():
             break
-        x = _conditional_mean((1 - least / np.maximum(power, least))[ring], known, hole, x)
+        gain = (1 - least / np.maximum(power, least)).astype(block.dtype)[line]
+        x = _conditional_mean(gain, known, hole, x)
     return np.asarray(x + mean)
 
 
@@ -112,22 +85,13 @@ def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Arr
     """Solve x_m = G_mm x_m + G_mo x_o by conjugate gradients from x."""
 
     def predicted(whole: Array) -> Array:
-        return np.asarray(fft.idctn(gain * fft.dctn(whole, norm="ortho"), norm="ortho"))[hole]
+        lines = fft.dctn(whole, norm="ortho", overwrite_x=True)
+        return np.asarray(fft.idctn(gain * lines, norm="ortho", overwrite_x=True))[hole]
 
-    nothing = np.zeros(hole.shape)
-    direction = residual = predicted(_with(known, hole, x)) - x
-    size = residual @ residual
-    solved = ROUNDING * size
-    for _ in range(ITERATIONS):
-        if not size > solved:
-            break
-        image = direction - predicted(_with(nothing, hole, direction))
-        step = size / (direction @ image)
-        x = x + step * direction
-        residual = residual - step * image
-        size, before = residual @ residual, size
-        direction = residual + size / before * direction
-    return x
+    nothing = np.zeros_like(known)
+    matrix = LinearOperator((x.size, x.size), lambda v: v - predicted(_with(nothing, hole, v)), dtype=x.dtype)
+    seen = predicted(known.copy())
+    return np.asarray(cg(matrix, seen, x, rtol=FLOOR**0.5, maxiter=ITERATIONS)[0])
 
 
 # does work for every item, on workers, and gives the results in the order of the items
@@ -457,10 +421,10 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
     """
     if not record.holes:
         return 0.0
-    inside = [t for a, b in record.runs for t in range(a + IN_TIME, b - IN_TIME)]
+    inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]
     chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, FILLED_STEPS).astype(int)} if inside else ()
     area = slice(*record.y), slice(*record.x)
-    blocks = (np.asarray(piece(field, slice(t - IN_TIME, t + IN_TIME + 1), *area)) for t in sorted(chosen))
+    blocks = (np.asarray(piece(field, slice(t - FILL_MARGIN, t + FILL_MARGIN + 1), *area)) for t in sorted(chosen))
     errors = np.array([fill_error(block) for block in blocks])
     errors = errors[np.isfinite(errors)]
     return float(np.sqrt(np.mean(errors**2))) if errors.size else np.nan
@@ -470,19 +434,3 @@ def filled_density(record: Record, field: xr.DataArray) -> float:
     """Upper limit of what filled nodes add to E(omega) of a field, per rad/s: white error up to Nyquist."""
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))
-
-
-def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Fill the missing steps, and nodes, of a piece of a record (steps, ny, nx)."""
-    if not missing.any() and all_finite(block):
-        return block
-    block = fill_nodes(block, missing)
-    valid_steps = np.flatnonzero(~missing)
-    for t in np.flatnonzero(missing):
-        before, after = valid_steps[valid_steps < t][-2:], valid_steps[valid_steps > t][:2]
-        if before.size != after.size:  # at an edge: from the nearest
-            before, after = before[-1:], after[:1]
-        nodes = np.r_[before, after].astype(float)
-        weights = [np.prod([(t - q) / (p - q) for q in nodes if q != p]) for p in nodes]
-        block[t] = np.tensordot(np.array(weights, block.dtype), block[nodes.astype(int)], axes=1)
-    return block

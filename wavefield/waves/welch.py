@@ -16,8 +16,7 @@ from wavefield.variables import INSTANTANEOUS, frames_of_path
 from wavefield.water import WATER, water_of
 from wavefield.waves import kernels, rings
 from wavefield.waves.record import (
-    IN_TIME,
-    LONGEST_BRIDGE,
+    FILL_MARGIN,
     STEPS_PER_READ,
     Record,
     fill,
@@ -137,11 +136,8 @@ def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
     """Where to read for steps a to b: slices with a margin, missing steps, and a to b inside them."""
-    # interpolation in time needs measured steps on either side, and filling missing nodes some more
     bridged = np.asarray(record.bridged, int)
-    reach = IN_TIME if record.holes else 0
-    if ((bridged >= a - 1) & (bridged <= b)).any():
-        reach += LONGEST_BRIDGE + 2
+    reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
     missing = np.isin(np.arange(lo, hi), bridged)
     return (slice(lo, hi), slice(*record.y), slice(*record.x)), missing, slice(a - lo, b - lo)
