@@ -173,7 +173,7 @@ def analyze_on_workers(
 
     Notes
     -----
-    The record is cut into chains of eight segments whatever the workers are; each chain is summed by one
+    The record is cut into chains of four segments whatever the workers are; each chain is summed by one
     worker, and the sums of the chains are added in their order.
 
     Examples

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.waves.products import WaveProduct, register
-from wavefield.waves.record import Record, piece
+from wavefield.waves.record import Record, chunk_steps, piece
 from wavefield.waves.welch import spatial_window
 
 Array = NDArray[np.float64]
@@ -37,14 +37,8 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
-    """Group steps by chunk: the dask chunk if the field is lazy, else the stored one."""
-    axis = field.get_axis_num("time")
-    if field.chunks is not None:
-        ends = np.cumsum(field.chunks[axis])
-    else:
-        stored = field.encoding.get("preferred_chunks", {}).get("time", 1)
-        ends = np.arange(stored, field.sizes["time"] + stored, stored)
-    chunk = np.searchsorted(ends, steps, side="right")
+    """Group steps by chunk."""
+    chunk = np.asarray(steps) // chunk_steps(field)
     return [[t for t, c in zip(steps, chunk) if c == number] for number in np.unique(chunk)]
 
 

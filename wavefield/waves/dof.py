@@ -6,6 +6,7 @@ variance between segments and the correlation of the lines of some nodes correct
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -79,30 +80,41 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
     1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, (n, lines).
     """
     lines = np.arange(power.shape[1])
-    fine = np.arange(FREQUENCIES_PER_LINE * (lines.size - 1) + 1) / FREQUENCIES_PER_LINE
-    distance = np.abs(lines[:, None] - fine)
-    response = np.where(distance <= REACH, hann_power(distance), 0.0)
+    between = FREQUENCIES_PER_LINE
+    fine = np.arange(between * (lines.size - 1) + 1) / between
+    response = hann_power(np.arange(-between * REACH, between * REACH + 1) / between)
+
+    def windowed(spectrum: Array) -> Array:
+        return np.asarray(ndimage.convolve1d(spectrum, response, axis=1, mode="constant"))
+
+    def spread(ratio: Array) -> Array:
+        """Mean of a ratio per line, over the lines that hold a wave."""
+        between_lines = np.zeros((len(ratio), fine.size))
+        between_lines[:, ::between] = ratio
+        return windowed(between_lines)
+
+    every = spread(np.ones((1, lines.size)))
     measured = np.maximum(power, max(FLOOR * float(power.max()), 1e-300))
     # S, sharpened in four rounds, is the spectrum, W^2 the window's power about the line, T the length of a
     # segment; waves that keep their phase for longer than a window resolves correlate segments more
     sharp = richardson_lucy(
         measured,
         np.exp([np.interp(fine, lines, np.log(spectrum)) for spectrum in measured]),
-        lambda estimate: estimate @ response.T,
-        lambda estimate, ratio: estimate * (ratio @ response / response.sum(axis=0)),
+        lambda estimate: windowed(estimate)[:, ::between],
+        lambda estimate, ratio: estimate * (spread(ratio) / every),
         ROUNDS,
     )
-    total = sharp @ response.T
+    total = windowed(sharp)[:, ::between]
     out = np.ones(power.shape)
     for lag in (1, 2):
-        shifted = (sharp * np.exp(1j * np.pi * lag * fine)) @ response.T
+        shifted = windowed(sharp * np.exp(1j * np.pi * lag * fine))[:, ::between]
         out += 2 * max(1 - lag / count, 0.0) * np.abs(shifted) ** 2 / total**2
     return out
 
 
 HEADINGS = 32  # of the waves
 LAGS = 41  # at which the windows in time and space are joined
-MOST_SEGMENTS = 40  # that may be correlated
+LEAST_LEFT = 1e-4  # of a packet's power: what is left after more segments is neglected
 NOISE_LINES = 0.75  # of the Nyquist frequency: what is above counts as noise
 
 
@@ -125,7 +137,7 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
     s = np.linspace(-1, 1, LAGS)
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
-    for lag in range(min(count, MOST_SEGMENTS)):
+    for lag in range(count):
         apart = (lag / 2 - s) * duration
         in_space = [
             hann_autocorrelation(v[..., None] * apart / length) for v, length in zip(velocity, lengths)
@@ -133,13 +145,16 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
         # c(dt) = int a(s / T) a(v (dt - s) / L) ds for lines dt apart, a the autocorrelation of the Hann
         # window: a cell holds a packet while it is within the windows in space and in time
         power = (in_space[0] * in_space[1] * in_time).sum(axis=-1) ** 2
-        if lag:
-            out += 2 * (1 - lag / count) * power / alone
-        else:
+        if not lag:
             alone = power
+            continue
+        out += 2 * (1 - lag / count) * power / alone
+        if (power < LEAST_LEFT * alone).all():
+            break
     return out
 
 
+@lru_cache(maxsize=8)
 def crossing_correlation(welch: Welch) -> Array:
     """Variance of a mean over segments relative to independent ones, for free waves, (rings,).
     As `correlation_at` for packets with v = c_g + U, averaged over their directions.

@@ -253,16 +253,23 @@ def advection(
 
 
 @_loose
-def node_powers(values: Array, mean: float, sums: Array) -> None:
-    """Add the first four powers of (value - mean), (steps, nodes), at every node to ``sums`` (4, nodes)."""
+def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
+    """Add the first four powers of (value - mean), (steps, nodes), at every node to ``sums`` (4, nodes).
+    Values are counted in bins from ``low`` on; the first and the last of ``counts`` hold the rest.
+    """
+    last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
-            d = np.float64(values[r, i]) - mean
+            value = np.float64(values[r, i])
+            d = value - mean
             q = d * d
             sums[0, i] += d
             sums[1, i] += q
             sums[2, i] += q * d
             sums[3, i] += q * q
+        for i in range(values.shape[1]):
+            place = (np.float64(values[r, i]) - low) * per_unit + 1
+            counts[int(min(max(place, 0.0), last))] += 1
 
 
 @_loose

@@ -166,11 +166,9 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
     for name, values in fields.items():
         mean, std = scales[name]
         flat = values.reshape(len(values), -1)
-        out[f"powers {name}"] = np.zeros((4, flat.shape[1]))
-        kernels.node_powers(flat, mean, out[f"powers {name}"])
-        place = (flat - np.float64(mean - REACH * std)) * (BINS / (2 * REACH * std))
-        number = (place + 1).clip(0, BINS + 1).astype(np.intp)  # the first and the last hold the rest
-        out[f"counts {name}"] = np.bincount(number.ravel(), minlength=BINS + 2)[1:-1]
+        powers, counts = np.zeros((4, flat.shape[1])), np.zeros(BINS + 2, np.int64)
+        kernels.node_powers(flat, mean, mean - REACH * std, BINS / (2 * REACH * std), powers, counts)
+        out[f"powers {name}"], out[f"counts {name}"] = powers, counts[1:-1]
         out["steps"] = np.array([flat.shape[0]], float)
     if "z" in fields:
         slopes = motion.slopes(fields["z"], dy, dx)

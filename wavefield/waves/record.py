@@ -224,6 +224,13 @@ def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns:
     return array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns).data
 
 
+def chunk_steps(field: xr.DataArray) -> int:
+    """Steps of a chunk: of dask if the field is lazy, else in the store, 1 in memory."""
+    if field.chunks is not None:
+        return int(field.chunks[field.get_axis_num("time")][0])
+    return int(field.encoding.get("preferred_chunks", {}).get("time", 1))
+
+
 def all_finite(block: np.ndarray) -> bool:
     """Whether every value is finite, from their sum, which is faster than testing each."""
     return bool(np.isfinite(block.sum(dtype=np.float64)))
@@ -305,7 +312,9 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
     if not arrays:
         raise CubeError(f"the cube has none of {', '.join(FIELDS)} over time, y and x")
     steps, ny, nx = (arrays[0].sizes[name] for name in CUBE_DIMS)
-    pieces = [(a, min(a + STEPS_PER_READ, steps)) for a in range(0, steps, STEPS_PER_READ)]
+    chunk = chunk_steps(arrays[0])
+    at_a_time = max(STEPS_PER_READ // chunk, 1) * chunk  # each chunk is read once
+    pieces = [(a, min(a + at_a_time, steps)) for a in range(0, steps, at_a_time)]
     if each is None:
         tasks = (dask.delayed(_finite)([piece(array, slice(a, b)) for array in arrays]) for a, b in pieces)
         masks = dask.compute(*tasks, traverse=True)

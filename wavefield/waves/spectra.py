@@ -41,6 +41,7 @@ from wavefield.waves.inputs import (
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record, filled_density
 from wavefield.waves.welch import (
+    CELLS,
     MIN_OVER_FILLED,
     Link,
     TimeTransform,
@@ -217,12 +218,12 @@ def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Arra
 def _powers_of_nodes(first: Array, second: Array) -> Array:
     """Power of a segment, one-sided in omega, summed over nodes, (n // 2 + 1,), from pairs of nodes."""
     half = first.shape[1]
-    transform, power = TimeTransform(half, first.dtype), np.zeros(2 * half)
+    transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):
-        lines = transform(first[slab], second[slab])
-        power += (lines.real**2 + lines.imag**2).sum(axis=0, dtype=float)
+        kernels.add_powers(transform(first[slab], second[slab]), sums)
+    power = sums.sum(axis=0)
     power[1:half] += power[:half:-1]
-    return power[: half + 1]
+    return np.asarray(power[: half + 1])
 
 
 def _add_ring_powers(
