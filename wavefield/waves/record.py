@@ -433,7 +433,9 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
     inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]
     chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, FILLED_STEPS).astype(int)} if inside else ()
     area = slice(*record.y), slice(*record.x)
-    blocks = (np.asarray(piece(field, slice(t - FILL_MARGIN, t + FILL_MARGIN + 1), *area)) for t in sorted(chosen))
+    blocks = (
+        np.asarray(piece(field, slice(t - FILL_MARGIN, t + FILL_MARGIN + 1), *area)) for t in sorted(chosen)
+    )
     errors = np.array([fill_error(block) for block in blocks])
     errors = errors[np.isfinite(errors)]
     return float(np.sqrt(np.mean(errors**2))) if errors.size else np.nan
