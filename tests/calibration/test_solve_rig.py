@@ -8,7 +8,7 @@ import yaml
 from solve_cases import MESH, nodes, poses, views
 
 from wavefield.calibration import Target, calibrate
-from wavefield.calibration.bundle import fit, normal_matrix
+from wavefield.calibration.bundle import fit
 from wavefield.calibration.camera_start import calibrate_single
 from wavefield.calibration.observations import Geometry, collect
 from wavefield.calibration.points import TargetPoints
@@ -291,11 +291,3 @@ def test_stated_uncertainties_are_those_that_occur():
         z += [(lens[9] - truth.tau_x) / std[2], (lens[10] - truth.tau_y) / std[3]]
         assert found.scale == pytest.approx(1.0, abs=0.05)
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
-
-
-def test_the_normal_matrix_of_many_cameras_is_that_of_all_products():
-    rng = np.random.default_rng(4)
-    J, weight = np.zeros((1000, 200)), rng.uniform(0.2, 1.0, 1000)
-    for k in range(0, 1000, 50):
-        J[k : k + 50, rng.permutation(200)[:17]] = rng.normal(size=(50, 17))
-    assert np.allclose(normal_matrix(J, weight), J.T @ (weight[:, None] * J), rtol=0, atol=1e-12)

@@ -168,9 +168,8 @@ def covariance_to_dict(
     return {"parameters": [names[k] for k in columns], "lower": rows}
 
 
-MAX_ITERATIONS = 60
-MANY = 150  # parameters: with more zeros are not multiplied
-ROWS = 128  # of a Jacobian taken together then: they have one or two cameras and poses
+MAX_ITERATIONS = 60  # usually ten suffice
+HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly
 
 
 class Whitener:
@@ -223,19 +222,6 @@ def huber(r: Array, limit: float) -> float:
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 
 
-def normal_matrix(J: Array, weight: Array) -> Array:
-    """J^T W J, (p, p), for rows sorted by camera and pose."""
-    if J.shape[1] <= MANY:
-        return np.asarray(J.T @ (weight[:, None] * J) if (weight < 1.0).any() else J.T @ J)
-    out = np.zeros((J.shape[1], J.shape[1]))
-    for k in range(0, len(J), ROWS):
-        part = J[k : k + ROWS]
-        used = np.flatnonzero(part.any(axis=0))
-        part = part[:, used]
-        out[np.ix_(used, used)] += part.T @ (weight[k : k + ROWS, None] * part)
-    return out
-
-
 def minimise(
     residual: Callable[[Array], Array],
     with_jacobian: Callable[[Array], tuple[Array, Array]],
@@ -251,13 +237,13 @@ def minimise(
     scale = 0.0
     for _ in range(MAX_ITERATIONS):
         r, J = with_jacobian(x)
-        scale = limit or max(4.0 * robust_std(r), 1e-9)
+        scale = limit or max(HUBER_LIMIT * robust_std(r), 1e-9)
         cost = huber(r, scale)
         weight = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
         gradient = J.T @ (weight * r)
         # p x p: `scipy.optimize.least_squares` decomposes J at each step, thirty times slower for thousands
         # of observations; the squared condition number costs steps, not accuracy: steps end with the gradient
-        normal = normal_matrix(J, weight)
+        normal = J.T @ (weight[:, None] * J)
         diagonal = np.maximum(diagonal, np.sqrt(np.diag(normal)))
         d = np.where(diagonal > 0.0, diagonal, 1.0)
         scaled, slope = normal / np.outer(d, d), gradient / d
@@ -276,9 +262,6 @@ def minimise(
             if damping > 1e8:
                 return x, scale
     return x, scale
-
-
-HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly
 
 
 @dataclass(frozen=True)
@@ -333,7 +316,7 @@ def fit(
     # exact points leave no residuals at all, but a covariance of zero is of no use
     scale = max(robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1)), 1e-6)
     weight = np.minimum(1.0, limit / np.maximum(np.abs(r), 1e-300))
-    normal = normal_matrix(J, weight)
+    normal = J.T @ (weight[:, None] * J)
     d = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     units = np.outer(d, d)
     covariance = scale**2 * np.linalg.pinv(normal * units, rcond=1e-15, hermitian=True) * units

@@ -36,7 +36,6 @@ def angle_between(A: Array, B: Array) -> float:
 
 
 MAX_HOMOGRAPHY_MISFIT = 8.0  # px: of an inlier, before the lens distortion is fitted
-PLAUSIBLE_FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length is not plausible
 MAX_MEDIAN_MISFIT = 0.02  # image widths: of points with known z
 START_TERMS = ("f", "c", "k1")
 
@@ -148,8 +147,7 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
     if not maps:
         raise CalibrationError(f"no view of {name} shows a plane target: photograph it again")
     f = focal_length(list(maps.values()), np.array([(n - 1) / 2 for n in size]))
-    shortest, longest = (width * max(size) for width in PLAUSIBLE_FOCAL_LENGTHS)
-    if f is None or not shortest < f < longest:
+    if f is None:
         raise CalibrationError(
             f"the views of {name} do not determine its focal length (all are parallel to its sensor, or show "
             "no plane target): photograph the target tilted by 20 to 40 degrees, to several sides, or state "
@@ -217,9 +215,10 @@ def _in_frame_of_pose(geometry: Geometry, pose: int) -> Geometry:
     )
 
 
-# what a view may differ by: five times the median of all views, within these limits
-ANGLE_LIMITS = 0.3, 1.5  # degrees; good views differ by hundredths, wrong ones by 3 and more
-SHIFT_LIMITS = 0.1, 0.4  # of a mesh; a view counted from another node is off by one mesh
+MAX_ANGLE = (
+    1.5  # degrees, between two cameras' poses of a view: good ones differ by hundredths, wrong ones by 3
+)
+MAX_SHIFT = 0.4  # of a mesh, between the same: a view counted from another node is off by one mesh
 
 
 @dataclass(frozen=True)
@@ -271,8 +270,7 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None
     angle = {pose: angle_between(R, medoid) for pose, (R, _) in common.items()}
     # translations of oblique views scatter along the sight line: compare them where the target is
     offset = {pose: float(np.linalg.norm(_at_target(a, b, pose, medoid, shift))) / mesh for pose in common}
-    max_angle, max_offset = _limit(angle, ANGLE_LIMITS), _limit(offset, SHIFT_LIMITS)
-    good = {pose: max(angle[pose] / max_angle, offset[pose] / max_offset) <= 1.0 for pose in common}
+    good = {pose: angle[pose] <= MAX_ANGLE and offset[pose] <= MAX_SHIFT for pose in common}
     count = sum(good.values())
     if count > len(good) / 2 or (count >= 2 and len(good) <= 4):
         return _Pair(True, good)
@@ -293,10 +291,6 @@ def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -
         if (name, pose) in wrong and len(others) < 2:  # none of the others is, or all of them are
             out.append((name, pose))
     return out
-
-
-def _limit(differences: Mapping[str, float], bounds: tuple[float, float]) -> float:
-    return float(np.clip(5.0 * np.median(list(differences.values())), *bounds))
 
 
 def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:

@@ -15,7 +15,7 @@ from wavefield.calibration.lattice import (
     independent_pair,
     most_central,
 )
-from wavefield.calibration.observations import LIMITS
+from wavefield.calibration.observations import LIMITS, OUTLIER_DEVIATIONS
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
@@ -203,7 +203,7 @@ def make_points(
     except ValueError:
         raise CalibrationError("the points found are not on a plane target; photograph it again") from None
     free = max(len(node) - 4 - len(smooth.powers), 1)
-    limited = np.minimum(smooth.misfit, 6 * smooth.spread)
+    limited = np.minimum(smooth.misfit, OUTLIER_DEVIATIONS * smooth.spread)
     map_std = float(np.sqrt(limited**2 @ np.ones(len(node)) / (2 * free)))
     inlier = smooth.inlier()
     if not inlier.all():

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from wavefield.calibration.observations import MIN_OUTLIER_PX, OUTLIER_DEVIATIONS
 from wavefield.calibration.points import Image, Mask, Nodes
 from wavefield.compiled import compiled
 from wavefield.parabola import parabola_vertex
@@ -206,7 +207,6 @@ class TargetLattice:
 
 
 MIN_NODES_FOR_CUBIC = 40  # four times its coefficients
-OUTLIER_DEVIATIONS = 7.0  # of a node from its smooth map: nodes in order are within six
 
 
 class SmoothMap:
@@ -242,7 +242,7 @@ class SmoothMap:
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
         """Which nodes are in their place, to the scatter of all and their own standard uncertainty, px."""
-        out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), 0.1)
+        out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out
 
     def _homography(self, node: Array) -> Array:

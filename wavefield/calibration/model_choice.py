@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavefield.calibration.bundle import TERMS, Fit, linearised
-from wavefield.calibration.observations import Observations, common_extent
+from wavefield.calibration.observations import LIMITS, MAX_MATCHES, Observations, common_extent
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 
 HEIGHT = 0.05  # metres about z = 0 of the volume in which errors are stated
-MIN_POINTS_IN_VIEW = 30  # of the volume, for those in view of all cameras to be used alone
-MAX_POINTS = 600  # of the target, where the volume is that of its views
 CELLS = 8  # along each side of an image, for the coverage
 
 
@@ -76,7 +74,7 @@ def volume(o: Observations, result: Fit, level: bool) -> Array:
     g = result.geometry
     if not level:
         world = g.world(o)
-        some: Array = world[np.linspace(0, len(world) - 1, min(len(world), MAX_POINTS)).astype(int)]
+        some: Array = world[np.linspace(0, len(world) - 1, min(len(world), MAX_MATCHES)).astype(int)]
         return some
     cameras = g.cameras(o.sizes)
     lo, hi = common_extent(cameras, o.plan[np.unique(o.node)])
@@ -86,7 +84,7 @@ def volume(o: Observations, result: Fit, level: bool) -> Array:
     inside = np.ones(len(points), bool)
     for camera in cameras:
         inside &= camera.sees(*points.T)
-    used: Array = points[inside] if inside.sum() >= MIN_POINTS_IN_VIEW else points
+    used: Array = points[inside] if inside.sum() >= LIMITS.min_nodes else points
     return used
 
 

@@ -25,6 +25,10 @@ class CalibrationLimits:
 
 
 LIMITS = CalibrationLimits()
+OUTLIER_DEVIATIONS = 6.0  # of a point from a fit to the others, over the typical deviation
+MIN_OUTLIER_PX = 0.1  # what misses a fit by less is no outlier
+MIN_MATCHES = 50  # between two cameras, to find how they stand and where the water is
+MAX_MATCHES = 3000  # more do not change the result
 
 
 @dataclass

@@ -24,15 +24,20 @@ from wavefield.calibration.model_choice import (
     predict_errors,
     terms_of,
 )
-from wavefield.calibration.observations import Findings, Geometry, Observations, collect
+from wavefield.calibration.observations import (
+    MIN_OUTLIER_PX,
+    OUTLIER_DEVIATIONS,
+    Findings,
+    Geometry,
+    Observations,
+    collect,
+)
 from wavefield.calibration.points import Mask
 from wavefield.calibration.target import Target
 from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
-OUTLIER_DEVIATIONS = 6.0  # of a point or view from the fit, over the typical deviation
-MIN_OUTLIER_VIEW_PX = 0.1  # a view that misses the fit by less is not left out
 MAX_ROUNDS = 4  # of leaving out outliers
 
 
@@ -261,7 +266,7 @@ def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
         camera, pose = divmod(v, len(o.poses))
         findings.leave_out(o.cameras[camera], o.poses[pose], int(points.sum()), reason)
 
-    if spread[worst] > OUTLIER_DEVIATIONS * typical and px > MIN_OUTLIER_VIEW_PX and len(spread) > 4:
+    if spread[worst] > OUTLIER_DEVIATIONS * typical and px > MIN_OUTLIER_PX and len(spread) > 4:
         leave_out(
             worst,
             view == worst,

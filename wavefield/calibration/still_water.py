@@ -7,21 +7,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
-from wavefield.calibration.bundle import TERMS, ParameterLayout, huber, layout, linearised, minimise, moved
-from wavefield.calibration.observations import Geometry, Observations
+from wavefield.calibration.bundle import (
+    HUBER_LIMIT,
+    TERMS,
+    ParameterLayout,
+    huber,
+    layout,
+    linearised,
+    minimise,
+    moved,
+)
+from wavefield.calibration.observations import MAX_MATCHES, MIN_MATCHES, Geometry, Observations
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
 from wavefield.rig.lens import LENS, Array
 from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
 from wavefield.rig.water_level import WaterPlane, level
 
-MIN_MATCHES = 50
-MAX_MATCHES = 3000  # more do not change the result
 MOVED_TURN = np.radians(1.0)  # prior of a camera that may have moved
 MOVED_SHIFT = 0.005  # metres
 CALIBRATED_TURN = np.radians(0.002)  # prior of a camera without a covariance in the rig's file
 CALIBRATED_SHIFT = 2e-4  # metres
-HUBER_LIMIT = 4.0  # standard deviations
 FREE_TERMS = {column for columns in TERMS.values() for column in columns}
 
 Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same points of the surface
@@ -78,7 +84,7 @@ class SightLineFit:
         usable = np.flatnonzero(in_two & np.isfinite(sight_points(rig, matches)[2]))
         if len(usable) < MIN_MATCHES:
             raise CalibrationError(
-                f"{len(usable)} matches between cameras: fifty at least are needed to check a rig"
+                f"{len(usable)} matches between cameras: {MIN_MATCHES} at least are needed to check a rig"
             )
         count = min(MAX_MATCHES, len(usable))
         self.pixel = pixel[usable[np.linspace(0, len(usable) - 1, count).astype(int)]]

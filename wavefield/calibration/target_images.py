@@ -24,7 +24,6 @@ from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
 
 TABLES = (".csv", ".txt", ".dat", "")  # endings of points found by another program
-MAX_WORKERS = 8
 
 
 @dataclass(frozen=True)
@@ -185,7 +184,7 @@ def calibrate_experiment(
     frame_sizes = _frame_sizes(experiment) if any(is_table(p) for _, _, p in jobs) else {}
     sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
     # threads suffice: OpenCV and the compiled loops leave Python's lock
-    pool = ThreadPoolExecutor(min(os.cpu_count() or 1, len(jobs), MAX_WORKERS))
+    pool = ThreadPoolExecutor(min(os.cpu_count() or 1, len(jobs)))
     try:
         found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs), sizes)
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
