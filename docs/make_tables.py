@@ -291,7 +291,7 @@ def rooms() -> str:
                 small.append(f"`{name}.py`")
         if small:
             rows.append((str(number), "single files", ", ".join(small)))
-    return rows_to_table(("floor", "room", "holds"), rows)
+    return rows_to_table(("floor", "room", "content"), rows)
 
 
 def dependencies() -> str:

@@ -1,4 +1,4 @@
-"""The cube's store, the stores of what is made from it, and exports."""
+"""Stores of cubes and of results made from them, and exports to other formats."""
 
 from pathlib import Path
 
