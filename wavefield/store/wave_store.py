@@ -56,17 +56,18 @@ def open_waves(path: str | Path) -> xr.DataTree:
     Raises
     ------
     StoreError
-        If it is not there, or its content is not as it was written.
+        If it is not there, of an earlier version, or its content is not as it was written.
 
     Examples
     --------
     >>> import tempfile
     >>> import wavefield as wf
-    >>> group = xr.Dataset({"E_omega": ("omega", [0.1, 0.2])}, {"omega": [6.0, 12.0]})
+    >>> axes = {"quantity": ["w"], "omega": [6.0, 12.0]}
+    >>> group = xr.Dataset({"E_omega": (tuple(axes), [[0.1, 0.2]])}, axes)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_waves(xr.DataTree.from_dict({"spectra": group}), Path(folder) / "waves.zarr")
     ...     waves = wf.open_waves(Path(folder) / "waves.zarr").load()
-    >>> float(waves["spectra/E_omega"].sel(omega=12.0))
+    >>> float(waves["spectra/E_omega"].sel(quantity="w", omega=12.0))
     0.2
     """
     path = Path(str(path).removeprefix("file://"))
@@ -78,7 +79,13 @@ def open_waves(path: str | Path) -> xr.DataTree:
                 f"{path} is not as `wavefield analyze` wrote it: parts are missing, damaged or were added; "
                 "move it, and write it again with `wavefield analyze CUBE`"
             )
-        return xr.open_datatree(path, engine="zarr", chunks={})
+        waves = xr.open_datatree(path, engine="zarr", chunks={})
+        if "spectra" in waves and "quantity" not in waves["spectra"].dims:
+            raise StoreError(
+                f"{path} has the layout of an earlier version, {waves.attrs.get('wavefield_version')}: "
+                "write it again with `wavefield analyze CUBE`"
+            )
+        return waves
     except StoreError:
         raise
     except Exception as error:  # whatever a library makes of damaged bytes
