@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from wavefield.robust import PER_MEDIAN
 from wavefield.text import spell_time
 from wavefield.variables import Quality
 
-State = Literal["good", "doubtful", "bad", "unknown"]
+State = Literal["good", "unknown", "doubtful", "bad"]  # in rising order of severity
 Limits = tuple[float, float]  # for doubtful, for bad
 _CELL_PX = 16  # every cell of this size should contain a bead
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)  # largest grey levels of 8, 10, 12, 14 and 16 bits
@@ -21,7 +21,6 @@ _BEAD_SIZE_PX = 1024  # the size of beads is measured in a corner of this size, 
 _BRIGHT = 5.5  # a bead exceeds the background by this many standard deviations of the noise
 Image = NDArray[Any]
 T = TypeVar("T")
-_RANK: dict[State, int] = {"good": 0, "unknown": 1, "doubtful": 2, "bad": 3}
 # the order in which bad lights are named: causes before their consequences
 _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "focus", "eps_y", "eps'",
           "range of z", "coverage")  # fmt: skip
@@ -261,4 +260,4 @@ def _state(value: float, limits: Limits) -> State:
 
 
 def _worse(a: State, b: State) -> State:
-    return max(a, b, key=_RANK.__getitem__)
+    return max(a, b, key=get_args(State).index)

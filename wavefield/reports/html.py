@@ -21,9 +21,7 @@ from wavefield.text import full_stop
 
 _DPI = 120  # at which two panels of 5.2 inches fill the width of the page
 _COLOURS = 128  # colours of the palette; a third of the bytes without a visible difference
-WIDE_PX = 1000  # a wider picture has several panels; on a phone a tap enlarges it
-SENTENCE_LETTERS = 60  # a longer cell counts as a sentence; on a phone its row is stacked
-MAX_OPEN_ROWS = 20  # a longer table in a folded section is folded itself
+WIDE_PX = 1000  # a wider picture has several panels and takes a row of its own
 
 
 class Item:
@@ -56,7 +54,7 @@ class Picture(Item):
 
     @property
     def wide(self) -> bool:
-        """Whether the picture is too small to be read on a phone."""
+        """Whether the picture needs the full width of the page."""
         return int.from_bytes(self.png[16:20], "big") >= WIDE_PX  # the width in the header of a PNG
 
 
@@ -75,16 +73,6 @@ class Table(Item):
     caption: str
     head: Sequence[str]  # names of the columns
     rows: Sequence[Sequence[str]]  # cells; the first of each row names it
-
-    @property
-    def has_sentences(self) -> bool:
-        """Whether some cells are as long as sentences."""
-        return any(len(cell) > SENTENCE_LETTERS for row in self.rows for cell in row)
-
-    @property
-    def long(self) -> bool:
-        """Whether the table is too long to be shown unfolded."""
-        return len(self.rows) > MAX_OPEN_ROWS
 
 
 @dataclass(frozen=True)

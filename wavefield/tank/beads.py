@@ -39,10 +39,9 @@ class FrameHistory(Generic[T]):
 Array = NDArray[np.float64]
 Velocity = Callable[[Array, Array], Array]  # x, y to u, v (and w), (2 or 3, ...), m/s
 
-# Longest time step for beads. Over 50 ms of a random sea with waves down to 5 cm it misplaces a bead by less
-# than 0.1 um, in a steep sea by 0.4 um.
+# Longest time step for beads, s. Over 50 ms of a random sea with waves down to 5 cm it misplaces a bead by
+# less than 0.1 um, in a steep sea by 0.4 um.
 MAX_SUBSTEP_S = 0.025
-MAX_SUBSTEP_PERIODS = 0.06  # a longer step is taken if it is still this part of the shortest wave's period
 GROUP_SIZE = 6  # beads in a cluster
 GROUP_SPREAD = 0.002  # standard deviation of their positions in the cluster, m
 
@@ -67,11 +66,7 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
     The points may have any shape, and `end` may precede `start`. Points that leave the basin become NaN.
     """
-    sea = basin.sea
-    period = 2 * np.pi / float(sea.sigma.max(initial=1e-9))
-
-    longest = max(MAX_SUBSTEP_S, MAX_SUBSTEP_PERIODS * period if sea.k.size > 1 else 0.0)
-    steps = max(1, int(np.ceil(abs(end - start) / longest - 1e-9)))
+    steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
     h = (end - start) / steps
     names = ("u", "v")
     position = np.stack([x, y])

@@ -10,14 +10,14 @@ from wavefield.rig.field import view_on_water
 
 Array = NDArray[np.float64]
 
-# name: (side, distance from the aim in m, aim in m, roll in degrees, pixel pitch in m, size in px, distortion
-# k1, Scheimpflug tilt in rad). Small rolls, offsets and distortions, as in any real rig, reveal wrong signs.
+# name: (side, distance from the aim in m, aim in m, roll in degrees, focal length in px, size in px,
+# distortion k1, Scheimpflug tilt in rad). Small rolls, offsets and distortions, as in any real rig, reveal
+# wrong signs.
 _PAPER = {
-    "cam1": (-1, 4.50, (-0.20, 0.004, 0.0), 0.4, 12.0e-6, (1024, 1024), -0.05, -0.008),
-    "cam2": (+1, 4.50, (+0.20, -0.006, 0.0), -0.6, 12.0e-6, (1024, 1024), -0.04, +0.008),
-    "cam3": (0, 4.35, (0.003, 0.002, 0.0), 0.3, 7.4e-6, (2432, 1728), 0.06, 0.0),
+    "cam1": (-1, 4.50, (-0.20, 0.004, 0.0), 0.4, 35e-3 / 12.0e-6, (1024, 1024), -0.05, -0.008),
+    "cam2": (+1, 4.50, (+0.20, -0.006, 0.0), -0.6, 35e-3 / 12.0e-6, (1024, 1024), -0.04, +0.008),
+    "cam3": (0, 4.35, (0.003, 0.002, 0.0), 0.3, 35e-3 / 7.4e-6, (2432, 1728), 0.06, 0.0),
 }
-_FOCAL_LENGTH = 35e-3  # m
 
 
 def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
@@ -47,14 +47,14 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
     (1216, 864)
     """
     made = {}
-    for name, (side, distance, aim, roll, pitch, size, k1, tilt) in _PAPER.items():
+    for name, (side, distance, aim, roll, focal, size, k1, tilt) in _PAPER.items():
         # aiming off centre balances near and far side, an effect that is quadratic in the size of the field
         target = np.array(aim) * [crop * crop, 1.0, 1.0]
         angle = np.radians(45.0 * side)
         centre = target + distance * np.array([np.sin(angle), 0.0, np.cos(angle)])
         rotation = _orientation((target - centre) / distance, np.radians(roll))
         read_out = (round(size[0] * crop), round(size[1] * crop))
-        camera = _camera(_FOCAL_LENGTH / pitch, rotation, -rotation @ centre, read_out, k1, tilt)
+        camera = _camera(focal, rotation, -rotation @ centre, read_out, k1, tilt)
         made[name] = camera if scale == 1.0 else camera.scaled(scale)
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     made["cam4"] = replace(made["cam1"], rotation=np.asarray(made["cam1"].rotation) @ quarter.T)

@@ -71,7 +71,7 @@ def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras:
     return pose
 
 
-BAND_ROWS = 128  # image rows drawn at a time, to limit the memory
+BAND_ROWS = 128  # image rows drawn at a time; more would need up to 0.4 GB more
 FRAME_WIDTH = 0.04  # width of the frame that holds the strings, m
 FRAME_SHADE = 0.35  # its brightness relative to the strings
 

@@ -1,10 +1,5 @@
 "use strict";
 (function () {
-  // on a phone, pictures of several panels are enlarged by a tap or Enter
-  for (const one of document.querySelectorAll("figure.wide")) {
-    one.addEventListener("click", () => one.classList.toggle("large"));
-    one.addEventListener("keydown", (event) => { if (event.key == "Enter") one.classList.toggle("large"); });
-  }
   // folded sections: opened by links to them, by a button for all, and for printing
   const sections = [...document.querySelectorAll("section.folded > details")];
   const button = document.getElementById("unfold");
