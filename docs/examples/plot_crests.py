@@ -2,8 +2,8 @@
 Crests and troughs
 ==================
 
-Waves of second order have sharper crests and flatter troughs than a Gaussian sea. How many exceed a level,
-beside the laws of Rayleigh (Gaussian) and of Tayfun (second order), and the height and skewness with errors.
+Second-order waves have sharper crests and flatter troughs than a Gaussian sea. The figure compares the
+exceedance of crests and troughs with the laws of Rayleigh (Gaussian) and Tayfun (second order).
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ field = z[:, None, :] + np.zeros((8, 1))
 cube = xr.Dataset({"z": (("time", "y", "x"), field, {"units": "m"})}, axes)
 
 # %%
-# Errors are those of resampled blocks of ten waves; of a cube this reads z once.
+# Uncertainties come from a bootstrap over blocks of ten mean periods.
 crests = wf.crest_statistics(cube)
 figures.crest_curves(crests)
 

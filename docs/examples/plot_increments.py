@@ -2,8 +2,8 @@
 Increments
 ==========
 
-A question that a spectrum leaves open: are large differences over short lags more frequent than in a Gaussian
-field? Here waves come in groups, and their amplitude varies from group to group.
+Are large differences over short lags more frequent than in a Gaussian field? A spectrum does not show this.
+Here waves come in groups, and their amplitude varies from group to group.
 """
 
 import numpy as np

@@ -2,8 +2,7 @@
 Spectra and the dispersion relation
 ===================================
 
-What ``wavefield analyze`` writes, group by group. Two seconds of a record are little: a hundred peak periods
-are a good record.
+Results of ``wavefield analyze``. This record lasts two seconds; a good one contains a hundred peak periods.
 """
 
 import xarray as xr
@@ -15,12 +14,12 @@ spectra, dispersion = waves["spectra"].to_dataset(), waves["dispersion"].to_data
 figures.komega_map(spectra, dispersion)
 
 # %%
-# Over the direction of travel; the circle is the dispersion relation.
+# Spectrum over the wave vector; the circle is the dispersion relation.
 figures.wavevector_map(spectra, dispersion)
 
 # %%
 figures.wavenumber_spectra(spectra)
 
 # %%
-# The elevation by each method.
+# The elevation spectrum from each method.
 figures.elevation_spectra(spectra)

@@ -17,5 +17,5 @@ figures.surface_3d(step)
 figures.velocity_map(step)
 
 # %%
-# The elevation by itself.
+# The elevation alone.
 step.z.plot()

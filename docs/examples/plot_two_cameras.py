@@ -26,7 +26,7 @@ three = wf.open_cube("wavefield-demo/cube.zarr").isel(time=slice(20, 22)).load()
 two.z.isel(time=0).plot()
 
 # %%
-# Errors of z (mm) and of the velocity (mm/s), medians over what was measured: three cameras, then two.
+# Median errors of z (mm) and velocity (mm/s) over measured nodes: three cameras, then two.
 for cube in (three, two):
     errors = errors_against(cube, truth).where((cube.quality & Quality.MEASURED) > 0)
     print({name: round(1e3 * float(abs(errors[name]).median()), 3) for name in ("z", "u", "v", "w")})

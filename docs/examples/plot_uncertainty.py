@@ -1,9 +1,8 @@
 """
-The errors that a cube states
-==================================
+Uncertainties and residuals
+===========================
 
-Every value has a standard uncertainty; sight lines that miss one another and displacements that disagree show
-more.
+Every value has a standard uncertainty. Epipolar errors and misfits between cameras show further errors.
 """
 
 import wavefield as wf
@@ -17,7 +16,7 @@ figures.uncertainty_maps(cube)
 figures.misfit_maps(cube)
 
 # %%
-# How often each node was measured, and the course of the run.
+# How often each node was measured, and the faults over the run.
 figures.coverage_map(cube)
 
 # %%
