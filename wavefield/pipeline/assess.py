@@ -45,7 +45,7 @@ from wavefield.quality.remarks import (
 )
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
-from wavefield.sampling import evenly_spaced, from_first_to_last
+from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.camera_pairs import read_pair_statistics, write_pair_statistics
 from wavefield.store.cube import open_cube
@@ -57,8 +57,7 @@ from wavefield.store.write_cube import clear_steps
 from wavefield.variables import FrameStatus, Quality
 
 INSTANTS = 4  # of a record, at which cameras are compared, before a run and after it
-MAX_INSTANTS = 24  # for delays of cameras after a run
-STEPS = 12  # of a cube, whose stored values are read
+MAX_SAMPLED = 12  # steps of a cube that are looked at after its run
 MIN_STEPS = 5  # of a record: shorter ones have no neighbours to compare with
 
 _NOT_COMPARED = Remark(
@@ -139,7 +138,7 @@ def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None)
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
-    sample = sample.isel(time=evenly_spaced(status.steps, STEPS)).load()
+    sample = sample.isel(time=evenly_spaced(status.steps, MAX_SAMPLED)).load()
     faults = compare_cameras(prepared, sample.quality.values)
     grave = any(one.weight == "grave" for one in faults.remarks)
     remarks = [
@@ -166,9 +165,7 @@ def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tu
 
 def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Remark]:
     """Remarks on delays and motion of cameras, from the epipolar errors."""
-    # of a short record, not most of its cost
-    instants = min(MAX_INSTANTS, max(INSTANTS, prepared.steps // 6))
-    frames = [1 + k for k in evenly_spaced(prepared.steps - 1, instants)]
+    frames = [1 + k for k in _sampled(prepared.steps - 1)]
     yield from remarks_on_clocks(synchrony_of(prepared, cube, frames))
     yield from remarks_on_mounts(cube)
 
@@ -221,8 +218,11 @@ def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
-MAX_STEPS = 8
-STEPS_PER_SAMPLE = 12  # of a short record, so that this is not most of its cost
+def _sampled(steps: int) -> list[int]:
+    """Steps that are matched again after a run; of a short record few, or they are most of its cost."""
+    return evenly_spaced(steps, min(MAX_SAMPLED, max(INSTANTS, steps // 10)))
+
+
 _BIN_EDGES = np.linspace(-5, 5, 101)  # rms
 
 
@@ -249,7 +249,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
         except ValueError:  # a frame is missing or bad
             return None
 
-    steps = from_first_to_last(prepared.steps, min(MAX_STEPS, -(-prepared.steps // STEPS_PER_SAMPLE)))
+    steps = _sampled(prepared.steps)
     with one_thread(), ThreadPoolExecutor(threads_here(prepared.workflow)) as pool:
         found = {step: one for step, one in zip(steps, pool.map(diagnosed, steps)) if one is not None}
     if not found:

@@ -46,7 +46,6 @@ MapFunction = Callable[[Work, Sequence[Chunk]], Generator[tuple[Chunk, Any]]]
 
 MEASURING = ("wavefield.measurement.step", "wavefield.pipeline.chunk")  # what workers import ahead
 ASSESSING = "assessing the cube"  # the last stage of a run
-_MAX_MESSAGES = 30  # bad frames that the log names
 _ENOUGH_FAILURES = 3  # chunks that fail before any succeeds: something is wrong with all of them
 
 
@@ -250,7 +249,7 @@ def _work_off(
     path = lock.store
     work = Work(path, prepared.geometry, prepared.model, prepared.experiment.frame_rate)
     failures: list[tuple[Chunk, BaseException]] = []
-    succeeded = bad_frames = 0
+    succeeded = 0
     tracker.start()
     # closed here and now: what is not done yet is called off before anything else
     with closing(map_unordered(work, todo)) as results:
@@ -264,8 +263,8 @@ def _work_off(
                     break
                 continue
             succeeded += 1
-            _log_bad_frames(result.messages, bad_frames)
-            bad_frames += len(result.messages)
+            for message in result.messages:
+                log.warning("%s", message)
             tracker.add(result.stop - result.start)
     if failures:
         chunk, error = failures[0]
@@ -276,27 +275,19 @@ def _work_off(
         ) from error
 
 
-def _log_bad_frames(messages: Sequence[str], logged: int) -> None:
-    """Log sentences about bad frames, up to a maximum; `logged` were logged before."""
-    for message in messages[: max(_MAX_MESSAGES - logged, 0)]:
-        log.warning("%s", message)
-    if logged <= _MAX_MESSAGES < logged + len(messages):
-        log.warning("more than %d bad frames; `wavefield status` lists them all", _MAX_MESSAGES)
-
-
 class _Tracker:
     """Counts steps, and reports the progress to the log and to the user."""
 
     def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
         self.total, self.done, self._progress = total, done, progress
-        self._since, self._before = time.monotonic(), done
-        self._logged = 0.0
+        self._since, self._before, self._logged = time.monotonic(), done, 0.0
 
     def start(self) -> None:
+        """Measure the time per step from now on."""
         self._since = time.monotonic()
-        self.report("")
 
     def add(self, steps: int) -> None:
+        """Count steps that were measured."""
         self.done += steps
         now = time.monotonic()
         left = (now - self._since) / (self.done - self._before) * (self.total - self.done)
@@ -304,13 +295,11 @@ class _Tracker:
         if now - self._logged > 10 or self.done == self.total:
             self._logged = now
             log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
-        self._report_progress(sentence)
+        if self._progress:
+            self._progress(self.done, self.total, sentence)
 
     def report(self, sentence: str) -> None:
-        if sentence:
-            log.info("%s", sentence)
-        self._report_progress(sentence)
-
-    def _report_progress(self, sentence: str) -> None:
+        """Report a stage of the run."""
+        log.info("%s", sentence)
         if self._progress:
             self._progress(self.done, self.total, sentence)

@@ -37,7 +37,6 @@ BIAS = 0.05  # of a delay, because water turns between the steps whose velocity 
 CELLS = 3  # along either side: parts of the field whose errors are independent
 MIN_VELOCITY = 0.03  # px per frame, rms without constant and slopes: less is noise of the matching
 MAX_STD = 0.5  # frame intervals: a delay of larger uncertainty is not determined
-MAX_READOUT_STD = 2e-3  # s, of the time from the first row to the last, likewise
 
 Images = Mapping[str, NDArray[Any] | None]  # of one instant, by camera
 
@@ -276,7 +275,7 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
         return
     late, std = abs(found.row_time.seconds) * found.rows, found.row_time.std * found.rows
     off = 0.5 * late * found.speed
-    if late < SIGNIFICANCE * std or std > MAX_READOUT_STD or off < MAX_MISS:
+    if late < SIGNIFICANCE * std or off < MAX_MISS:
         return
     order = "after" if found.row_time.seconds > 0 else "before"
     yield Remark(
