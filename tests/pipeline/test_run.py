@@ -223,6 +223,8 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference):
     assert "frame 5" in str(state)
     assert "frame 11" in str(state)
     assert "cam2 frame" in (own_tank.parent / "cube.log").read_text()
+    run(own_tank, workflow=chunks_of(4))
+    assert "measuring" not in (own_tank.parent / "cube.log").read_text(), "bad frames are still bad"
 
 
 def test_a_frame_repeated_in_one_camera_leaves_the_other_steps_as_certain_as_they_are(own_tank, reference):

@@ -1,4 +1,4 @@
-"""How good a cube is: its verdict, the errors of its pairs of cameras, the terms of its uncertainties."""
+"""Assess a cube: its verdict, the errors of its pairs of cameras, the terms of its uncertainties."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -71,7 +71,7 @@ _NOT_COMPARED = Remark(
 
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> CameraFaults:
-    """Compare the cameras' images at some instants of the record; `quality` is of some measured steps.
+    """Compare the cameras' images at some instants; ``quality`` is that of the nodes at some measured steps.
 
     Patches disagree whatever the rig where waves are steeper or higher than their search allows for, and in
     light sheets of some pixels' depth. Where all cameras together measured most nodes they do not contradict
@@ -171,7 +171,7 @@ def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Rema
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
-    """Remarks on waves too fast for the frame rate and too short for the images, by w of some steps."""
+    """Remarks on waves that are too fast for the frame rate, or too short for the images."""
     record, measured = prepared.record, sample.quality.values & int(Quality.MEASURED) != 0
     if record is None or not measured.any():
         return
@@ -212,7 +212,7 @@ def _stored_values(cube: xr.Dataset, sample: xr.Dataset, ratios: RiseRatios) -> 
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
-    """Fraction of the nodes in view that were measured, if asked by all cameras; filled ones do not count."""
+    """Fraction of the nodes in view that were measured, optionally by all cameras; without filled nodes."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
@@ -300,7 +300,7 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 
 
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
-    """Put the statistics into a cube whose run has ended, unless those of the same ledger are there."""
+    """Write the statistics of pairs into a complete cube, unless they are there and up to date."""
     group = open_group(path)
     state = state_of(group)
     stored = read_pair_statistics(path)

@@ -1,4 +1,4 @@
-"""Intake catalogs: the frames, the cube and the waves of many runs under names, with stock readers.
+"""Intake catalogs, which open frames, cubes and waves of many runs by name.
 
 A catalog ``tank.yaml`` has a folder ``tank`` next to it, and in it one folder per run::
 
@@ -8,8 +8,9 @@ A catalog ``tank.yaml`` has a folder ``tank`` next to it, and in it one folder p
     tank/coriolis-07/1a2b3c4d/waves.zarr
     tank/coriolis-07/latest                 link to the recipe run last
 
-so that a changed recipe is kept next to the old one. Commands take files from these places; the catalog's
-entries, with the parameters ``run``, ``recipe`` and ``location``, give the same to `intake.open_catalog`.
+so that the cube of a changed recipe does not replace the old one. Commands take their files from these
+folders; `intake.open_catalog` gives the same by the catalog's entries, with the parameters ``run``,
+``recipe`` and ``location``.
 """
 
 import errno
@@ -89,7 +90,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Link the folder of a cube that was measured already as that of its recipe, which becomes the latest."""
+    """Link the folder of a cube that exists already as that of its recipe, and make it the latest."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -287,7 +288,7 @@ def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
 
 
 def _link_latest(folder: Path) -> None:
-    """Let the link `latest` next to a recipe's folder point to it."""
+    """Point the link `latest` to the folder of a recipe."""
     temporary = folder.with_name(f".latest.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
@@ -306,7 +307,7 @@ def _link_latest(folder: Path) -> None:
 
 @contextmanager
 def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
-    """The content of a catalog, which nobody else changes meanwhile; comments are kept."""
+    """Lock a catalog, yield its content to be changed, and write it back with its comments."""
     editor = YAML()
     editor.preserve_quotes, editor.width = True, 110
     folder = catalog.with_suffix("")
@@ -326,7 +327,7 @@ def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
 
 
 def _quoted(text: str) -> str:
-    """A text that no reader of YAML takes for a number or a truth value, as it would the recipe 795126e3."""
+    """Quote a text that YAML would read as a number or a truth value, such as the recipe 795126e3."""
     quoted: str = SingleQuotedScalarString(text)
     try:
         float(text)

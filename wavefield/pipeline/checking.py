@@ -1,4 +1,4 @@
-"""`check`: what an experiment has, what is missing, what is wrong with it, and what its run will cost."""
+"""`check`: find what is missing or wrong in an experiment, and what its run will cost."""
 
 import shutil
 import time
@@ -124,12 +124,12 @@ def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
 
 
 def spell_size(count: float) -> str:
-    """Bytes in words."""
+    """A number of bytes as text."""
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 
 def whole_step(series: Mapping[str, FrameSeries]) -> int:
-    """A step near the middle whose frames are there in all cameras."""
+    """The step nearest to the middle of a record for which every camera has both frames."""
     complete = complete_steps(series)
     steps = np.flatnonzero(complete)
     if steps.size == 0:
@@ -367,7 +367,7 @@ def check(
 
 
 def _synchrony(trial: Trial) -> Synchrony:
-    """First estimate of the delays between cameras, at the frames between the steps that were tried."""
+    """Delays between cameras, at the frames between the steps that were measured."""
     fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
     cube, first = xr.Dataset(fields), trial.start
     return synchrony_of(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)

@@ -1,4 +1,4 @@
-"""Measure one chunk of steps: frames in, arrays and faults out; and write it.
+"""Measure one chunk of steps and write it.
 
 A chunk of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
 mid-time; and one before these, with which the first of them is compared. Chunks do not depend on each other:

@@ -238,7 +238,7 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
 def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The response of the measurement to waves, which follows from the learned record, and its axes."""
+    """The lazy response of the measurement to waves, and its axes."""
     from wavefield.measurement.resolution import tabulated
 
     table = tabulated(geometry, None)

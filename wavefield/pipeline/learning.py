@@ -1,4 +1,4 @@
-"""Learn beads, spectra and noise from sample frames of a whole record, before its first chunk."""
+"""Learn beads, spectra and noise from sample frames of the record before its first chunk is measured."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +24,7 @@ _MIN_MOTION_PX = 0.1  # rms: less is noise
 def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from sample steps of a record, which are named as `steps` in the result."""
+    """Learn from sample steps of a record; the result lists them as `steps`."""
     from wavefield.measurement import sample_steps
 
     for number in range(_TRIES):

@@ -1,4 +1,4 @@
-"""A cube with everything that belongs to it: recipe, rig, experiment, images, probes, waves, truth.
+"""Open a cube with what belongs to it: recipe, rig, experiment, images, probes, waves, truth.
 
 The experiment's file is named relative to the store, so that a folder can be copied; some of its images are
 compared with those that the cube was begun with.
@@ -37,7 +37,7 @@ SAMPLE_FRAMES = 3  # frames of each camera: first, middle and last
 
 
 def image_names(experiment: Experiment, camera: str) -> list[Any]:
-    """Images of a camera as a recipe holds them: names, offset, file of time stamps."""
+    """Names, offset and time stamps of a camera's images, as the recipe stores them."""
     section = experiment.cameras[camera]
     images: Any = section.images
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
@@ -77,7 +77,7 @@ def experiment_path(store: Path, attributes: Mapping[str, object]) -> Path:
 
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
-    """Read the experiment of a cube: the given one, or the one beside it or named in it if that fits."""
+    """Read the experiment of a cube: the given file, else the one beside the cube, else the one it names."""
     named, folder = experiment_path(store, attributes), _named(store, attributes, "image_folder")
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:

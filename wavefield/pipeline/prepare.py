@@ -1,4 +1,4 @@
-"""Everything that a run needs, read and checked before it starts: frames, rig, grid, settings, search ranges.
+"""Read and check what a run needs before it starts: frames, rig, grid, settings, search ranges.
 
 Rigs, grids and search ranges that cannot be in metres are refused.
 """
@@ -122,7 +122,7 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
 
 
 def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
-    """Refuse a field of too few blocks of pixels to learn a spectrum from."""
+    """Refuse a field with too few blocks of pixels for a spectrum."""
     shapes = {"the grid": geometry.lattice.shape}
     shapes |= {f"what {name} sees of the grid": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():

@@ -218,7 +218,9 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Chunks (start, stop) to measure: not done, missing, or with bad frames that can be read now."""
+    """Chunks (start, stop) to measure: not done, missing, or with bad frames that can be used now."""
+    from wavefield.measurement.images import usable
+
     missing = missing_chunks(path, layout)
     if missing:
         log.warning("files of %d chunks are missing: measuring them again", len(missing))
@@ -228,8 +230,9 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
     faults = np.asarray(group["frame_fault"][:])
     repaired = np.zeros(layout.steps + 1, bool)
     for camera, index in np.argwhere((faults != 0) & (faults != FrameFault.RANGE)):
-        if not read_frame(series[layout.cameras[camera]], int(index)).fault:
-            repaired[index] = True
+        one = series[layout.cameras[camera]]
+        frame = read_frame(one, int(index))
+        repaired[index] |= not frame.fault and usable(frame.image, one.shape[::-1])
     again, todo = [], []
     for start, stop in layout.chunks():
         if (ledger[start:stop] == FrameStatus.NOT_STARTED).any():

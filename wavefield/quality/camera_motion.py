@@ -72,7 +72,7 @@ class Synchrony(NamedTuple):
 def sample(
     geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
-    """Mismatch and velocity in patches at an instant; None if too few are known.
+    """Mean eps_y and velocity in patches of two cameras at an instant; None with too few patches.
 
     ``displacement`` (3, ny, nx): of the nodes per frame, metres, NaN where it is not measured.
     """
@@ -114,7 +114,7 @@ def _sight(camera: "Camera", axis: int, v: Array) -> Array:
 
 
 def _patch_means(values: Array, side: float) -> Array:
-    """Means over the patches that are at least half full of values (n, blocks) that begin with x and y."""
+    """Means over square patches of values (n, blocks) that begin with x and y; half-empty patches leave."""
     if not values.size:
         return values
     column, row = np.floor((values[:2] - values[:2].min(axis=1)[:, None]) / side).astype(np.intp)
@@ -159,7 +159,7 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 
 def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
-    """Mismatch and velocity without the part that a constant and slopes explain."""
+    """Residuals of mismatch and velocity after a fit of a constant and slopes."""
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.miss, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.low, root * both, rcond=None)[0]
@@ -291,7 +291,7 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
 
 
 def spell_delays(found: Mapping[str, Delay]) -> str:
-    """Text with the delays of all cameras relative to most of them."""
+    """Delays of the cameras as text."""
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = [
         f"{name} is {1e3 * abs(one.seconds):.3f} +- {1e3 * one.std:.3f} ms "
@@ -343,7 +343,7 @@ def camera_motion(cube: xr.Dataset) -> CameraMotion:
 
 
 def _fit_low_order(design: Array, values: Array) -> tuple[Array, Array] | None:
-    """Coefficients and their standard uncertainties without blunders; None with too few values."""
+    """Coefficients, fitted without outliers, and their standard uncertainties; None with too few values."""
     near = np.isfinite(values)
     if near.sum() >= MIN_NODES:
         departure = values - np.median(values[near])

@@ -52,7 +52,7 @@ MAX_BLUR_RATIO = 1.6  # blur over that of the other cameras, in px and on the wa
 
 @dataclass
 class PatchMatcher:
-    """Patches of all cameras on the plane of still water, sampled on demand."""
+    """Patches of the cameras' images, resampled on the plane of still water on demand."""
 
     read: Read  # From camera and frame to the image, or None
     rig: Rig  # The cameras
@@ -162,7 +162,7 @@ def compare(first: Image | None, second: Image | None) -> Array | None:
 
 @dataclass(frozen=True)
 class PairConsistency:
-    """How two cameras agree."""
+    """Agreement of two cameras at one instant."""
 
     fraction: float  # Of the patches that were found again with an eps_y near its smooth part
     eps_y: Array  # (m,): Of those, px on the water
@@ -241,7 +241,7 @@ class ConsistencyTable:
         return max(MIN_AGREEMENT, HALF * max(score(found) for found in self.found.values()))
 
     def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
-        """Of every pair, over time."""
+        """Agreement and rms eps_y (px) of every pair of cameras at every instant."""
         return {
             "-".join(pair): {
                 "agreement": [round(one.fraction, 3) for one in found],
@@ -352,7 +352,7 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
-    """Cameras that agree with none, and what explains it."""
+    """Cameras that agree with no other camera, and remarks on the cause."""
     level = table.level()
     good = [pair for pair, found in table.found.items() if score(found) >= level]
     # two cameras far apart may see too different pictures, while each agrees with a third
@@ -513,7 +513,7 @@ def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArra
 
 
 def _significance(found: Sequence[PairConsistency]) -> float:
-    """Ratio of the smooth part to its uncertainty."""
+    """Smooth part of eps_y over its standard uncertainty."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < MIN_PATCHES:
         return 0.0

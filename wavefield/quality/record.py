@@ -1,4 +1,4 @@
-"""What is wrong with a record: frames that are missing or bad, clocks that disagree, time that jumps.
+"""Faults of a record: frames that are missing or bad, clocks that disagree, time that jumps.
 
 Time is checked by the kinematic condition at the free surface, dz/dt + u . grad z = w. Within a step, dz/dt
 comes from the two frames of the step, and the residual is compared with its standard uncertainty. Between
@@ -127,7 +127,7 @@ def remark_on_frames(
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report frames that are not there, and recordings that contradict the experiment file or each other."""
+    """Report missing frames, and recordings that contradict the experiment file or each other."""
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from _missing(measuring)
     yield from _rates(experiment, series)
@@ -292,7 +292,7 @@ class RiseRatios:
         return RiseRatios(ratio, self.variance)
 
     def discontinuous(self) -> NDArray[np.intp]:
-        """Steps whose ratio departs from that of both neighbours by more than the limit, significantly."""
+        """Steps whose ratio differs significantly from the mean of both neighbours."""
         log = np.log(np.maximum(self.ratio, MIN_RATIO))
         relative = self.variance / np.square(np.maximum(self.ratio, MIN_RATIO))
         jump, std = np.full((2, log.size), np.nan)
@@ -351,7 +351,7 @@ def rise_ratios(cube: xr.Dataset) -> RiseRatios:
 
 
 def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
-    """Slope of values on others (ny, nx), and its variance from the parts of the field.
+    """Slope of a regression between two fields (ny, nx), and its variance from parts of the field.
 
     Both are means over patches, which leave the longer waves: these turn less from step to step.
     """
