@@ -207,20 +207,12 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder, also where a signal comes in the middle or Zarr's threads still write for a moment."""
-    stop: BaseException | None = None
+    """Remove a folder in which Zarr's threads may still write for a moment."""
     for _ in range(_REMOVALS):
-        try:
-            shutil.rmtree(folder, ignore_errors=True)
-            if not folder.exists():
-                break
-            time.sleep(_PAUSE)
-        except KeyboardInterrupt as interruption:
-            stop = interruption
-        except OSError as error:  # interrupted, rmtree may close a folder twice
-            stop = error.__context__ or error
-    if stop is not None:
-        raise stop
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            break
+        time.sleep(_PAUSE)
 
 
 def _put_back(folder: Path, path: Path) -> None:

@@ -25,7 +25,6 @@ from wavefield.file_access import refuse_pipe
 Key = str | int
 T = TypeVar("T")
 
-_LARGEST = 200_000  # values in a file; a list of every image of a long record has fewer
 _MAX_MESSAGES = 4  # problems of a file
 _MAX_NAME = 100  # characters
 _BROKEN_PATH = re.compile(
@@ -146,7 +145,17 @@ def _booleans_as_numbers(
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads numbers as people write them: 1:30 is text, not 90, a date is text, and 010 is ten."""
+    """Reads numbers as people write them: 1:30 is text, not 90, a date is text, and 010 is ten.
+
+    Aliases (`*name`) are refused: nobody needs them here, and a few lines of them can stand for billions.
+    """
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            words = "aliases (*name) are not read: write the values"
+            raise yaml.composer.ComposerError(problem=words, problem_mark=mark)
+        return super().compose_node(parent, index)
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
         text = str(self.construct_scalar(node)).replace("_", "")
@@ -176,7 +185,6 @@ def read_yaml(path: Path) -> dict[str, Any]:
     node = _compose(path)
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
-    _measure(node, path, {})
     texts = (part for part in _below(node) if isinstance(part, yaml.ScalarNode) and part.style == '"')
     for text in texts:  # in which \t, \n, ... of a path have become control characters
         if _BROKEN_PATH.search(text.value):
@@ -240,21 +248,6 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
     return ExperimentError(f"{path}{where}: {problem}; check indentation, colons and brackets")
 
 
-def _measure(node: yaml.Node, path: Path, sizes: dict[int, int]) -> int:
-    """Values in a document, every alias (`*name`) written out; refuses what is too many to be read."""
-    if id(node) in sizes:
-        return sizes[id(node)]
-    sizes[id(node)] = _LARGEST + 1  # until it is known: an alias within itself has no end
-    size = 1 + sum(_measure(part, path, sizes) for part in _parts(node))
-    if size > _LARGEST:
-        raise ExperimentError(
-            f"{path}, line {node.start_mark.line + 1}: more than {_LARGEST} values; write out its aliases "
-            "(*name), or name images by a pattern"
-        )
-    sizes[id(node)] = size
-    return size
-
-
 def _parts(node: yaml.Node) -> list[yaml.Node]:
     """Keys and values of a mapping, or items of a list."""
     if isinstance(node, yaml.MappingNode):
@@ -275,7 +268,7 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
         seen: dict[str, yaml.Node] = {}
         for key, _ in mapping.value if isinstance(mapping, yaml.MappingNode) else ():
             word = str(key.value)
-            if word in seen and word != "<<":
+            if word in seen:
                 yield seen[word], key
             seen[word] = key
 

@@ -20,7 +20,7 @@ from scipy import special  # scipy.stats takes half a second to import
 from wavefield.quality.remarks import HALF, MAX_LOST, MIN_NODES, SIGNIFICANCE
 from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.clocks import is_alike, recorded_rates, video_rates, video_rotations
+from wavefield.series.clocks import is_alike, stated_by_recordings
 from wavefield.series.frames import is_interlaced
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
@@ -171,7 +171,8 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
     """Remark on a frame rate that the recordings contradict."""
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
-    for name, degrees in video_rotations(named, experiment.image_folder).items():
+    stated = stated_by_recordings(named, experiment.image_folder)
+    for name, degrees in ((name, one.rotation) for name, one in stated.items() if one.rotation):
         yield Remark(
             name,
             "mirrored",
@@ -179,7 +180,10 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
             f"its video states a rotation of {degrees} degrees, which is not applied",
             "Frames are as the sensor has them, and so must be the target images",
         )
-    for name, recorded in recorded_rates(named, experiment.image_folder).items():
+    rates = {name: one.rate for name, one in stated.items() if one.rate}
+    for name, recorded in rates.items():
+        if stated[name].is_video:
+            continue
         stamped = name in series and series[name].times is not None  # stamps were compared with the rate
         if not stamped and not is_alike(recorded, rate):
             yield Remark(
@@ -191,8 +195,7 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
                 "Leave frame_rate out to take the recording's; keep it if frames were left out since",
                 values={"recorded_hz": recorded, "stated_hz": rate},
             )
-    videos = video_rates(named, experiment.image_folder)
-    alike = [name for name, one in videos.items() if is_alike(one, rate)]
+    alike = [name for name, one in rates.items() if stated[name].is_video and is_alike(one, rate)]
     if alike:
         yield Remark(
             alike[0],

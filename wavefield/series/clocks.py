@@ -1,13 +1,14 @@
 """Cameras' clocks: the rates and times in recordings, time stamps, and the places of images by them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.series.formats import VIDEO_ENDINGS, Recording, file_of, open_recording
+from wavefield.series.formats import VIDEO_ENDINGS, file_of, open_recording
 from wavefield.series.formats.recording import usual_interval, usual_intervals
 from wavefield.series.formats.video import Video
 from wavefield.series.frames import FrameSeries
@@ -193,49 +194,34 @@ def _resolution(times: Times) -> float:
     return 0.0
 
 
-def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
-    """Frame rates that recordings state, by camera; the cameras are as in the experiment file."""
-    return _rates(cameras, folder, videos=False)
+class Stated(NamedTuple):
+    """What a recording states of itself."""
+
+    rate: float | None  # Hz; of a video that of its playback
+    is_video: bool
+    rotation: int  # degrees by which frames are to be turned for display; they are read as stored
 
 
-def video_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
-    """Playback rates of cameras whose images are videos; those of high-speed cameras are not frame rates."""
-    return _rates(cameras, folder, videos=True)
-
-
-def video_rotations(cameras: Mapping[str, object], folder: Path) -> dict[str, int]:
-    """Degrees by which videos state that they are to be turned, by camera; frames are read as stored."""
-    turned = {name: one.rotation for name, one in _recordings(cameras, folder) if isinstance(one, Video)}
-    return {name: degrees for name, degrees in turned.items() if degrees}
-
-
-def _rates(cameras: Mapping[str, object], folder: Path, videos: bool) -> dict[str, float]:
-    found = {name: one.rate for name, one in _recordings(cameras, folder) if isinstance(one, Video) == videos}
-    return {name: rate for name, rate in found.items() if rate}
-
-
-def _recordings(cameras: Mapping[str, object], folder: Path) -> Iterator[tuple[str, Recording]]:
-    """The first recording of each camera; those that cannot be opened are reported with the images."""
-    for name, images in _images(cameras):
-        paths = recordings_of(images, name, folder)
+def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
+    """What the first recording of each camera states; the cameras are as in the experiment file."""
+    found = {}
+    for name, camera in cameras.items():
+        images = camera.get("images") if isinstance(camera, Mapping) else camera
+        paths = recordings_of(images, str(name), folder)
         try:
             recording = open_recording(paths[0]) if paths else None
-        except FrameError:
+        except FrameError:  # reported when the images are opened
             continue
         if recording is not None:
-            yield name, recording
+            turned = recording.rotation if isinstance(recording, Video) else 0
+            found[str(name)] = Stated(recording.rate, isinstance(recording, Video), turned)
             recording.close()
+    return found
 
 
 def is_video(path: Path) -> bool:
     """Whether a path is that of a video, whose times are those of the playback."""
     return path.suffix.lower() in VIDEO_ENDINGS
-
-
-def _images(cameras: Mapping[str, object]) -> Iterator[tuple[str, object]]:
-    """Names and images of the cameras, as in the experiment file."""
-    for name, camera in cameras.items():
-        yield str(name), camera.get("images") if isinstance(camera, Mapping) else camera
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:

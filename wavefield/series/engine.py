@@ -19,7 +19,6 @@ from wavefield.store.cube import open_cube
 from wavefield.variables import TABLE
 
 CHUNK_BYTES = 100_000_000  # read at once
-MAX_CHUNK_FRAMES = 64
 
 
 class FrameWarning(UserWarning):
@@ -124,7 +123,7 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
         TABLE["frames/image"].of(series.camera, "1"),
     )
     per_frame = int(np.prod(series.shape)) * array.dtype.itemsize
-    frames = int(np.clip(CHUNK_BYTES // per_frame, 1, MAX_CHUNK_FRAMES))
+    frames = max(CHUNK_BYTES // per_frame, 1)
     image.encoding["preferred_chunks"] = {"time": frames, "row": series.shape[0], "column": series.shape[1]}
     present = np.ones(len(series), bool)
     present[series.missing - series.first] = False

@@ -17,7 +17,7 @@ from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
 from wavefield.rig.water_level import with_water_level
 from wavefield.series import masks
-from wavefield.series.clocks import one_rate, recorded_rates, video_rates
+from wavefield.series.clocks import one_rate, stated_by_recordings
 from wavefield.series.experiment_parts import (
     CalibrationSection,
     CameraSection,
@@ -161,8 +161,10 @@ class Experiment(RecordSection):
             data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
         if data.get("frame_rate") is None and isinstance(data.get("cameras"), Mapping):
             images = path.parent / (data.get("folder") or "")
-            stated = recorded_rates(data["cameras"], images) or video_rates(data["cameras"], images)
-            rate = one_rate(stated, path)
+            stated = stated_by_recordings(data["cameras"], images)
+            rates = {name: one.rate for name, one in stated.items() if one.rate}
+            recorded = {name: rate for name, rate in rates.items() if not stated[name].is_video}
+            rate = one_rate(recorded or rates, path)
             data |= {} if rate is None else {"frame_rate": rate}
         out = load(cls, path, data)
         out._path = path

@@ -15,7 +15,6 @@ from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import FrameFault
 
 Outline = tuple[tuple[float, float], ...]
-FRACTION_BITS = 6  # of a corner's coordinates, for OpenCV
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,7 @@ class CameraMask:
 def _covered(mask: CameraMask) -> NDArray[np.bool_]:
     drawn = np.zeros(mask.shape, np.uint8)
     for outline in mask.outlines:
-        corners = np.rint(np.array(outline) * (1 << FRACTION_BITS)).astype(np.int32)
-        cv2.fillPoly(drawn, [corners], 1, shift=FRACTION_BITS)
+        cv2.fillPoly(drawn, [np.rint(outline).astype(np.int32)], 1)
     out = drawn.astype(bool)
     for entry in mask.images:
         image = read_entry(entry)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
+from wavefield.sampling import from_first_to_last
 from wavefield.series.formats.arrays import is_remote
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
@@ -21,7 +22,6 @@ Numbered = dict[int, FrameEntry]
 Images = str | Sequence[str | None]  # as in the experiment file
 
 SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
-MAX_TRIED = 20  # frames, for one that can be read
 MAX_FRAMES = 5_000_000  # of a record
 MAX_NUMBERS_PER_FRAME = 100  # of the range of a record
 FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
@@ -164,9 +164,8 @@ def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tupl
     """Shape and type of a camera's frames, from a readable frame of median file size."""
     present = [entry for entry in entries if entry is not None]
     # any frame may be of another size than the record: the median of five comes first
-    five = [present[int(k * (len(present) - 1) / 4)] for k in range(5)] if present else []
-    usual = sorted(five, key=_file_size)[2:3]
-    tried = list(dict.fromkeys([*usual, *present[:MAX_TRIED]]))
+    five = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
+    tried = list(dict.fromkeys([*sorted(five, key=_file_size)[2:3], *five]))
     problem = "there are none in the range of frames"
     for entry in tried:
         try:

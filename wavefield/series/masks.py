@@ -16,7 +16,6 @@ from wavefield.series.readers import FrameEntry
 
 WATER = "water"  # the key of masks on the water, not in one camera's image
 POINTS_PER_SIDE = 16  # of an edge on the water: it is no straight line in an image
-MAX_OUTSIDE = 16.0  # image sizes: only the direction of a corner further away matters
 
 
 class MaskSection(ConfigSection):
@@ -141,8 +140,8 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
     w, h = camera.size
     if (corners.max(axis=0) < 0).any() or (corners.min(axis=0) > (w - 1, h - 1)).any():
         return ()
-    limit = MAX_OUTSIDE * max(w, h)
-    return tuple((float(x), float(y)) for x, y in np.clip(corners, -limit, limit))
+    limit = np.iinfo(np.int16)  # OpenCV draws no further; there only the direction of a corner matters
+    return tuple((float(x), float(y)) for x, y in np.clip(corners, limit.min, limit.max))
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:

@@ -7,8 +7,6 @@ from wavefield.errors import FrameError
 from wavefield.images.davis_image import count_frames, read_buffer
 from wavefield.series.formats.recording import Pixels, Recording, no_times, refuse_index
 
-MAX_NUMBERS_PER_BUFFER = 10  # in the names: more do not count the buffers
-
 
 class _Set:
     """One image of every buffer of a set, as a recording."""
@@ -47,14 +45,12 @@ def open_davis(path: Path) -> Recording:
 
 
 def _in_order(buffers: list[Path]) -> list[Path]:
-    """Buffers by the numbers that end their names, not by rank: one that is missing keeps its place."""
-    ends = [re.search(r"\d+$", path.stem) for path in buffers]
+    """Buffers by the number of six digits or fewer that ends a name; one that is missing keeps its place."""
+    ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}
     if not buffers or len(numbered) < len(buffers):
         return sorted(buffers)
     first, last = min(numbered), max(numbered)
-    if last - first >= MAX_NUMBERS_PER_BUFFER * len(buffers):
-        return sorted(buffers)
     stem, folder = numbered[first].stem.rstrip("0123456789"), buffers[0].parent
     width = len(numbered[first].stem) - len(stem)
     return [numbered.get(n, folder / f"{stem}{n:0{width}d}.im7") for n in range(first, last + 1)]

@@ -15,7 +15,6 @@ from wavefield.images import grey
 from wavefield.series.formats.recording import Pixels, Times, no_times, refuse_index, usual_interval
 from wavefield.text import one_line
 
-RATE_TOLERANCE = 0.02  # by which the nominal rate may differ from that of the times
 UNTIMED = (".avi",)  # containers without presentation times: compressed frames are counted by decoding
 
 
@@ -77,13 +76,10 @@ class Video:
         return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
 
     def _rate(self, times: Times) -> float | None:
-        """Frames per second: the nominal rate if the times have it, else that of most intervals."""
-        nominal = float(self._stream.guessed_rate or self._stream.average_rate or 0)
-        if not self._timed or self.count < 2:
-            return nominal or None
-        usual = usual_interval(times)
-        alike = nominal > 0 and abs(nominal * usual - 1) < RATE_TOLERANCE
-        return float(f"{nominal if alike else 1 / usual:.6g}")
+        """Frames per second by the usual interval, to four digits; the nominal rate without times."""
+        if self._timed and self.count > 1:
+            return float(f"{1 / usual_interval(times):.4g}")
+        return float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
 
     def read(self, index: int) -> Pixels:
         """Read one frame, (row, column); frames in turn are decoded once."""
