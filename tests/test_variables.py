@@ -1,4 +1,4 @@
-"""The table of variables: units that other libraries read, and the doors of the rooms."""
+"""The table of variables: units that other libraries read, and the check of input."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def field(dtype="f4", units="m", dims=("time", "y", "x")):
 
 @pytest.fixture(scope="module")
 def registries():
-    """Units as cf-xarray and as plain pint read them."""
+    """The unit registries of cf-xarray and of pint."""
     pint = pytest.importorskip("pint")
     cf = pytest.importorskip("cf_xarray.units").units
     return cf, pint.UnitRegistry(preprocessors=cf.preprocessors)

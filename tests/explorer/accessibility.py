@@ -1,4 +1,4 @@
-"""What keeps readers from a page, by axe-core: names, contrast, language, headings."""
+"""Accessibility faults of a page, found by axe-core: names, contrast, language, headings."""
 
 from importlib.resources import files
 
@@ -6,7 +6,7 @@ import pytest
 
 
 def accessibility_faults(window) -> list[str]:
-    """Serious and critical faults of the page in a window of Playwright."""
+    """Return the serious and critical accessibility faults of the page in a Playwright window."""
     pytest.importorskip("axe_playwright_python", reason="needs axe-core: pip install axe-playwright-python")
     window.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
     found = window.evaluate("() => axe.run()")["violations"]

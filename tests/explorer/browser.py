@@ -1,4 +1,4 @@
-"""Driving a page in headless Chromium: what it holds, clicks in data coordinates, what it complains about."""
+"""Drives a page in headless Chromium: reads its models, clicks in data coordinates, collects its errors."""
 
 import shutil
 from pathlib import Path
@@ -13,13 +13,13 @@ _NAMED = "Bokeh.documents[0].get_model_by_name"
 
 
 def chromium() -> str | None:
-    """Where Chromium is on this machine."""
+    """Return the path of Chromium on this machine."""
     names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
     return next((path for name in names if (path := shutil.which(name))), None)
 
 
 class Browser:
-    """A page, and everything it complained about."""
+    """A page, and the errors and warnings that it logged."""
 
     def __init__(self, page) -> None:
         self.page = page
@@ -49,12 +49,12 @@ class Browser:
         self.page.locator(".bk-Canvas").first.wait_for()
 
     def wait(self, condition: str) -> None:
-        """Wait until an expression holds; it may speak of what is not there yet."""
+        """Wait until a JavaScript expression is true; an error in it counts as false."""
         code = f"() => {{ try {{ return {condition} }} catch (error) {{ return false }} }}"
         self.page.wait_for_function(code, timeout=60_000)
 
     def get(self, name: str, what: str):
-        """A property of a model, such as "value" or "data.x"."""
+        """Return a property of a model, such as "value" or "data.x"."""
         return self.page.evaluate(f"{_NAMED}('{name}').{what}")
 
     def set(self, name: str, what: str, value: str) -> None:
@@ -62,17 +62,17 @@ class Browser:
         self.page.evaluate(f"() => {{ {_NAMED}('{name}').{what} = {value} }}")
 
     def column(self, name: str, column: str) -> np.ndarray:
-        """A column of a data source."""
+        """Return a column of a data source."""
         return np.array(self.page.evaluate(f"Array.from({_NAMED}('{name}').data['{column}'])"), float)
 
     def image(self, name: str) -> np.ndarray:
-        """The picture in an image's data source, (ny, nx)."""
+        """Return the picture in an image's data source, (ny, nx)."""
         code = f"(() => {{ const a = {_NAMED}('{name}').data.image[0]; return [a.shape, Array.from(a)] }})()"
         shape, values = self.page.evaluate(code)
         return np.array([np.nan if v is None else v for v in values], float).reshape(shape)
 
     def at(self, figure: str, x: float, y: float) -> tuple[float, float]:
-        """Where a point of a figure is on the screen."""
+        """Return the position on the screen of a point of a figure."""
         code = f"""(() => {{
           const v = Bokeh.index.find_one({_NAMED}('{figure}'))
           const r = v.el.getBoundingClientRect()
@@ -95,5 +95,5 @@ class Browser:
         self.page.mouse.up()
 
     def screenshot(self, path: Path) -> None:
-        """Keep what is seen."""
+        """Save a screenshot."""
         self.page.screenshot(path=str(path), full_page=True)

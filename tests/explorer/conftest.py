@@ -1,4 +1,4 @@
-"""A cube with everything beside it, its page, and a browser; made once."""
+"""A cube with rig, images, probes and waves, its page, and a browser; made once."""
 
 import os
 from pathlib import Path
@@ -20,7 +20,7 @@ def tank_rig():
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory, tank_rig):
-    """A cube with rig, images, probes and waves; gives its path and what it holds."""
+    """A cube with rig, images, probes and waves; returns its path and its fields."""
     from wavefield import analyze
     from wavefield.images import write_image
 
@@ -60,7 +60,7 @@ def served(whole):
 
 @pytest.fixture(scope="session")
 def chrome():
-    """A headless Chromium; skips where there is none, or nobody asked for it."""
+    """A headless Chromium; skips if there is none or WAVEFIELD_BROWSER is not set."""
     if not os.environ.get("WAVEFIELD_BROWSER"):
         pytest.skip("drives a browser for minutes: asked for with WAVEFIELD_BROWSER=1, as .ci/run does")
     sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install playwright")
@@ -75,7 +75,7 @@ def chrome():
 
 @pytest.fixture(scope="module")
 def page(chrome, served):
-    """The page of the cube in a window of 1400 x 900; at the end it must have complained of nothing."""
+    """The page of the cube in a window of 1400 x 900; fails if the page logs an error."""
     window = chrome.new_page(viewport={"width": 1400, "height": 900})
     driver = Browser(window)
     driver.open(served.url)

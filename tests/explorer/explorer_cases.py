@@ -18,7 +18,7 @@ WAVES = ((3.0, 1.0, 0.006, 0.3), (-2.0, 4.0, 0.004, 1.1), (6.0, -5.0, 0.002, 2.0
 
 
 def sea(t: np.ndarray, y: np.ndarray, x: np.ndarray) -> dict[str, np.ndarray]:
-    """Three long waves over (time, y, x): z, z_t and the velocity of the surface water."""
+    """Return z, z_t, u, v, w of three long waves over (time, y, x)."""
     t, y, x = t[:, None, None], y[None, :, None], x[None, None, :]
     out = {
         name: np.zeros(np.broadcast_shapes(t.shape, y.shape, x.shape)) for name in ("z", "z_t", "u", "v", "w")
@@ -36,7 +36,7 @@ def sea(t: np.ndarray, y: np.ndarray, x: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def block_fields(t: np.ndarray, y: np.ndarray, x: np.ndarray, seed: int = 0) -> dict[str, np.ndarray]:
-    """Every variable of a cube for some steps: the sea, noise, a corner outside, a patch that is filled."""
+    """Return every variable of a cube for some steps: sea, noise, a corner out of view, a filled patch."""
     rng = np.random.default_rng(seed)
     out = sea(t, y, x)
     shape = out["z"].shape
@@ -67,7 +67,7 @@ def create_cube(
     rig: dict[str, object] | None = None,
     **attributes: object,
 ) -> StoreLayout:
-    """An empty cube of so many steps at 20 Hz, with nodes 5 cm apart about the origin."""
+    """Make an empty cube with steps at 20 Hz and nodes 5 cm apart around the origin."""
     x, y = 0.05 * (np.arange(nx) - (nx - 1) / 2), 0.05 * (np.arange(ny) - (ny - 1) / 2)
     recipe = Recipe("sea of three waves", {}, (0, steps), 20.0, {}, rig or {}, {})
     layout = StoreLayout(steps, block, ("cam1", "cam2", "cam3"), 0)
@@ -78,7 +78,7 @@ def create_cube(
 
 
 def write_cube_block(path: Path, start: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """Write the block that begins at a step; returns what was written."""
+    """Write the block that begins at a step; return its fields."""
     group = open_group(path)
     time, y, x = (np.asarray(group[name][:]) for name in ("time", "y", "x"))
     stop = min(start + int(group.attrs["steps_per_block"]), time.size)
@@ -91,7 +91,7 @@ _MADE: dict[object, tuple[Path, dict[str, np.ndarray]]] = {}  # cubes by name an
 
 
 def make_cube(path: Path, **sizes: object) -> dict[str, np.ndarray]:
-    """A whole cube; returns what it holds. One that was made before is copied."""
+    """Make a complete cube, or copy one that was made before; return its fields."""
     asked = path.name, *sorted(sizes.items())
     if "rig" in sizes:  # used once
         return _make_cube(path, **sizes)

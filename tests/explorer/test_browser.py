@@ -1,4 +1,4 @@
-"""Every control of the page driven in a browser; what it draws, against numpy."""
+"""Every control of the page, driven in a browser; drawings are compared with numpy."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def fields(whole):
 
 @pytest.fixture(autouse=True)
 def usual(page):
-    """Every test begins with w on the map at step 2, dragging moves, nothing plays."""
+    """Start every test with w on the map at step 2, without playback, and clicks that move the map."""
     page.set("play", "active", "false")
     page.set("views", "active", "0")
     page.set("drag", "value", "'move'")
@@ -42,13 +42,13 @@ def shown(name):
 
 
 def arrived(page, what, where, near=0.02):
-    """Wait until all that belongs to a picked node is there: the link is written last."""
+    """Wait until everything at the picked node is drawn; the link is written last."""
     link = f"(new URL(location).searchParams.get('{what}') ?? '').split(',').map(Number)"
     page.wait(f"{[float(v) for v in where]}.every((v, k) => Math.abs(v - ({link})[k]) < {near})")
 
 
 def choose(page, select, value):
-    """Choose an option as people do."""
+    """Select the option of a list whose visible label begins with a value."""
     options = page.page.locator(f"select[name={select}] option").all_inner_texts()
     label = next(option for option in options if option.split(":")[0] == value)
     page.page.locator(f"select[name={select}]").select_option(label=label)

@@ -27,7 +27,7 @@ def write_experiment(folder, seed=1, pattern="{folder}/img_{{frame:05d}}.tif", m
 
 
 def measured(folder, place="cube.zarr", **changed):
-    """A cube of the experiment in a folder, with the attributes that a run gives it."""
+    """Make a cube of the experiment in a folder, with the attributes that a run writes."""
     experiment = Experiment.load(folder / "experiment.yaml")
     store = folder / place
     store.parent.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Following cameras at work: the newest whole set, what is skipped, and the light that turns."""
+"""Following cameras that record: the newest complete frames, skipped frames, and the status lights."""
 
 import copy
 import os
@@ -25,7 +25,7 @@ CAMERAS = ("cam1", "cam2", "cam3")
 
 @pytest.fixture(scope="module")
 def small_tank():
-    """Frames of a small tank, (camera, number), and its rig."""
+    """The rig of a small tank, and the images of seven frames by camera."""
     from wavefield.tank import Scene, Tank
 
     tank = Tank(Scene.load("demo").with_(rig={"crop": 0.2}, sea={"shortest": 0.15}))
@@ -33,7 +33,7 @@ def small_tank():
 
 
 def record(folder, rig=None):
-    """An experiment file whose cameras have not written anything yet."""
+    """Write an experiment file whose cameras have not recorded anything yet."""
     folder.mkdir(exist_ok=True)
     if rig is not None:
         rig.save(folder / "rig.yaml")
@@ -82,7 +82,7 @@ FAULTS = {
 
 @pytest.fixture(scope="module")
 def followed(small_tank, tmp_path_factory):
-    """A follower that has seen six good frames, and its folder; copied by each test."""
+    """A follower that has measured six good frames, and its folder; each test copies them."""
     rig, frames = small_tank
     folder = tmp_path_factory.mktemp("live")
     follower = Follower(Experiment.load(record(folder, rig)))
@@ -103,7 +103,7 @@ def test_good_frames_turn_no_light(followed):
 
 
 def own_follower(followed, folder):
-    """The follower in a copy of its folder."""
+    """Return a copy of the follower in a copy of its folder."""
     follower, there = followed
     later = copy.copy(follower)
     shutil.copytree(there, folder / "live")
@@ -274,7 +274,7 @@ def test_what_is_masked_is_masked_while_following(small_tank, tmp_path):
 
 
 def with_background(folder, small_tank, background):
-    """A follower of five frames with a floor, and the follower's folder."""
+    """Return a follower of five frames with a fixed background, and its folder."""
     rig, frames = small_tank
     path = record(folder, rig)
     draws = np.random.default_rng(8)

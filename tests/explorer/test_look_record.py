@@ -1,4 +1,4 @@
-"""The cube behind a page: its fields, derived ones too, and the thinned preview beside it."""
+"""The cube that a page shows: stored and derived fields, and the thinned preview."""
 
 import shutil
 

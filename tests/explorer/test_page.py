@@ -1,4 +1,4 @@
-"""The page without a browser: built for any cube, at any place; what its panels draw, against numpy."""
+"""The page without a browser: any cube in any state; drawings are compared with numpy."""
 
 import re
 import shutil

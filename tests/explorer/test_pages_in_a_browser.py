@@ -1,4 +1,4 @@
-"""The report and the calibration page as a reader has them: on a screen, a phone, in the dark, on paper."""
+"""The report and the calibration page in a browser: on a screen, a phone, in dark mode, printed."""
 
 import base64
 import re
@@ -96,7 +96,7 @@ def test_maps_of_every_shape_are_drawn(chrome, report_page):
 
 
 def _redness(image, shape, j, i):
-    """Red less blue of the map about a node, without its arrow; by the margins of player.js."""
+    """Return red minus blue of the map at a node, without its arrow; uses the margins of player.js."""
     (left, top, right, bottom), (high, wide) = (84, 54, 118, 74), image.shape[:2]
     cell = min((wide - left - right) / shape[1], (high - top - bottom) / shape[0])
     y = round((high + top - bottom + shape[0] * cell) / 2 - (j + 0.5) * cell)

@@ -1,4 +1,4 @@
-"""Pages are private: no request without the token or from elsewhere, and no text of an experiment is run."""
+"""Pages are private: requests need the token and this machine, and texts of an experiment are not run."""
 
 import http.client
 import math
@@ -68,7 +68,7 @@ def server(request, tmp_path_factory):
 
 
 def ask(page, path, headers=None, method="GET"):
-    """Status and body of a request; a websocket's is not waited for."""
+    """Return the status and body of a request; the body of a websocket is not awaited."""
     address = urlsplit(page.url)
     one = http.client.HTTPConnection("127.0.0.1", address.port, timeout=60)
     one.putrequest(method, path, skip_host=True)
@@ -199,7 +199,7 @@ class Tags(HTMLParser):
 
 
 def texts(document):
-    """Everything that a document shows: as HTML, and as text."""
+    """Return all that a document shows, as HTML and as plain text."""
     divs = list(document.select({"type": Div}))
     html = [div.text for div in divs if not div.render_as_text]
     plain = [div.text for div in divs if div.render_as_text]
@@ -227,7 +227,7 @@ class Frames:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory):
-    """What the two pages show, at any time, of an experiment of which every text is a tag with a script."""
+    """Return all that both pages show of an experiment whose texts are all tags with a script."""
     html, plain = [], []
     folder = tmp_path_factory.mktemp("marks") / mark("folder").replace("/", "")
     folder.mkdir()
@@ -303,7 +303,7 @@ def test_no_text_of_an_experiment_becomes_a_tag(shown):
 
 @pytest.mark.parametrize("name", [*LOOK, *FOLLOW])
 def test_the_texts_do_reach_the_page(shown, name):
-    """Else the test above would prove nothing."""
+    """Without this the test above would prove nothing."""
     html, plain = shown
     text = f"onerror=hit('{name}')"
     seen = [*plain, *(part.replace("&#39;", "'").replace("&lt;", "<") for part in html)]

@@ -1,4 +1,4 @@
-"""What is wrong with the text of a figure: through a line, over other text, or cut off."""
+"""Faults of the text of a figure: crossed by a line, over other text, or cut off."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -15,7 +15,7 @@ TOLERANCE = 1.0  # px, by which boxes of text are larger than their letters
 
 
 def text_faults(figure: Figure) -> list[str]:
-    """Faults of the text of a figure, a line each; 3D axes are left out, and text on a ground of its own."""
+    """Return the faults of the text of a figure; 3D axes and text on its own background are not checked."""
     FigureCanvasAgg(figure).draw()
     hidden = {label for axes in figure.findobj(Axes) for label in _undrawn(axes)}
     texts = [(text, text.get_text().strip()) for text in figure.findobj(Text) if text not in hidden]
@@ -38,7 +38,7 @@ def text_faults(figure: Figure) -> list[str]:
 
 
 def _undrawn(axes: Axes) -> Iterator[Text]:
-    """Text of axes that is not drawn or not checked: ticks outside, and all of 3D or hidden axes."""
+    """Return the text of axes that is not checked: ticks outside, and all text of 3D or hidden axes."""
     if isinstance(axes, Axes3D) or not axes.axison:
         parts = [axes.xaxis, axes.yaxis, *([axes.zaxis] if isinstance(axes, Axes3D) else [])]
         yield from (text for axis in parts for text in axis.findobj(Text))

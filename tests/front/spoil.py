@@ -1,4 +1,4 @@
-"""Spoiling texts and bytes by chance, the same for the same seed."""
+"""Spoil texts and bytes at random, reproducibly."""
 
 import random
 
@@ -12,7 +12,7 @@ _LETTERS = "abz09:;,.{}[]\"'#&*!|>%@`\t -_\u00e9\u2028"
 
 
 def spoil_text(text: str, chance: random.Random) -> bytes:
-    """One to four mistakes in a text of lines ``key: value``."""
+    """Return a text of lines ``key: value`` with one to four mistakes."""
     lines = text.splitlines()
     for _ in range(chance.choice([1, 1, 2, 4])):
         k = chance.randrange(len(lines))
@@ -37,7 +37,7 @@ def spoil_text(text: str, chance: random.Random) -> bytes:
 
 
 def spoil_bytes(data: bytes, chance: random.Random) -> bytes:
-    """Bytes changed, cut off, or put in."""
+    """Return bytes that are changed, truncated or inserted into."""
     out = bytearray(data)
     kind = chance.randrange(4)
     if kind == 0:

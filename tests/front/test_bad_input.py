@@ -1,7 +1,7 @@
-"""What is wrong with files, numbers and names is reported in one sentence: which file, what to do, exit status.
+"""Wrong files, numbers and names are reported in one sentence with the file and a remedy, and an exit status.
 
 One row per kind. To add one: a name, a function that spoils the laboratory's folder, the command, the exit
-status, and words that the sentence must have.
+status, and words that the sentence must contain.
 """
 # ruff: noqa: E501
 
@@ -36,7 +36,7 @@ probes: probes.csv
 
 @pytest.fixture(scope="module")
 def pattern(tmp_path_factory):
-    """A laboratory's folder: images that show little, a rig, a lab note."""
+    """A laboratory's folder: almost empty images, a rig, an experiment file."""
     folder = tmp_path_factory.mktemp("lab") / "lab"
     rig = paper_rig(0.1)
     rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""The command line: what a user sees before and after the work."""
+"""The command line: help, options, and the lines that a command prints."""
 
 import pkgutil
 import shlex
@@ -29,7 +29,7 @@ COMMANDS = _commands(cli)
 
 
 def cube_folder(folder: Path) -> Path:
-    """A folder that is named as a cube is."""
+    """Make a folder with the name of a cube."""
     (folder / "cube.zarr").mkdir()
     return folder / "cube.zarr"
 
@@ -43,7 +43,7 @@ INPUTS = (
 
 
 def examples_of(words: str) -> list[list[str]]:
-    """The examples of a command's help, as the words after its name."""
+    """Return the examples of a command's help, each as the words after its name."""
     lines = [line.strip() for line in (COMMANDS[words].epilog or "").splitlines()]
     found = [shlex.split(line, comments=True) for line in lines if line.startswith("wavefield ")]
     assert all(example[1:][: len(words.split())] == words.split() for example in found), words

@@ -1,4 +1,4 @@
-"""From a scene to a report by the commands alone, as a user would, on a small tank."""
+"""From a scene to a report with the commands alone, on a small tank."""
 
 import io
 import re
@@ -25,7 +25,7 @@ WORKFLOW = {"cluster": "none"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, without_pixels):
-    """Everything that the commands leave behind."""
+    """The folder with all files that the commands write."""
     here = tmp_path_factory.mktemp("puddle")
     (here / "scene.yaml").write_text(yaml.safe_dump(SCENE))
     (here / "workflow.yaml").write_text(yaml.safe_dump(WORKFLOW))
@@ -47,7 +47,7 @@ def folder(tmp_path_factory, without_pixels):
 
 @pytest.fixture
 def checked(folder):
-    """What `wavefield check --pairs` prints."""
+    """The output of `wavefield check --pairs`."""
     return (folder.parent / "check.txt").read_text()
 
 
@@ -123,7 +123,7 @@ def test_demo_gives_the_commands_of_the_readme_and_stops_where_one_fails(monkeyp
 
 
 def test_examples_of_helps_run_as_they_are_written(folder, tmp_path, monkeypatch, capsys):
-    """Those of the other commands are what the fixture `folder` runs, or take minutes."""
+    """Other examples are run by the fixture `folder`, or take minutes."""
     for name in ("cube.zarr", "waves.zarr", "experiment.yaml", "rig.yaml", "verdict.json"):
         (tmp_path / name).symlink_to(folder / name)
     for name in ("cam1", "cam2", "cam3"):

@@ -1,4 +1,4 @@
-"""Figures are functions of datasets: they draw what they are given, with labels and units."""
+"""Figures are functions of datasets: they draw the given fields, with labels and units."""
 
 import numpy as np
 import pytest

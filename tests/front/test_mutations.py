@@ -1,7 +1,7 @@
-"""Lab notes, probes and images spoiled at random, always the same ones: a sentence or a sound result.
+"""Experiment files, probes and images with random (reproducible) faults: one sentence, or a sound result.
 
-No traceback, no hang, and nothing that is taken for right though it cannot be: what is read of a spoiled file
-is finite, positive where it must be, and of the size of the others.
+No traceback, no hang, and no impossible value: numbers read from a spoiled file are finite, positive where
+they must be, and of the size of the others.
 """
 
 import random
@@ -32,7 +32,7 @@ LONGEST = 10  # s of this process, however busy the machine
 
 @contextmanager
 def read_within_reason(name=""):
-    """What is raised inside is one sentence that holds the name, soon, and warnings do not matter."""
+    """Check that an error raised inside comes soon and is one sentence with the name; ignore warnings."""
 
     def ring(number, frame):
         raise AssertionError(f"it takes longer than {LONGEST} s")
@@ -71,7 +71,7 @@ def folder(tmp_path_factory):
 
 
 def as_prepared(path):
-    """All that is read of a lab note before the first step, and what must be true of it."""
+    """Read everything that a run reads before the first step, and check its values."""
     experiment = Experiment.load(path)
     series = experiment.open_frames()
     rig = experiment.load_rig(None, series)
@@ -90,7 +90,7 @@ def as_prepared(path):
 
 
 def test_spoiled_lab_notes(folder):
-    """Sixty lab notes with one to four mistakes each."""
+    """Sixty experiment files with one to four mistakes each."""
     read = 0
     for seed in range(60):
         path = folder / f"note_{seed}.yaml"

@@ -1,4 +1,4 @@
-"""The report: one file, nothing from outside, every picture with words for those who cannot see it."""
+"""The report: one file without external content, and every picture with a text alternative."""
 
 import base64
 import json
@@ -23,7 +23,7 @@ from wavefield.variables import CUBE_FIELDS, Quality
 
 
 def run_of(cube, **parts):
-    """A cube that is not in a store, and what belongs to it: nothing but what is given."""
+    """Return the run of a cube in memory, with only the given waves and files."""
     run = Run(cube, *(Path("nowhere") / name for name in ("cube.zarr", "waves.zarr", "experiment.yaml")))
     vars(run).update({"pair_statistics": None} | parts)
     return run

@@ -1,4 +1,4 @@
-"""An experiment file, its folder and its cube stand for one another on the command line."""
+"""Commands accept an experiment file, its folder or its cube alike."""
 
 import json
 import subprocess
@@ -17,7 +17,7 @@ NOTE = "name: tank\nframe_rate: 20\ncameras: {left: 'left/img_{frame}.tif', righ
 
 
 def store(path, **attributes):
-    """A Zarr store with some attributes, as far as the command line reads it."""
+    """Make a Zarr store with the attributes that the command line reads."""
     path.mkdir(parents=True)
     (path / "zarr.json").write_text(json.dumps({"attributes": attributes}))
     return path
@@ -71,7 +71,7 @@ def test_a_folder_of_several_cubes_or_of_none_is_refused_with_the_remedy(folder)
 
 @pytest.fixture
 def given(monkeypatch):
-    """Experiment and store of each run that the command line asks for; nothing is measured."""
+    """Experiment and store of each run that the command line starts; nothing is measured."""
     calls = []
 
     def run(experiment, out, **how):

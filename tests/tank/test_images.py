@@ -1,4 +1,4 @@
-"""Images: spots where the camera puts them, light and noise as set, the same for the same seed."""
+"""Images: positions of spots, light and noise as set, reproducible by the seed."""
 
 import numpy as np
 import pytest

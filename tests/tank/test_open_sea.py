@@ -1,4 +1,4 @@
-"""The open sea from a platform: what each pixel shows is where the exact sea is."""
+"""The open sea from a platform: each pixel shows the exact water surface."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scenes are read from YAML, and wrong ones are refused in a sentence."""
+"""Scenes are read from YAML, and a wrong scene is refused with one sentence."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The sea obeys the kinematic condition exactly, and the dispersion relation and Stokes where it should."""
+"""The sea obeys the kinematic condition exactly, the dispersion relation, and the Stokes drift."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def random_sea(seed=0, rms=0.014, peak=1.2, bound=0, **settings):
 
 
 def numerical_rate(sea, name, x, y, t, h=1e-3):
-    """Time derivative of fourth order."""
+    """Return the time derivative by a fourth-order difference."""
     f = [sea.at(x, y, t + i * h, (name,))[name] for i in (-2, -1, 1, 2)]
     return (f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * h)
 
@@ -60,7 +60,7 @@ def test_single_wave_obeys_dispersion_with_current_and_moves_with_its_vector(wav
 
 
 def test_second_order_solution_satisfies_the_dynamic_condition_in_finite_depth():
-    """What is left of the forces along the surface falls as the cube of the amplitude."""
+    """The residual of the dynamic condition decreases as the cube of the amplitude."""
     # no force acts along the surface: (Du/Dt, Dv/Dt) + (g + Dw/Dt) grad z = gamma grad(curvature)
     depth, gamma, start, h = 0.3, 7.2e-5, 0.4, 1e-3
     x, y = np.random.default_rng(0).uniform(-1, 1, (2, 50))

@@ -1,4 +1,4 @@
-"""A simulated experiment is complete, true, and the same however it was written; what plans predict."""
+"""A simulated experiment is complete, exact and independent of the number of threads; and plans."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Target images show the target where the camera sees it."""
+"""Images of targets show their points where the camera projects them."""
 
 import numpy as np
 import pytest
