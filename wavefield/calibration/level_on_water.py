@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.calibration.observations import MIN_MATCHES
 from wavefield.calibration.platform import PlatformFit, find_horizon, fit_platform, leave_out, sway
 from wavefield.calibration.relative_pose import (
     MAX_EPIPOLAR_ERROR,
-    MIN_MATCHES,
     Pixels,
     match_features,
     place_second,
@@ -20,14 +20,13 @@ from wavefield.errors import RigError
 from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
-from wavefield.rig.water_level import level
+from wavefield.rig.water_level import OUTLIER_DEVIATIONS, level
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, masks
 from wavefield.text import spell_uncertain
 
 HORIZON_IMAGES = 12  # of each camera
-MAX_DISAGREEMENT = 4.0  # standard deviations of the mean surface from the vertical of the horizon,
-MIN_DISAGREEMENT = 1.0  # degrees: what is further off is another edge
+TILT_STD = 1.0  # degrees, of the mean surface where instants do not tell it
 MAX_SWAY = 0.05  # degrees: 0.4 px of a surface 36 m away from 12 m up
 
 
@@ -159,7 +158,7 @@ def _best_fit(
         return free, std, "no horizon was found, so the mean surface is the level"
     fit = fit_platform(free, matches, horizons, distance)
     apart = _angle(fit.up, free.up)
-    if apart > max(MAX_DISAGREEMENT * np.nan_to_num(std[0], nan=MIN_DISAGREEMENT), MIN_DISAGREEMENT):
+    if apart > max(OUTLIER_DEVIATIONS * np.nan_to_num(std[0], nan=TILT_STD), TILT_STD):
         sentence = (
             f"an edge like a horizon in {', '.join(horizons)} is {apart:.1f} degrees off the mean surface "
             "and was not used: the mean surface is the level"

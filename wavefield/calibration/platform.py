@@ -10,10 +10,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student_t
 
-from wavefield.calibration.relative_pose import MAX_DEPTH_RATIO, MAX_EPIPOLAR_ERROR, Pixels
+from wavefield.calibration.model_choice import CELLS
+from wavefield.calibration.observations import MAX_MATCHES
+from wavefield.calibration.relative_pose import MAX_EPIPOLAR_ERROR, Pixels
 from wavefield.rig import Camera
-from wavefield.rig.lens import Array, rotation_about
+from wavefield.rig.field import MAX_DISTANCE_RATIO
+from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
+from wavefield.rig.water_level import OUTLIER_DEVIATIONS
 from wavefield.robust import robust_std
 
 EARTH_RADIUS = 6.371e6 / 0.87  # m; light is bent by the air as if the Earth were larger (Bomford 1980)
@@ -24,8 +28,6 @@ MAX_MISFIT = 1.0  # px, of a point of the horizon from its line
 MIN_SHARE = 0.7  # of the columns that show the line
 MIN_CONTRAST = 5.0  # noise levels of the gradient
 TRIALS = 2000
-MAX_SKY_MOTION = 0.5  # of the changes with time above the line over those below it
-BAND = 0.05  # of the image's height on either side of the line, where the two are compared
 
 
 def dip(height: float) -> float:
@@ -37,12 +39,11 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array
     """Points (X, Y) of the horizon, (n, 2), px, in images (row, column) of a camera that does not move.
     None without a straight line across the undistorted mean image; a roll of up to 45 degrees is allowed.
     """
-    stack = [np.asarray(image, np.float32) for image in images]
-    smooth = cv2.GaussianBlur(np.asarray(np.mean(stack, axis=0), np.float32), (0, 0), SMOOTHING)
-    mean = np.asarray(smooth, np.float32)
-    gradient = np.zeros_like(mean)
-    # steep across the horizon; below it the images change (waves), above it they hardly do
-    gradient[1:-1] = 0.5 * (mean[2:] - mean[:-2])
+    # waves are not in the mean image
+    mean = np.asarray(np.mean([np.asarray(image, float) for image in images], axis=0), np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(mean, (0, 0), SMOOTHING), np.float32)
+    gradient = np.zeros_like(smooth)
+    gradient[1:-1] = 0.5 * (smooth[2:] - smooth[:-2])
     points, strength = _edges(gradient)
     if len(points) < 2:
         return None
@@ -51,8 +52,6 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array
     inlier = _line(tangents, points[:, 0], strength, MAX_MISFIT / camera.fy)
     found = points[inlier]
     if len(np.unique(found[:, 0])) < MIN_SHARE * columns:
-        return None
-    if len(stack) > 1 and not _sea_below(stack, found):
         return None
     return found
 
@@ -96,18 +95,6 @@ def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDAr
     return inlier
 
 
-def _sea_below(stack: Sequence[NDArray[np.float32]], line: Array) -> bool:
-    """Whether what is well below a line (n, 2) changes with time, and what is above it hardly does."""
-    height, width = stack[0].shape
-    slope, offset = np.polyfit(line[:, 0], line[:, 1], 1)
-    change = np.std(stack, axis=0)
-    rows = np.arange(height)[:, None] - (offset + slope * np.arange(width))
-    above, below = change[rows < -BAND * height], change[rows > BAND * height]
-    if above.size < width or below.size < width:
-        return bool(above.size < below.size)  # the line is at the image's edge: mostly sea
-    return bool(np.median(above) < MAX_SKY_MOTION * np.percentile(below, 90))
-
-
 def sight_lines(camera: Camera, points: Array) -> Array:
     """Unit sight lines (n, 3) of pixels (n, 2) in the camera's own frame."""
     a, b = camera.tangents(*points.T)
@@ -120,12 +107,7 @@ Instant = Mapping[Pair, Pixels]
 
 WAVES_IN_VIEW = 20.0  # independent elevations per instant: neighbouring features are on one wave
 HORIZON_ERROR = 0.3  # px: of the line as a whole
-PROBE = 0.1  # m: by which the plane is raised to find the parallax of an elevation
 GROUPS = 8  # of instants next to each other, left out in turn
-OUTLIER = 4.0  # robust standard deviations of the elevations
-CELLS = 6  # along each side of an image, in which the water of groups is compared
-MIN_INDEPENDENT = 1.5  # groups: fewer show the same waves, as one instant does
-MAX_MATCHES = 1500  # of a pair in the fit
 LOWEST = 0.02  # sine of the smallest angle of a sight line below the horizontal
 HUGE = 1e3  # px: where there is no water
 
@@ -205,7 +187,7 @@ def leave_out(
     name, points = next((item for item in horizons.items()), (first, None))
     of_horizon = HORIZON_ERROR / fit.cameras[name].fy if points is not None else 0.0
     count, alike = len(groups), _alike(fit, matches, groups)
-    if count < MIN_INDEPENDENT * alike:
+    if alike > 0.99 * count:  # all show the same waves, as one instant does
         return float(np.degrees(of_horizon)) or float("nan"), float("nan")
     ups, heights = [], []
     for part in groups:
@@ -236,7 +218,7 @@ def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArra
     for one in _joined(matches):
         one = _on_water(fit, one)
         _, along, per_metre = _along_and_across(fit, one)
-        limit = OUTLIER * robust_std(along / per_metre)
+        limit = OUTLIER_DEVIATIONS * robust_std(along / per_metre)
         elevation = np.clip(along / per_metre, -limit, limit)
         cell = np.clip(one.a / fit.cameras[one.pair[0]].size * CELLS, 0, CELLS - 1).astype(int)
         place = (number[one.instant] * CELLS + cell[:, 1]) * CELLS + cell[:, 0]
@@ -273,7 +255,7 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
     down = -(sight_lines(first, one.a) @ first.R @ fit.up)
     near &= down > LOWEST
     if near.any():
-        near &= down > np.median(down[near]) / MAX_DEPTH_RATIO
+        near &= down > np.median(down[near]) / MAX_DISTANCE_RATIO
     return _Match(one.pair, one.a[near], one.b[near], one.instant[near])
 
 
@@ -302,13 +284,11 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -LOWEST / 4)
     top = fit.up @ first.centre + fit.offset
-    places = [
-        np.stack(second.project(*(first.centre + (-(top - z) / down)[:, None] * rays).T), axis=-1)
-        for z in (0.0, PROBE)
-    ]
-    shift = (places[1] - places[0]) / PROBE
+    ray_per_metre = rays / down[:, None]
+    place = first.centre - top * ray_per_metre
+    shift = np.einsum("nij,nj->ni", second.jacobian(*place.T), ray_per_metre)
     per_metre = np.maximum(np.hypot(*shift.T), 1e-6)
-    along = np.sum((one.b - places[0]) * shift, axis=1) / per_metre
+    along = np.sum((one.b - np.stack(second.project(*place.T), axis=-1)) * shift, axis=1) / per_metre
     across = epipolar_distance(first, second, *one.a.T, *one.b.T)
     return np.nan_to_num(across, nan=HUGE), np.nan_to_num(along, nan=HUGE), np.nan_to_num(per_metre, nan=1.0)
 
@@ -343,28 +323,12 @@ def _residuals(
     return np.concatenate(out)
 
 
-MIN_HORIZONS = 3  # images, for how much a camera sways
-
-
 def sway(images: Sequence[NDArray[np.generic]], camera: Camera) -> float:
-    """Rms of the roll and pitch of a camera, degrees, from its horizon in images; NaN in fewer than three."""
+    """Rms of the roll and pitch of a camera, degrees, from its horizon in images; NaN in fewer than two."""
     lines = [find_horizon([image], camera) for image in images]
-    rays = [sight_lines(camera, line) @ camera.R for line in lines if line is not None]
-    if len(rays) < MIN_HORIZONS:
+    # up is across all sight lines to the horizon
+    ups = [np.linalg.svd(sight_lines(camera, line) @ camera.R)[2][2] for line in lines if line is not None]
+    if len(ups) < 2:
         return float("nan")
-    tilts = [_tilt(one) for one in rays]
+    tilts = [up[:2] / up[2] for up in ups]
     return float(np.degrees(np.sqrt(np.var(tilts, axis=0).max())))
-
-
-def _tilt(rays: Array) -> Array:
-    """Tilt about x and y, rad, of a frame, from unit rays (n, 3) to the horizon."""
-    tilt, weight = np.zeros(2), np.ones(len(rays))
-    for _ in range(8):
-        miss = rays @ rotation_about([*tilt, 0.0])[2]
-        # d up / d tilt at small angles
-        design = np.column_stack([rays[:, 1], -rays[:, 0]])
-        root = np.sqrt(weight)
-        tilt = tilt - np.linalg.lstsq(root[:, None] * design, root * miss, rcond=None)[0]
-        spread = 1.5 * float(np.median(np.abs(miss))) + 1e-12
-        weight = np.minimum(1.0, 2.0 * spread / np.maximum(np.abs(miss), 1e-12))
-    return tilt

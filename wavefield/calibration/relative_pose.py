@@ -12,19 +12,18 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from wavefield.calibration.camera_start import Pose
+from wavefield.calibration.observations import MIN_MATCHES
 from wavefield.errors import RigError
 from wavefield.rig import Camera
+from wavefield.rig.field import MAX_DISTANCE_RATIO
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
 
 Pixels = tuple[Array, Array]  # (n, 2) in one image and in the other
 
-MIN_MATCHES = 30  # by which a camera is placed
 MAX_FEATURES = 6000  # per image
 MAX_RATIO = 0.8  # of the best distance to the second best, for a match to be unambiguous
 MAX_EPIPOLAR_ERROR = 3.0  # px: of a true match
-MIN_VISIBLE_RATIO = 0.9  # of the most points in front of both cameras: what other solutions must reach
-MAX_DEPTH_RATIO = 3.0  # times the median distance: further out, towards the horizon, depth is only noise
 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
@@ -75,7 +74,7 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
     # from the essential matrix by RANSAC, and from the solutions of the homography of the sea's plane
     fits = [_fitted(one, other, true, distance, start) for start in starts]
     visible = [len(points_of(one, camera, true)) for camera, _ in fits]
-    possible = [f for f, count in zip(fits, visible, strict=True) if count > MIN_VISIBLE_RATIO * max(visible)]
+    possible = [f for f, count in zip(fits, visible, strict=True) if 2 * count > max(visible)]
     return min(possible, key=lambda fit: fit[1])[0]
 
 
@@ -141,6 +140,6 @@ def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
     points = 0.5 * (one.centre + along_u[:, None] * u + other.centre + along_v[:, None] * v)
     ahead = np.isfinite(points).all(1) & (along_u > 0) & (along_v > 0)
     if ahead.any():
-        ahead &= along_u < MAX_DEPTH_RATIO * np.median(along_u[ahead])
+        ahead &= along_u < MAX_DISTANCE_RATIO * np.median(along_u[ahead])
     out: Array = points[ahead]
     return out
