@@ -151,7 +151,7 @@ def test_probes_are_compared_with_the_elevation_at_their_places(cube, tmp_path, 
     assert "p1: rms difference" in text
     assert re.search(r"far</th><td[^>]*>outside the grid, at x 9 m, y 0 m<", text)
     placeless = probes.isel(probe=0).assign_coords(probe_x=np.nan)
-    assert "does not give its place" in at_probe(cube, placeless)
+    assert "does not give its position" in at_probe(cube, placeless)
 
 
 def test_what_is_missing_is_reported(cube, tmp_path, undrawn):

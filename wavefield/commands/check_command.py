@@ -148,7 +148,7 @@ def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
     lines = [f"  standard uncertainty, two frames, px: {noise}"]
     carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())
-    lines.append(f"  waves of which half is kept, cm: {carried}")
+    lines.append(f"  wavelength of which half the amplitude is kept, cm: {carried}")
     widths = ", ".join(f"{name} {width:.1f}" for name, width in found.widths.items() if width)
     if widths:
         lines.append(f"  width of the beads' images, px (2 in focus): {widths}")

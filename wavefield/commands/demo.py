@@ -110,9 +110,9 @@ def demo(directory: Path, scene: str) -> None:
 @click.command(
     epilog="""\b
 Scenes:
-  demo            middle of the paper's tank, a random sea, 43 frames
+  demo            middle of the tank of Aubourg et al. (2019), a random sea, 43 frames
   two_cameras     the same seen by two cameras, calibrated with a chessboard
-  full            the paper's tank, full-size cameras, a random sea of 1.4 cm rms
+  full            the whole of that tank, full-size cameras, a random sea of 1.4 cm rms
   half            the same with images of half the size
   rest            still water
   steep           a steep sea: elevations to 7 cm, slopes to 0.4

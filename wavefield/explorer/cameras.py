@@ -234,12 +234,12 @@ class CameraPanel:
 
     def _show_image(self, image: Image | None, message: str) -> None:
         if image is None:
-            self.words.text = f"{message}; the other images can be shown."
+            self.words.text = f"{message}; other images can be shown."
             fit_image(self.figure, self._session.run.frames[parts.chosen(self.camera)].shape)
             parts.clear(self.sources["image"])
             return
         factor = show_frame(self.figure, self.sources["image"], image)
-        averaged = f"Every pixel here is the mean of {factor} x {factor} of the camera's."
+        averaged = f"Each pixel is the mean of {factor} x {factor} pixels of the camera."
         self.words.text = averaged if factor > 1 else ""
 
     def _show_nodes(self, camera: Camera, place: Place) -> None:

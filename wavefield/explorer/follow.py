@@ -148,7 +148,7 @@ class FollowPage:
             colour, words = "#a83d00", "; ".join(dict.fromkeys(light.words for light in red))
         elif not latest.fields:
             heading, colour = "Waiting for the first measured step", "#57606a"
-            words = "the lights below are those of the images"
+            words = "the lights below rate the images only"
         elif doubtful:
             heading, colour, words = "Sound with remarks", "#7a5200", f"check {', '.join(doubtful)}"
         else:

@@ -44,12 +44,11 @@ class LightLimits:
 
 @dataclass(frozen=True)
 class RelativeLimits:
-    """Limits as ratios to the first steps, at which a light becomes doubtful and bad."""
+    """Limits of the ratio to the first steps, beyond which a light is doubtful and bad."""
 
-    brightness: Limits = (0.5, 0.5)  # of beads and of background: a lamp is off
+    brightness: float = 0.5  # of beads and of background; below it a lamp is off
     cells: Limits = (0.7, 0.4)
     bead_size: Limits = (1.2, 1.4)
-    eps_y: Limits = (1.6, 2.2)
     matched: Limits = (0.8, 0.6)
     coverage: Limits = (0.9, 0.7)
 
@@ -57,7 +56,6 @@ class RelativeLimits:
 ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames rather than their content
 LIMITS, RELATIVE = LightLimits(), RelativeLimits()
 INTERVALS = 5  # frame intervals without a new frame that are still normal
-MIN_EPS_Y_PX = 0.15  # smaller first distances of sight lines are raised to this before a ratio is taken
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
     if first is not None:
         background = _ratio(now.background - first.dark, first.background - first.dark)
         beads = _ratio(now.peak - first.dark, first.peak - first.dark)
-        dark = max(background, beads) < RELATIVE.brightness[1]
+        dark = max(background, beads) < RELATIVE.brightness
         words += f"; {100 * min(beads, 9.99):.0f} % of the first frames"
     out = [
         StatusLight("brightness", camera, "bad" if dark else "good", words),
@@ -196,8 +194,6 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
     """
     state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
     if first is not None:
-        rise = _ratio(now.eps_y, max(first.eps_y, MIN_EPS_Y_PX))
-        state = _worse(state, _state(rise, RELATIVE.eps_y))
         state = _worse(state, _state(_ratio(now.matched, first.matched), RELATIVE.matched))
     missed = f"sight lines miss by {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")

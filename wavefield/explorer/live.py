@@ -234,7 +234,7 @@ class Learner:
             if record is not None:
                 self.model = Model(self.geometry, record)
         except (WavefieldError, ValueError) as error:  # the model stays
-            log.warning("nothing was learned from these frames: %s", error)
+            log.warning("the wave model was not updated from these frames: %s", error)
         now = time.monotonic()
         self._next_s = now + _PAUSE_PER_ESTIMATE * (now - begun)
 
@@ -291,10 +291,10 @@ class Follower:
             try:
                 new = self.poll()
             except Exception as error:  # whatever happens with one set of frames, the next ones are measured
-                log.warning("a set of frames was passed over", exc_info=True)
+                log.warning("a set of frames was skipped", exc_info=True)
                 new = False
                 if self.latest is not None:
-                    words = f"a set of frames was passed over: {error}"
+                    words = f"a set of frames was skipped: {error}"
                     self.latest = replace(self.latest, trouble=words)
                     self.count += 1
             if not new:

@@ -84,7 +84,7 @@ class WavePanel:
         spectrum.line("k", "f", source=source["ruler"], color=parts.INK, line_width=1.8, line_dash=[7, 4])
         parts.add_hover(
             spectrum, ("k / 2π", "$x{0.00} 1/m"), ("ω / 2π", "$y{0.00} Hz"),
-            ("log₁₀ of E relative to its largest", "@image{0.00}"), renderers=spectrum.renderers[:1],
+            ("log₁₀(E / largest E)", "@image{0.00}"), renderers=spectrum.renderers[:1],
         )  # fmt: skip
         spectrum.add_layout(self.picked)
         spectrum.add_layout(parts.colour_bar(mapper), "right")
@@ -103,7 +103,7 @@ class WavePanel:
         plane.line("kx", "ky", source=source["circle"], color="white", line_dash=[6, 4], line_width=1.6)
         parts.add_hover(
             plane, ("kx, ky / 2π", "$x{0.00}, $y{0.00} 1/m"),
-            ("log₁₀ of E relative to its largest", "@image{0.00}"), renderers=[image],
+            ("log₁₀(E / largest E)", "@image{0.00}"), renderers=[image],
         )  # fmt: skip
         return {"spectrum": spectrum, "map": plane}
 
@@ -122,7 +122,7 @@ class WavePanel:
             self.words.text = str(error)
             return
         if self._spectra is None:
-            self.words.text = f"{session.run.reason('waves')}; this page shows them once they are there"
+            self.words.text = f"{session.run.reason('waves')}; this page shows them when they exist"
             return
         options = [str(name) for name in self._spectra["quantity"].values]
         self.words.text = "Click E(k, ω) to choose the frequency of the map."
@@ -141,7 +141,7 @@ class WavePanel:
         end = min(float(drawn[-1] if drawn.size else cycles[-1]), 1.25 * shortest)
         self.figures["spectrum"].x_range.update(start=0, end=end)
         self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
-        title = f"log₁₀ of E(k, ω) of {parts.chosen(self.variable)}, relative to its largest"
+        title = f"log₁₀ of E(k, ω) of {parts.chosen(self.variable)}, relative to its maximum"
         self.figures["spectrum"].title.text = title
         self._show_relation()
         self._show_map()
@@ -172,7 +172,9 @@ class WavePanel:
         self.sources["plane"].data = parts.image_data(log_density(energy.values), kx, ky)
         hertz = float(energy.omega_map) / (2 * np.pi)
         self.picked.location = hertz
-        self.figures["map"].title.text = f"E(kx, ky) of {name} at {number(hertz)} Hz, the nearest stored"
+        self.figures[
+            "map"
+        ].title.text = f"E(kx, ky) of {name} at {number(hertz)} Hz, the nearest frequency stored"
         self._show_circle()
 
     def _show_circle(self) -> None:

@@ -110,7 +110,7 @@ def pair_items(run: Run) -> list[Item]:
         Picture(
             pair_misfits(found),
             f"Distributions of eps_y and of eps' for each pair of cameras on its own, {spread}, before "
-            "anything is rejected. They are wider than in the cube, which combines all pairs.",
+            "outliers are rejected. They are wider than in the cube, which combines all pairs.",
             f"Densities of eps_y and of eps' for each pair. Rms: {own}.",
         )
     ]
@@ -124,7 +124,7 @@ def pair_items(run: Run) -> list[Item]:
             )
         )
     caption = (
-        "Pairs of cameras alone, before anything is rejected: rms of the errors within three times the rms, "
+        "Pairs of cameras alone, before outliers are rejected: rms of the errors within three times the rms, "
         f"and the fraction beyond; 1 px is {1e3 * pixel:.2g} mm"
     )
     return [*items, Table(caption, ("error", "cm", "px", "beyond", "paper"), rows)]

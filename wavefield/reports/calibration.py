@@ -262,7 +262,7 @@ def rig_sentences(rig: Rig) -> Iterator[str]:
             f"x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m."
         )
     except RigError as error:
-        yield f"What the cameras see of the water: {error}"
+        yield f"Common field of view: {error}"
 
 
 # -- in a report ---------------------------------------------------------------------------------------

@@ -194,7 +194,7 @@ def probe_items(run: Run) -> list[Item]:
         compared.append(one)
         difference = number(1e3 * float(one.rms_difference), "mm", 2)
         rows.append((name, difference, f"{min(float(one.correlation), 0.9999):.4f}"))
-    caption = "Wave probes and the elevation measured at their places, each about its mean"
+    caption = "Wave probes and the elevation measured at their positions, each minus its mean"
     table = Table(caption, ("probe", "rms difference, or why there is none", "correlation"), rows)
     if not compared:
         return [table]
@@ -202,7 +202,7 @@ def probe_items(run: Run) -> list[Item]:
     which = f"the first {MAX_PROBES} of them" if len(compared) > MAX_PROBES else "the probes in the grid"
     picture = Picture(
         figures.probe_series(drawn),
-        f"Elevation by {which} and by the cameras at the same places; the rms of the difference is over "
+        f"Elevation by {which} and by the cameras at the same positions; the rms of the difference is over "
         f"{drawn.sizes['time']} steps.",
         f"Curves over time. {'; '.join(f'{name}: rms difference {words}' for name, words, _ in rows)}.",
     )
@@ -219,7 +219,7 @@ def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
     z = cube.z.isel(time=slice(first, first + MAX_STEPS))
     time, x, y = z["time"].values.astype(float), float(probe.probe_x), float(probe.probe_y)
     if not np.isfinite([x, y]).all():
-        return "the experiment file does not give its place"
+        return "the experiment file does not give its position"
     if not (z.x.min() <= x <= z.x.max() and z.y.min() <= y <= z.y.max()):
         return f"outside the grid, at x {x:.3g} m, y {y:.3g} m"
     here = _around(z, x, y).interp(x=x, y=y).values.astype(float)

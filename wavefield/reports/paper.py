@@ -100,8 +100,8 @@ def _plane_coherence(run: Run) -> ReportSection:
     low_k = float(plane.mean_C.sel(term="tot")[: plane.sizes["k"] // 4].mean())
     picture = Picture(
         figures.plane_coherence_maps(plane),
-        "Coherence at each wave vector, averaged over time; and the three curves averaged over angle after "
-        "the ratio, as in the paper.",
+        "Coherence at each wave vector, averaged over time; and three curves of the coherence "
+        "averaged over the angle, as in the paper.",
         "Map of the coherence over kx, ky, and curves over k; with the sum it is on average "
         f"{low_k:.3f} over the lowest quarter of k.",
     )
