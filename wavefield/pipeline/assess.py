@@ -19,7 +19,7 @@ from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
 from wavefield.measurement.error_budget import fast_waves, ripples
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_record, samples
-from wavefield.pipeline.prepare import PreparedRun, expected_coverage, prepare
+from wavefield.pipeline.prepare import SAMPLE_STEPS, PreparedRun, expected_coverage, prepare
 from wavefield.quality.camera_motion import Synchrony, delays, remarks_on_clocks, remarks_on_mounts
 from wavefield.quality.cameras import INCONSISTENT, CameraFaults, PatchMatcher, find_camera_faults
 from wavefield.quality.record import (
@@ -56,7 +56,6 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.store.write_cube import clear_steps
 from wavefield.variables import FrameStatus, Quality
 
-INSTANTS = 4  # of a record, at which cameras are compared, before a run and after it
 MAX_SAMPLED = 12  # steps of a cube that are looked at after its run
 MIN_STEPS = 5  # of a record: shorter ones have no neighbours to compare with
 
@@ -78,7 +77,7 @@ def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Camer
     each other.
     """
     count, matcher = prepared.steps + 1, _patch_matcher(prepared)
-    frames = evenly_spaced(count, INSTANTS)
+    frames = evenly_spaced(count, SAMPLE_STEPS)
     with one_thread():  # each of them
         found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
     thickness = prepared.geometry.settings.sheet_thickness
@@ -220,7 +219,7 @@ def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
 
 def _sampled(steps: int) -> list[int]:
     """Steps that are matched again after a run; of a short record few, or they are most of its cost."""
-    return evenly_spaced(steps, min(MAX_SAMPLED, max(INSTANTS, steps // 10)))
+    return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
 
 _BIN_EDGES = np.linspace(-5, 5, 101)  # rms

@@ -56,7 +56,6 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import short_path, spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus
 
-MIN_FREE_SHARE = 1.1  # of what a run writes
 TRIAL_STEPS = 4  # that are measured
 
 
@@ -139,7 +138,7 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Frames of one camera; of a record of more than 40 frames only a sample is read."""
+    """Frames of one camera; of a record of more than 24 frames only a sample is read."""
 
     name: str  # The camera
     frames: int  # Frames that have a file
@@ -333,7 +332,7 @@ def check(
         *remark_on_recordings(experiment, series),
         *remark_on_probe_file(experiment, record_span(experiment, series)),
     ]
-    if trial and trial.cost.free < MIN_FREE_SHARE * trial.cost.disk:
+    if trial and trial.cost.free < trial.cost.disk:
         remarks.append(_remark_on_disk(trial.cost))
     if prepared and coverage is not None:
         remarks += [remark_on_rest(prepared.experiment, prepared.rig), *remark_on_coverage(coverage)]
@@ -379,7 +378,7 @@ def _remark_on_disk(cost: Cost) -> Remark:
         "disk space",
         "remark",
         f"a run writes {spell_size(cost.disk)}, and {spell_size(cost.free)} are free",
-        f"It may stop before its end ({MIN_FREE_SHARE} times as much should be free)",
+        "It may stop before its end",
         "Free some space or write elsewhere with -o",
         {"bytes": cost.disk, "free": cost.free},
     )

@@ -156,7 +156,7 @@ def _distances(rig: Rig) -> list[float]:
 
 # -- the run
 
-SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
+SAMPLE_STEPS = 4  # over the record, in which search ranges are found and cameras are compared
 MAX_CHUNK_STEPS = 100  # steps; a chunk costs one to two steps more for its five extra frames
 
 

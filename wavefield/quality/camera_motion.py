@@ -25,7 +25,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.quality.cameras import MIN_PATCHES, SIDE, Array, Pair, rms_over_field, scaled
-from wavefield.quality.remarks import GRAVE_MISS, MAX_MISS, MIN_NODES, SIGNIFICANCE
+from wavefield.quality.remarks import CELLS, GRAVE_MISS, MAX_MISS, MAX_NODES, MIN_NODES, SIGNIFICANCE
 from wavefield.robust import robust_std
 from wavefield.store.verdict import Remark
 
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from wavefield.rig import Camera
 
 BIAS = 0.05  # of a delay, because water turns between the steps whose velocity is taken
-CELLS = 3  # along either side: parts of the field whose errors are independent
 MIN_VELOCITY = 0.03  # px per frame, rms without constant and slopes: less is noise of the matching
 MAX_STD = 0.5  # frame intervals: a delay of larger uncertainty is not determined
 
@@ -304,7 +303,6 @@ def spell_delays(found: Mapping[str, Delay]) -> str:
 
 # -- motion of the mounts, from eps_y at every step
 
-MAX_NODES = 2000  # of each step
 MIN_STEPS_PER_SIDE = 3  # of a jump
 
 

@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import special  # scipy.stats takes half a second to import
 
-from wavefield.quality.remarks import HALF, MAX_LOST, MIN_NODES, SIGNIFICANCE
+from wavefield.quality.remarks import CELLS, HALF, MAX_LOST, MIN_NODES, SIGNIFICANCE
 from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.clocks import is_alike, stated_by_recordings
@@ -29,8 +29,7 @@ from wavefield.variables import FrameFault, FrameStatus, Quality
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-MAX_FRAMES_READ_ALL = 40  # a record of no more frames is read as a whole
-SAMPLED_STEPS = 12  # of a longer one
+SAMPLED_STEPS = 12  # whose frames are read; a record of fewer than twice as many is read as a whole
 FAULTS = {
     FrameFault.UNREADABLE: ("cannot be read", "Copy them again from the recording"),
     FrameFault.BLANK: ("are blank (all pixels equal)", "Was the lens covered, or the light off?"),
@@ -50,7 +49,6 @@ PATCHES = 8  # along the shorter side of the field
 # A wave that turns by p from frame to frame has the ratio p / sin p. Where most turn by more than a sixth of
 # a turn, sound simulated seas scatter as much as a lost frame does, and nothing is judged.
 MAX_RATIO = 1.2
-CELLS = 3  # parts of the field along either side whose ratios are compared
 DISCONTINUITY = 0.3  # logarithm of a step's ratio over that of its neighbours; a lost frame changes it by 0.5
 MAX_MISFIT = 1.6  # standard uncertainties: sound seas have 0.1 to 1.2
 MIN_RATIO = 0.05  # smallest ratio that counts: log(0) of a doubled frame
@@ -70,7 +68,7 @@ class FrameInspection:
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
     """Indices of the frames to read: all of a short record, else both ends and those of some random steps."""
     complete = complete_steps(series)
-    if len(complete) < MAX_FRAMES_READ_ALL:
+    if len(complete) < 2 * SAMPLED_STEPS:
         return tuple(range(len(complete) + 1))
     # evenly spaced ones would all be good, or all be bad, where every second frame is
     drawn = np.random.default_rng(0).permutation(np.flatnonzero(complete))[:SAMPLED_STEPS]

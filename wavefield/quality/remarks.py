@@ -31,6 +31,8 @@ EXPLANATIONS: dict[str, str] = yaml.safe_load(
 
 
 SIGNIFICANCE = 4.0  # standard uncertainties: noise exceeds it once in 16,000 times
+CELLS = 3  # along either side: parts of the field whose errors are independent
+MAX_NODES = 2000  # of each step of a cube that are read; enough for means over the field
 MIN_NODES = 50  # measured nodes of a step; with fewer it is not judged
 MAX_MISS = 0.1  # px by which sight lines miss each other after a good calibration; more is a remark
 GRAVE_MISS = 0.5  # px: some ten standard uncertainties of z in a sound record
@@ -39,7 +41,6 @@ HALF = 0.5  # of frames, patches or nodes: with less, a camera or the grid serve
 MIN_COVERAGE = 0.05  # of the grid in common view: less is refused before a run
 MAX_EPS_PIV = 0.15  # px: median of |eps'|; sound records have less than 0.1
 MAX_PROBE_STEPS = 1500  # of a long record, in its middle
-MAX_PROBE_NODES = 2000  # of each step
 
 
 def first_sentence(text: str) -> str:
@@ -269,7 +270,7 @@ def remark_on_probes(
         return
     from wavefield.waves.probes import fit_probes  # imports all of the analysis
 
-    every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_PROBE_NODES))))
+    every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_NODES))))
     first = max(0, (len(cube.z) - MAX_PROBE_STEPS) // 2)
     z = cube.z.isel(time=slice(first, first + MAX_PROBE_STEPS), y=every, x=every).load()
     dt = float(z["time"][1] - z["time"][0]) if len(z) > 1 else 1.0
