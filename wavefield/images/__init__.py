@@ -22,7 +22,6 @@ from wavefield.text import one_line
 PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
 ENDINGS = (*tiff.ENDINGS, ".png", ".bmp", ".jpg", ".jpeg")
 CONVERTED = (np.uint8, np.uint16, np.float32)  # colour images of these types are made grey by OpenCV
-LUMINANCE = np.array([0.299, 0.587, 0.114])  # of red, green, blue, as OpenCV has it
 
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
@@ -102,9 +101,10 @@ def grey(image: np.ndarray) -> np.ndarray:
         return image
     if image.shape[2] < 3:
         return np.ascontiguousarray(image[..., 0])
-    if image.dtype in CONVERTED:
-        return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_RGB2GRAY)
-    luminance = image[..., :3] @ LUMINANCE
+    kind = image.dtype if image.dtype in CONVERTED else np.float32
+    luminance = cv2.cvtColor(np.ascontiguousarray(image[..., :3], kind), cv2.COLOR_RGB2GRAY)
+    if kind == image.dtype:
+        return luminance
     return np.asarray(np.rint(luminance) if image.dtype.kind in "iu" else luminance, image.dtype)
 
 

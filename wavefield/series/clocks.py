@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import VIDEO_ENDINGS, file_of, open_recording
+from wavefield.series.formats.arrays import SECONDS
 from wavefield.series.formats.recording import usual_interval, usual_intervals
 from wavefield.series.formats.video import Video
 from wavefield.series.frames import FrameSeries
@@ -20,8 +21,6 @@ Images = str | Sequence[str | None]
 
 MAX_OFFSET = 0.25  # intervals between an image's time and its place: half-way to where places are ambiguous
 RATE_DISAGREEMENT = 0.01  # of a rate: by as much a velocity would be wrong
-ROUNDING = 1e-3  # of a rate: cameras state theirs with three digits or more
-SMALL_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # per second
 UNIT_TOLERANCE = 0.05  # of a rate that the experiment file rounds
 DEPARTURE_STEP = 1e-4  # intervals, to which departures are rounded: changes a velocity by as little
 
@@ -66,8 +65,8 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     if abs(frames - 1.0) > max(RATE_DISAGREEMENT, float(np.ptp(usual)) / interval / len(usual)):
         rate = float(f"{1.0 / interval:.4g}")
         remedy = f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"
-        for unit, per_second in SMALL_UNITS.items():
-            if abs(frames / per_second - 1.0) < UNIT_TOLERANCE:
+        for unit in ("milliseconds", "microseconds", "nanoseconds"):
+            if abs(frames * SECONDS[unit] - 1.0) < UNIT_TOLERANCE:
                 remedy = f"these look like {unit}; write seconds"
         raise ExperimentError(f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: {remedy}")
 
@@ -246,11 +245,11 @@ def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
 
 
 def is_alike(one: float, other: float) -> bool:
-    """Whether two rates agree within rounding.
+    """Whether two rates agree as far as velocities need it.
 
     Examples
     --------
     >>> is_alike(500.0, 500.2), is_alike(500.0, 250.0)
     (True, False)
     """
-    return abs(one - other) <= ROUNDING * abs(other)
+    return abs(one - other) <= RATE_DISAGREEMENT * abs(other)

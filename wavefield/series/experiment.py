@@ -10,7 +10,6 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from wavefield.config_files import PathText, load, read_yaml
 from wavefield.errors import ExperimentError, RigError
-from wavefield.file_access import refuse_pipe
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
@@ -296,22 +295,16 @@ class Experiment(RecordSection):
         RigError
             If there is none, or cameras of the experiment are not in it, or its images have other sizes.
         """
-        if path is None and self.rig is None:
-            path = self.resolve("rig.yaml")  # where `wavefield calibrate` writes it
-            if not path.exists():
-                raise RigError(
-                    f"{self.path} names no rig and there is no rig.yaml beside it; "
-                    f"run `wavefield calibrate {self.path.name}`"
-                )
-        sizes = {name: (s.shape[1], s.shape[0]) for name, s in series.items()} if series else None
-        source: Path | dict[str, Path]
+        source: Path | dict[str, Path] = self.rig_paths[0] if path is None else Path(path)
         if path is None and isinstance(self.rig, dict):
             source = {name: self.resolve(file) for name, file in self.rig.items()}
-            rig = load_rig(source, sizes)
-        else:
-            source = self.resolve(str(self.rig)) if path is None else Path(path)
-            named = source.suffix in (".yaml", ".yml") and "%YAML" not in _start(source)
-            rig = load_rig(source, sizes, None if named else list(self.cameras))
+        elif path is None and self.rig is None and not self.rig_paths[0].exists():
+            raise RigError(
+                f"{self.path} names no rig and there is no rig.yaml beside it; "
+                f"run `wavefield calibrate {self.path.name}`"
+            )
+        sizes = {name: (s.shape[1], s.shape[0]) for name, s in series.items()} if series else None
+        rig = load_rig(source, sizes, list(self.cameras))
         absent = [name for name in self.measuring_cameras if name not in rig.cameras]
         if absent:
             raise RigError(f"{source} has no camera {', '.join(absent)}; it has {', '.join(rig)}")
@@ -395,12 +388,3 @@ def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, flo
     except (TypeError, ValueError):
         pass  # the settings' own check reports it
     return None
-
-
-def _start(path: Path) -> str:
-    try:
-        refuse_pipe(path, ExperimentError)
-        with path.open(errors="replace") as stream:
-            return stream.read(200)
-    except OSError:
-        return ""  # `load_rig` reports what is wrong

@@ -62,10 +62,8 @@ def normalized(masks: object, cameras: Collection[str]) -> object:
 
 def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
     """Refuse images on the water."""
-    for name, shapes in masks.items():
-        for shape in shapes:
-            if name == WATER and shape.image:
-                raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
+    if any(shape.image for shape in masks.get(WATER, ())):
+        raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
 
 
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:

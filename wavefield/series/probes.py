@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
 from wavefield.file_access import refuse_pipe
+from wavefield.rig.formats.common import LENGTHS
 from wavefield.variables import annotate
 
 if TYPE_CHECKING:  # half a second to import
     import xarray as xr
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 SLOWEST = 2.0  # s between samples: slower ones do not resolve waves; times in ms have steps of 10 and more
 LARGEST = 40.0  # m from the lowest to the highest value: no wave is higher
 
@@ -66,15 +66,15 @@ def read_probes(
     """
     path = Path(path)
     lines = numbered_lines(path, "the probes")
-    if unit not in UNITS:
-        raise ExperimentError(f"the probes {path}: unit {unit!r} is not one of {', '.join(UNITS)}")
+    if unit not in LENGTHS:
+        raise ExperimentError(f"the probes {path}: unit {unit!r} is not one of {', '.join(LENGTHS)}")
     names = _names(path, *lines[0]) if lines else []
     if len(lines) < 3:
         raise ExperimentError(f"the probes {path} have fewer than two lines of numbers")
     table = _table(path, names, lines[1:])
     _check_times(path, table[:, 0], [number for number, _ in lines[1:]])
     for name, values in zip(names[1:], table[:, 1:].T):
-        _check_elevation(path, name, values * UNITS[unit] * factor)
+        _check_elevation(path, name, values * LENGTHS[unit] * factor)
     unknown = [name for name in places or {} if name not in names[1:]]
     if unknown:
         raise ExperimentError(
@@ -85,7 +85,7 @@ def read_probes(
     import xarray as xr
 
     out = xr.Dataset(
-        {"elevation": (("probe", "time"), UNITS[unit] * factor * table[:, 1:].T)},
+        {"elevation": (("probe", "time"), LENGTHS[unit] * factor * table[:, 1:].T)},
         {
             "time": ("time", table[:, 0] + clock),
             "probe": ("probe", names[1:]),

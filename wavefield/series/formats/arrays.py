@@ -19,7 +19,7 @@ _METADATA = ("zarr.json", ".zarray", ".zgroup", ".zmetadata")  # of a Zarr array
 _ENDINGS = (".h5", ".hdf5", ".nc")
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
 _SECRET = re.compile(r"://[^/]*@|\?.*=")  # a user before the host, or a query after the path
-_SECONDS = {
+SECONDS = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
     **dict.fromkeys(("us", "microsecond", "microseconds"), 1e-6),
@@ -62,7 +62,7 @@ def _times(data: h5py.Dataset) -> Times:
     in_folder = data.parent.get("time")
     for stored in (*scales, in_folder):
         units = "" if stored is None else str(np.ravel(stored.attrs.get("units", ""))[:1].astype(str)[0])
-        unit = _SECONDS.get(units.split(" ")[0])
+        unit = SECONDS.get(units.split(" ")[0])
         if unit is not None and stored.shape == data.shape[:1]:
             return unit * np.asarray(stored, np.float64)
     return np.empty(0)
