@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft, ndimage
-from scipy.sparse.linalg import LinearOperator, cg
 
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
@@ -83,6 +82,7 @@ def _with(known: Array, hole: NDArray[np.bool_], values: Array) -> Array:
 
 def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Array) -> Array:
     """Solve x_m = G_mm x_m + G_mo x_o by conjugate gradients from x."""
+    from scipy.sparse.linalg import LinearOperator, cg  # few records need it
 
     def predicted(whole: Array) -> Array:
         lines = fft.dctn(whole, norm="ortho", overwrite_x=True)
