@@ -184,7 +184,7 @@ register(
         "departure",
         ("time",),
         "1",
-        "delay of a frame behind its even time, by the cameras' clocks, over the frame interval",
+        "delay of a frame against an even clock, from time stamps, in frame intervals",
         dtype="float64",
         group="frames",
     ),
