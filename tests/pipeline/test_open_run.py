@@ -19,7 +19,6 @@ def test_a_run_has_all_that_its_cube_was_made_from(measured):
     assert found.experiment.path == measured / "experiment.yaml"
     assert {name: len(one) for name, one in found.frames.items()} == dict.fromkeys(found.rig, 10)
     assert "spectra" in found.waves.children
-    assert found.masks == {}
     assert found.probes is None
     assert found.truth is None
     names = ("rig", "experiment", "frames", "waves", "pair_statistics")
@@ -47,7 +46,6 @@ def test_masks_and_probes_come_with_the_experiment(measured, tmp_path):
         file.read_text() + "mask: {cam1: [{polygon: [[0, 0], [9, 0], [9, 9]]}]}\nprobes: probes.csv\n"
     )
     found = wf.open_run(tmp_path / "cube.zarr", experiment=file)
-    assert set(found.masks) == {"cam1"}
     assert found.frames["cam1"].covered(0).any()
     assert found.probes is None
     assert "there is no such file" in found.reason("probes")

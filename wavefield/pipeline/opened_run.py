@@ -24,7 +24,6 @@ from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
 from wavefield.sampling import from_first_to_last
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.frames import CameraMask
 from wavefield.series.masks import covered_series
 from wavefield.store import beside
 from wavefield.store.read import find_store
@@ -240,11 +239,6 @@ class Run:
         return frames | masked
 
     @cached_property
-    def masks(self) -> dict[str, CameraMask]:
-        """Masks of the cameras' images; empty without any."""
-        return {name: one.mask for name, one in self.frames.items() if one.mask is not None}
-
-    @cached_property
     def probes(self) -> xr.Dataset | None:
         """The wave probes of the experiment, if it has any and their file is there.
 
@@ -369,7 +363,7 @@ def open_run(
     Returns
     -------
     Run
-        With ``cube``, ``recipe``, ``rig``, ``grid``, ``experiment``, ``frames``, ``masks``, ``probes``,
+        With ``cube``, ``recipe``, ``rig``, ``grid``, ``experiment``, ``frames``, ``probes``,
         ``waves``, ``truth`` and ``pair_statistics``, each read when it is first used; what is absent is None
         or empty, and ``run.reason("probes")`` gives the reason.
 
