@@ -9,6 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from wavefield.calibration.observations import MIN_MATCHES
 from wavefield.calibration.points import Image, Mask
 from wavefield.calibration.still_water import RigCheck, refine_and_level
 from wavefield.errors import CalibrationError
@@ -101,7 +102,6 @@ def _peak(plane: Image) -> Mask:
     return np.asarray(parts == parts[top])
 
 
-ENOUGH_WINDOWS = 100  # windows overlap where fewer would fit next to each other
 Read = Callable[[str, int], NDArray[np.generic] | None]  # an image by camera and frame
 
 
@@ -115,7 +115,7 @@ class SheetWindows:
         x, y = (np.arange(lo, hi, self.pixel) for lo, hi in (field.x, field.y))
         side = min(side, x.size, y.size) // 2 * 2
         step, rows, columns = side, range(0), range(0)
-        while len(rows) * len(columns) < ENOUGH_WINDOWS and step > 4:
+        while len(rows) * len(columns) < 2 * MIN_MATCHES and step > 4:
             step //= 2
             rows, columns = (range(0, n - side + 1, step) for n in (y.size, x.size))
         self.count = len(rows) * len(columns)
@@ -161,10 +161,7 @@ class SheetWindows:
         return float(np.sqrt(np.nanmean(squares)))
 
 
-SIDES = 128, 64, 64, 64  # px: of the windows, pass after pass
-MIN_WINDOWS = 60  # by which a plane, and a camera that moved, can be fitted
-DISPARITY_STD = 0.2  # px: in the first place
-CONVERGED = 0.05  # px: a pass that reduces the disparity by less is the last
+SIDES = 128, 64, 64  # px: of the windows, pass after pass; a fourth changes nothing
 
 
 @dataclass(frozen=True)
@@ -261,7 +258,7 @@ def fit_sheet(
     """
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None
-    before = last = float("nan")
+    before = float("nan")
     for number, side in enumerate(SIDES):
         windows = SheetWindows(rig, side, read, instants)
         if progress:
@@ -269,19 +266,16 @@ def fit_sheet(
         matches = windows.matches()
         n_cameras = np.sum([np.isfinite(pixel).all(axis=1) for pixel in matches.values()], axis=0)
         count = int(np.count_nonzero(n_cameras >= 2))
-        if count < MIN_WINDOWS:
+        if count < MIN_MATCHES:
             raise CalibrationError(
                 f"only {count} of {windows.count} windows of {windows.instants} instants show the same "
-                f"particles in two cameras, {MIN_WINDOWS} at least are needed: more instants, more light, a "
+                f"particles in two cameras, {MIN_MATCHES} at least are needed: more instants, more light, a "
                 "calibration nearer to the sheet, or frames of the same moments"
             )
         rms = windows.rms()
         if check is None:
             before = rms
-        elif rms > last - CONVERGED:
-            break
-        last = rms
-        rig, correction, plane = refine_and_level(rig, matches, DISPARITY_STD)
+        rig, correction, plane = refine_and_level(rig, matches)
         origin, axes = origin + axes @ np.array([0.0, 0.0, plane.height]), axes @ plane.axes
         if check is None and not correction.moved and correction.faulty_cameras:
             # a misfit across the parallax may be as large along it, where it passes for the sheet's height

@@ -6,15 +6,13 @@ from scipy.spatial import cKDTree
 
 from wavefield.calibration.dots import dot_centres, find_blobs, make_points
 from wavefield.calibration.lattice import Candidates, SmoothMap, TargetLattice, cross, most_central
-from wavefield.calibration.observations import LIMITS
+from wavefield.calibration.observations import LIMITS, OUTLIER_DEVIATIONS
 from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
-MARK_DEVIATIONS = 4.0  # robust deviations by which a mark differs from the usual dot
-MAX_UNUSUAL = 6  # dots that may be marks: some are dusty
 MIN_SKEWNESS = 0.08  # of a triangle; below 0.03 of most dots
 MAX_RATIO = 1.75  # of the differences of square and triangle from a dot: dust makes one of them alone
 PATCH_REACH = 0.19  # of a cell of one level: half the side of the patch around a dot
@@ -58,8 +56,7 @@ def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] |
     spread = robust_std(difference - middle) + 1e-6
     edge = PATCH_REACH * level.side  # a patch that the image's edge cuts is no evidence
     far = ((level.pixel > edge) & (level.pixel < np.array(image.shape[::-1]) - 1 - edge)).all(1)
-    unusual = np.argsort(np.where(far, -difference, 0.0))[:MAX_UNUSUAL]
-    unusual = unusual[difference[unusual] > middle + MARK_DEVIATIONS * spread]
+    unusual = np.flatnonzero(far & (difference > middle + OUTLIER_DEVIATIONS * spread))
     skewness = {int(k): _skewness(patch[k]) for k in unusual}
     pairs = [
         (float(difference[s] + difference[t]), s, t)
