@@ -149,7 +149,7 @@ def test_the_papers_figures_are_on_one_page(folder, tmp_path, without_pixels):
     for anchor in ("surface-and-velocity", "still-water", "pairs-of-cameras-against-one-another", "numbers"):
         assert f'<section id="{anchor}">' in text
     assert text.count("<img ") >= 13
-    for words in ("sight lines miss (eps_y), cam", "z of still water, rms", "0.34 to 0.37 px"):
+    for words in ("epipolar error (eps_y), cam", "z of still water, rms", "0.34 to 0.37 px"):
         assert words in text
     # each row of the numbers has one
     rows = re.findall(

@@ -35,7 +35,7 @@ class LightLimits:
     bead_size: Limits = (2.5, np.inf)  # standard deviation, px
     silence: Limits = (2.0, 5.0)  # time without a new frame, less a few frame intervals, s
     delay: Limits = (0.5, 1.0)  # behind the other cameras, s
-    eps_y: Limits = (0.5, 1.0)  # distance between sight lines of two cameras, px
+    eps_y: Limits = (0.5, 1.0)  # epipolar error, px
     matched: Limits = (0.5, 0.2)  # fraction of the visible blocks that match
     eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
     coverage: Limits = (0.6, 0.3)  # fraction of measured nodes
@@ -111,7 +111,7 @@ class StepSummary:
 class PairSummary:
     """Consistency of a pair of cameras at one instant."""
 
-    eps_y: float  # distance between their sight lines, rms, px
+    eps_y: float  # epipolar error, rms, px
     matched: float  # fraction of the visible blocks that match
 
 
@@ -188,14 +188,14 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
-    """Return the light of a pair, bad if sight lines miss each other or blocks do not match.
+    """Return the light of a pair, bad if the epipolar error is large or blocks do not match.
 
     Both happen after a camera was moved.
     """
     state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
     if first is not None:
         state = _worse(state, _state(_ratio(now.matched, first.matched), RELATIVE.matched))
-    missed = f"sight lines miss by {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
+    missed = f"epipolar error {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
 
 

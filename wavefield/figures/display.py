@@ -91,7 +91,7 @@ KINDS: tuple[tuple[str, str, str], ...] = (
     ("MASKED", "masked", "#000000"),
     ("REJECTED_RANGE", "rejected: beyond the range", "#009E73"),
     ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
-    ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
+    ("REJECTED_EPS", "rejected: epipolar error", "#E69F00"),
     ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
     ("FILLED", "filled", "#56B4E9"),
     ("FEWER_CAMERAS", "measured without a camera", "#F0E442"),

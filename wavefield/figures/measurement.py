@@ -91,7 +91,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
 
 
 def misfit_maps(cube: xr.Dataset) -> Figure:
-    """Maps of the rms in time of eps_y, the mismatch of sight lines, and eps', that of displacements.
+    """Maps of the rms in time of the epipolar error eps_y and of eps', the misfit of displacements.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ def _internal(cube: xr.Dataset) -> list[Item]:
     return [
         Picture(
             figures.misfit_maps(part),
-            "Rms in time of the mismatch of the cameras' sight lines (eps_y) and of the misfit of their "
+            "Rms in time of the epipolar error of the cameras (eps_y) and of the misfit of their "
             "displacements (eps'). A constant pattern points to the calibration, a slope to a camera that "
             "has moved.",
             f"Maps of eps_y, rms {1e3 * rms_of(part.eps_y):.3g} mm, and of eps', rms "
@@ -87,7 +87,7 @@ def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
 
 # by quantity: name in the table, factor of the rms there, value in Aubourg et al. (2019)
 _NAMES = {
-    "eps_y": ("sight lines miss (eps_y), {}", 1.0, "0.04 to 0.08 cm"),
+    "eps_y": ("epipolar error (eps_y), {}", 1.0, "0.04 to 0.08 cm"),
     "sigma_z": ("σ of z that follows, {}", 1.0, "0.048 to 0.058 cm"),
     "z": ("(z {} − z {}) / √2", 0.5**0.5, "0.057 cm"),
     "z_recombined": ("z {} recombined − direct", 1.0, ""),

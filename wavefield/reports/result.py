@@ -115,18 +115,18 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
     eps_y, eps_piv = 1e3 * rms_of(numbers.part.eps_y), rms_of(numbers.part.eps_piv)
     gist = f"displacements differ by {number(eps_piv, 'px', 2)} (rms)"
     if not in_light_sheet(run):
-        gist = f"sight lines miss each other by {number(eps_y, 'mm', 2)}, {gist}"
+        gist = f"epipolar error {number(eps_y, 'mm', 2)} (rms), {gist}"
     rows = []
     if "path_frames" in cube:
         frames = int(cube.path_frames)
         stated = {1: "instantaneous", 2: "displacements over one step"}
         rows.append(("velocities", stated.get(frames, f"along paths of {frames_of_path(frames)} frames")))
     misfit = f"{number(eps_piv, 'px')} (published for a similar rig: 0.34 to 0.37 px)"
-    mismatch = f"{number(eps_y, 'mm')} (published for a similar rig: 0.4 to 0.8 mm)"
+    epipolar = f"{number(eps_y, 'mm')} (published for a similar rig: 0.4 to 0.8 mm)"
     rows += [
         *without_cameras(numbers.part.quality, numbers.n_in_view, cube.attrs.get("cameras", ())),
         ("rms of z about its mean", number(100 * float(numbers.part.z.std()), "cm")),
-        ("mismatch of sight lines (eps_y), rms", mismatch),
+        ("epipolar error (eps_y), rms", epipolar),
         ("misfit of the displacements (eps'), rms", misfit),
     ]
     statistics = run.wave_group("statistics")
