@@ -1,4 +1,4 @@
-"""Writing a file or a folder completely or not at all, and never over what somebody else wrote.
+"""Write a file or folder completely or not at all, and never over anybody else's.
 
 Every product ends with a mark: its kind, the identity of what it was made from, and a digest of its content.
 A file that is there is replaced only by the same product of the same source, and only if its content is still
@@ -45,7 +45,7 @@ def identity_of(*parts: object) -> str:
 
 
 def file_names(folder: Path) -> list[str]:
-    """Names of all files in a folder and below it, relative to it, in order; links count as files."""
+    """Sorted paths of all files below a folder, relative to it; links count as files."""
     out = []
     for place, folders, files in os.walk(folder):
         links = [name for name in folders if os.path.islink(os.path.join(place, name))]
@@ -54,7 +54,7 @@ def file_names(folder: Path) -> list[str]:
 
 
 def read_mark(path: Path) -> Product | None:
-    """What a file or a Zarr store is by its mark; None without one, or where the content was changed."""
+    """The product that the mark of a file or Zarr store names; None without a mark, or if it was changed."""
     try:
         if path.is_dir():
             mark = json.loads((path / "zarr.json").read_bytes())["attributes"][MARK_ATTRIBUTE]
@@ -120,7 +120,7 @@ def _digest(path: Path) -> str:
 
 
 def check_replaceable(path: Path, product: Product | None = None, replace: bool = False) -> None:
-    """Refuse to write over what this program did not write as the same product of the same source."""
+    """Refuse to replace anything but the same product of the same source, unchanged since it was written."""
     try:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
@@ -191,7 +191,7 @@ def atomic(
 
 @contextmanager
 def _draft_folder(path: Path) -> Iterator[Path]:
-    """A locked folder beside a path for its draft; those of killed writers are removed first."""
+    """Make a locked folder for a draft next to a path, and first remove those of killed writers."""
     remove_leftovers(path)
     folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal can come between
     try:
@@ -207,7 +207,7 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder in which Zarr's threads may still write for a moment."""
+    """Remove a folder; try again while threads of Zarr still write into it."""
     for _ in range(_REMOVALS):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
@@ -223,7 +223,7 @@ def _put_back(folder: Path, path: Path) -> None:
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what killed writers left beside a path; what it was to replace gets its name back."""
+    """Remove drafts that killed writers left next to a path; a folder they had moved gets its name back."""
     with suppress(OSError):
         for entry in list(os.scandir(path.parent)):
             if not entry.name.startswith(_DRAFT):
@@ -238,7 +238,7 @@ def remove_leftovers(path: Path) -> None:
 
 
 def make_durable(paths: Iterable[Path]) -> None:
-    """Have files and folders written to the disk before going on; those that do not exist are passed over."""
+    """Wait until files and folders are on the disk (fsync); those that do not exist are passed over."""
     for path in paths:
         try:
             number = os.open(path, os.O_RDONLY)
@@ -262,7 +262,7 @@ def write_text(path: str | Path, text: str, product: Product | None = None, *, r
 def check_writable(
     path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
 ) -> None:
-    """Make sure that a file or a folder can be written, before the work that ends in it."""
+    """Check that a file or folder can be written before work on it begins."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -274,7 +274,7 @@ def check_writable(
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn a failure to write to a path into a sentence."""
+    """Turn an `OSError` while writing to a path into a `StoreError` with a remedy."""
     try:
         yield
     except OSError as error:

@@ -92,7 +92,7 @@ def make(
     try:
         made = TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
-        where = place_of(path, location) if path else name
+        where = file_and_line(path, location) if path else name
         raise error(f"{where}: {found}" if where else str(found)) from None
     except ValidationError as found:
         node = _compose(path) if path else None
@@ -106,7 +106,8 @@ def make(
             return made
         words = " should be a number, which yes, no, on, off, true, false are not"
         problems = [
-            (place_of(path, place) if path else name, ".".join(map(str, place)) + words) for place in places
+            (file_and_line(path, place) if path else name, ".".join(map(str, place)) + words)
+            for place in places
         ]
     raise error(_joined(list(dict.fromkeys(problems))))
 
@@ -276,7 +277,7 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
 # -- where a value is ----------------------------------------------------------------------------------
 
 
-def place_of(path: Path, location: Sequence[Key]) -> str:
+def file_and_line(path: Path, location: Sequence[Key]) -> str:
     """File and line of a value, for a message."""
     line = _line(_compose(path), location)
     return f"{path}, line {line}" if line else str(path)

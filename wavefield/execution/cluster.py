@@ -26,7 +26,7 @@ from wavefield.execution.process import (
     children_ignore_ctrl_c,
     deferred_signals,
     memory_error,
-    one_thread,
+    one_opencv_thread,
     set_up_worker,
 )
 from wavefield.execution.workflow import Workflow
@@ -59,7 +59,7 @@ def count_workers(workflow: Workflow) -> int:
 
 
 def threads_here(workflow: Workflow) -> int:
-    """Threads that a run takes in its own process while its workers are idle."""
+    """Number of threads of the run's own process while its workers are idle."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
 
@@ -72,7 +72,7 @@ def _cores() -> int:
 def open_cluster(
     workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
-    """Give a function that maps work over items on workers that start now and end with the context.
+    """Start workers, and give a function that maps work over items on them; they end with the context.
     Workers of this machine import the modules named while the caller prepares their work.
     """
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
@@ -197,7 +197,7 @@ class _WithoutWorkers:
 
 
 def _map_here(work: Work, items: Sequence[Any]) -> Results:
-    with one_thread():
+    with one_opencv_thread():
         for item in items:
             try:
                 result: Any = work(item)

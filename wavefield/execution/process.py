@@ -1,4 +1,4 @@
-"""How the processes of a run are set up: threads, memory, and the signals that stop a run."""
+"""Set up the processes of a run: threads, memory, and the signals that stop it."""
 
 import ctypes
 import functools
@@ -59,7 +59,7 @@ _OUT_OF_MEMORY = -4  # of OpenCV's errors
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def one_opencv_thread() -> Iterator[None]:
     """Keep OpenCV to one thread for a while: steps are measured side by side."""
     import cv2
 
@@ -83,7 +83,7 @@ def keep_memory() -> None:
 
 @functools.cache
 def set_up_worker() -> None:
-    """Set up this process as a worker; calling it again does nothing."""
+    """Configure this worker process (safe to call twice)."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -128,12 +128,12 @@ class Stopped(KeyboardInterrupt):
 
 
 def stopped_by(stop: KeyboardInterrupt) -> str:
-    """First words of the message on a stopped run."""
+    """First words of the message printed when a run is stopped."""
     return f"stopped by {stop}" if isinstance(stop, Stopped) else "stopped"
 
 
 def _numbers(*names: str) -> list[int]:
-    """Numbers of the signals among these that this system has."""
+    """Numbers of those of the named signals that this system has."""
     return [getattr(signal, name) for name in names if hasattr(signal, name)]
 
 

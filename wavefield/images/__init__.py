@@ -71,7 +71,7 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
 
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
-    """An image by its first bytes, colours red first; None if it is of no kind that is read."""
+    """Decode an image, colours in the order RGB; None if its first bytes are of no supported format."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: what libjpeg only warns of is an error
@@ -86,7 +86,7 @@ def _decode(data: bytes, start: bytes) -> np.ndarray | None:
 
 
 def _unknown(name: str, start: bytes) -> str:
-    """Why a file without the first bytes of an image cannot be read."""
+    """Message about a file that does not begin as an image does."""
     if not start:
         return f"{name} is empty; copy it again from the camera"
     ending = Path(name).suffix.lower()
@@ -110,7 +110,7 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep OpenCV from printing about damage of a file that it does not name."""
+    """Silence OpenCV, whose messages about damage do not name the file."""
     before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
@@ -138,12 +138,12 @@ def write_image(path: str | Path, image: np.ndarray, product: Product | None = N
         ) from None
 
 
-def made_even(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """A copy of an image, (row, column), with an even grey where it is covered.
+def fill_masked(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """A copy of an image, (row, column), with masked pixels set to the median grey of the others.
 
     Examples
     --------
-    >>> made_even(np.array([[1, 1, 9, 9]]), np.array([[False, False, True, True]]))
+    >>> fill_masked(np.array([[1, 1, 9, 9]]), np.array([[False, False, True, True]]))
     array([[1, 1, 1, 1]])
     """
     free = image[::8, ::8][~covered[::8, ::8]]

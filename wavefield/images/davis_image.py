@@ -37,7 +37,7 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
 
 
 def count_frames(path: Path) -> int:
-    """Images in a buffer, by its header: LaVision's reader may never return from a damaged one."""
+    """Number of images in a buffer, from its header, on whose damage LaVision's reader may hang."""
     try:
         size = path.stat().st_size
         with path.open("rb") as stream:

@@ -69,7 +69,7 @@ class TiffImages:
             raise _corrupt(self.name, error) from None
 
     def _in_stack(self, page: Any, index: int) -> NDArray[Any]:
-        """An image after the first of a stack with one directory."""
+        """Read an image of an ImageJ stack that has a directory for its first image only."""
         if page.compression != COMPRESSION.NONE:
             raise FrameError(f"{self.name} is a compressed stack with one directory; save each image")
         handle = self.file.filehandle
@@ -92,7 +92,7 @@ def _is_frame(page: tifffile.TiffPage) -> bool:
 
 
 def refuse_page(page: Any, name: str) -> None:
-    """Refuse a page that is not one grey or colour image of real numbers, or of a coding not supported."""
+    """Refuse a page that is no grey or colour image of real numbers, or whose coding is not supported."""
     if page.dtype is not None and page.dtype.kind == "c":
         raise FrameError(f"{name} has complex pixels; save their magnitudes")
     if page.imagedepth > 1:
@@ -123,7 +123,7 @@ def _refuse_missing_parts(page: Any, size: int) -> None:
 
 
 def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
-    """Pixels of a page: channels last and without alpha, colours from the palette, bright where it was so."""
+    """Pixels of a page as displayed: channels last, no alpha, palette applied, MinIsWhite inverted."""
     if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
         image = np.moveaxis(image, 0, -1)
     if page.extrasamples:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.compiled import compiled
-from wavefield.images import made_even
+from wavefield.images import fill_masked
 from wavefield.matching.prepared import Mask
 from wavefield.measurement.geometry import Covered, GridGeometry, Pixels
 from wavefield.measurement.rectify import bin_pixels, rectify, widen
@@ -101,7 +101,7 @@ def ready(
     The width of its beads, px, is measured if None; masked pixels do not count.
     """
     if covered is not None:
-        image = made_even(image, covered)
+        image = fill_masked(image, covered)
     width = bead_width(image) if width is None else width
     if width:
         image = above_floor(image, width)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from wavefield import matching
-from wavefield.images import made_even
+from wavefield.images import fill_masked
 from wavefield.matching import Prior
 from wavefield.matching.learned_spectrum import first_prior, refined_prior, shrinkage
 from wavefield.matching.map_field import Modes, edge_field
@@ -235,7 +235,7 @@ def _bead_widths(
     for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
         even = [
-            image if mask is None else made_even(image, mask)
+            image if mask is None else fill_masked(image, mask)
             for image, mask in images
             if image is not None and usable(image, geometry.rig[name].size)
         ]

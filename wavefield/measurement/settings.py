@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wavefield import matching
-from wavefield.config_files import CHECKED, make, place_of
+from wavefield.config_files import CHECKED, file_and_line, make
 from wavefield.errors import ExperimentError
 
 # Differences from the defaults, which are for floating beads.
@@ -194,7 +194,7 @@ class Settings:
         values: dict[str, Any] = dict(data)
         preset = values.pop("preset", "floating")
         if not isinstance(preset, str) or preset not in _PRESETS:
-            where = f"{place_of(path, ('settings', 'preset'))}: " if path else ""
+            where = f"{file_and_line(path, ('settings', 'preset'))}: " if path else ""
             raise ExperimentError(
                 f"{where}settings.preset: choose one of {', '.join(_PRESETS)}, not {preset!r}"
             )

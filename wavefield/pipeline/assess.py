@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
 from wavefield.execution.cluster import threads_here
-from wavefield.execution.process import one_thread
+from wavefield.execution.process import one_opencv_thread
 from wavefield.measurement import diagnose
 from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
 from wavefield.measurement.error_budget import fast_waves, ripples
@@ -78,7 +78,7 @@ def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Camer
     """
     count, matcher = prepared.steps + 1, _patch_matcher(prepared)
     frames = evenly_spaced(count, SAMPLE_STEPS)
-    with one_thread():  # each of them
+    with one_opencv_thread():  # each of them
         found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
     thickness = prepared.geometry.settings.sheet_thickness
     remarks = list(found.remarks)
@@ -104,7 +104,7 @@ def synchrony_of(prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int],
 
     if prepared.record is None:
         return Synchrony({})
-    with one_thread():  # each of them
+    with one_opencv_thread():  # each of them
         threads = threads_here(prepared.workflow)
         return delays(prepared.geometry, prepared.record, frames, images, displacement, rate, threads)
 
@@ -249,7 +249,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
             return None
 
     steps = _sampled(prepared.steps)
-    with one_thread(), ThreadPoolExecutor(threads_here(prepared.workflow)) as pool:
+    with one_opencv_thread(), ThreadPoolExecutor(threads_here(prepared.workflow)) as pool:
         found = {step: one for step, one in zip(steps, pool.map(diagnosed, steps)) if one is not None}
     if not found:
         return None
@@ -361,7 +361,7 @@ def uncertainty_terms(
     if prepared.model is None:
         raise WavefieldError(f"{prepared.experiment.path}: none of the sample frames can be measured")
     chunk = make_chunk(prepared.series, step, step + 1, prepared.departures)
-    with one_thread():
+    with one_opencv_thread():
         found = measure_chunk(chunk, geometry, rate, prepared.model, terms=True)
     terms = found.fields["uncertainty_terms"][0]
     scale = {"z": 1.0, "u": rate, "v": rate, "w": rate}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.cluster import count_workers
-from wavefield.execution.process import one_thread, peak_memory
+from wavefield.execution.process import one_opencv_thread, peak_memory
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
 from wavefield.pipeline.assess import (
@@ -321,7 +321,7 @@ def check(
         refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         if experiment.rest:
             experiment.at_rest().open_frames()  # are they there?
-        with one_thread():
+        with one_opencv_thread():
             trial = measure_some(prepared)
         faults = compare_cameras(prepared, trial.fields["quality"])
     except (RigError, ExperimentError) as error:

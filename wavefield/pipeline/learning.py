@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefield.execution.process import one_thread
+from wavefield.execution.process import one_opencv_thread
 from wavefield.pipeline.chunk import Source, read_frame
 from wavefield.quality.cameras import PatchMatcher, compare
 from wavefield.sampling import evenly_spaced
@@ -100,7 +100,7 @@ def learn_from(
     if geometry.settings.vibration == "correct":
         steps = [(corrected(first, geometry), corrected(second, geometry)) for first, second in steps]
     covered = [(masks(pair, 2), masks(pair, 1)) for pair in pairs]
-    with one_thread():  # each of them
+    with one_opencv_thread():  # each of them
         record = learn(steps, geometry, covered, threads, frame_rate)
     return {} if record is None else record.to_dict()
 

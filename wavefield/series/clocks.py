@@ -1,4 +1,4 @@
-"""Cameras' clocks: the rates and times in recordings, time stamps, and the places of images by them."""
+"""Cameras' clocks: rates and times in recordings, time stamps, and frame numbers from them."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.series.formats import VIDEO_ENDINGS, file_of, open_recording
+from wavefield.series.formats import VIDEO_ENDINGS, open_recording, recording_path
 from wavefield.series.formats.arrays import SECONDS
 from wavefield.series.formats.recording import usual_interval, usual_intervals
 from wavefield.series.formats.video import Video
@@ -135,7 +135,7 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
-    """Delay of each frame behind even times, (n,), in frame intervals; None if the times are even.
+    """Delay of each frame relative to even times, (n,), in frame intervals; None if the times are even.
 
     The mean over the cameras' clocks, without offset and rate of each. Cameras are triggered together, so
     what their clocks do not share is noise of the stamps, by which the mean is reduced.
@@ -186,7 +186,7 @@ def departures_by_clock(times: Times) -> Times | None:
 
 
 def _resolution(times: Times) -> float:
-    """The power of ten, from 0.1 s to 1 us, that times are whole multiples of; 0 if they are of none."""
+    """Largest power of ten, 0.1 s to 1 us, of which all times are multiples; 0 if there is none."""
     for step in 10.0 ** -np.arange(1, 7):
         if np.abs(times / step - np.rint(times / step)).max() < 1e-3:
             return float(step)
@@ -224,10 +224,10 @@ def is_video(path: Path) -> bool:
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
-    """Recordings with a camera's images, in order; empty if any of its files is not a recording."""
+    """Paths of a camera's recordings, in order; empty if any of its files is not a recording."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
-    return paths if len(paths) == len(names) and all(map(file_of, paths)) else []
+    return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:

@@ -96,7 +96,7 @@ class ExperimentBackend(BackendEntrypoint):
 
 
 def _cube(path: Path) -> xr.Dataset:
-    """A cube as `open_cube` gives it; ``chunks={}`` of xarray takes the chunks of the store."""
+    """A cube as from `open_cube`; with ``chunks={}`` xarray uses the chunks of the store."""
     cube = open_cube(path, None)
     for variable in cube.variables.values():
         if "time" in variable.dims:
@@ -106,7 +106,7 @@ def _cube(path: Path) -> xr.Dataset:
 
 
 def _smoothed(path: Path) -> xr.Dataset:
-    """Smoothed fields, all as they were written: Zarr would take a lost file for missing values."""
+    """Smoothed fields; refused if a file was lost or changed, which Zarr would read as missing values."""
     mark = read_mark(path)
     if mark is None or mark.kind != "smoothed fields":
         what = "is not as it was written: make it again" if mark is None else f"is a {mark.kind}"

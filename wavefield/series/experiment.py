@@ -349,7 +349,7 @@ class Experiment(RecordSection):
 
 
 def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
-    """Refuse a rig of images of another size, (width, height); name arrays whose axes are out of order."""
+    """Refuse a rig for images of another size, (width, height), and say if axes are in another order."""
     rows, columns = series.shape
     if size == (columns, rows):
         return
@@ -367,7 +367,7 @@ def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries
 
 
 def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
-    """Refuse cameras that measure together from one place; lenses alone are all at the origin."""
+    """Refuse two measuring cameras at the same position; a rig without poses has all at the origin."""
     if rig.lenses_alone:
         return
     for k, one in enumerate(names):

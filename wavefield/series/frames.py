@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
-from wavefield.images import made_even
+from wavefield.images import fill_masked
 from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import FrameFault
 
@@ -148,7 +148,7 @@ class FrameSeries:
     def read_uncovered(self, index: int) -> np.ndarray | None:
         """The image, (row, column), with masked pixels set to the median grey; None for a bad frame."""
         image, covered = self.read(index).image, self.covered(index)
-        return image if image is None or covered is None else made_even(image, covered)
+        return image if image is None or covered is None else fill_masked(image, covered)
 
     def window(self, start: int, stop: int) -> "FrameSeries":
         """The frames of one chunk, as a smaller series to send to a worker."""

@@ -1,4 +1,4 @@
-"""From a camera's images as the experiment file names them to a place in time for every frame.
+"""The frame number of every image of a camera, from the names in the experiment file.
 
 A frame's place comes from its number (in its name, in its file, or from its time stamp), never from its
 rank in a listing: a missing file must not shift the rest.
@@ -98,7 +98,7 @@ def list_folder(folder: Path, camera: str) -> list[str]:
 
 
 def _names(path: Path, camera: str) -> dict[int, str]:
-    """Names of the files in a folder that fit a pattern, by frame number."""
+    """Names of the files that match a pattern, by frame number."""
     folder, pattern = path.parent, path.name
     if re.search(r"[*?]|\{frame", str(folder)):
         raise ExperimentError(

@@ -61,7 +61,7 @@ def normalized(masks: object, cameras: Collection[str]) -> object:
 
 
 def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
-    """Refuse images on the water."""
+    """Refuse a mask on the water that is an image."""
     if any(shape.image for shape in masks.get(WATER, ())):
         raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
 
@@ -77,7 +77,7 @@ def covered_series(
     rig: Rig,
     folder: Path,
 ) -> dict[str, FrameSeries]:
-    """Frames with their masks; those on the water as each camera sees them."""
+    """Series with masks: those of each camera, and those on the water projected into it."""
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())
@@ -97,7 +97,7 @@ def covered_series(
 
 
 def _refuse_useless(name: str, mask: CameraMask) -> None:
-    """Refuse images of another size, and a mask that covers everything."""
+    """Refuse mask images of another size, and a mask that covers the whole image."""
     try:
         covered = mask.covered()
     except FrameError as error:
@@ -128,7 +128,7 @@ def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int
 
 
 def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
-    """Outline in an image, px, of a shape on the water; empty where the camera does not see it."""
+    """Outline in a camera's image, px, of a polygon on the water; empty if it is out of view."""
     p = np.array(shape.polygon)
     t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
     edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
@@ -143,7 +143,7 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
-    """Masks as plain data for a recipe: all that a cube's values depend on."""
+    """Masks as plain data for a recipe, with a checksum of each mask image."""
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

@@ -1,4 +1,4 @@
-"""The background of a camera, which its frames have in common: a floor, reflections, hot pixels."""
+"""The static background of a camera (floor, reflections, hot pixels), subtracted from its frames."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
@@ -19,7 +19,7 @@ Image = NDArray[Any]
 
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
-    """Mean of so many evenly spaced frames, (row, column), in the type of the frames."""
+    """Mean of a number of evenly spaced frames, (row, column), in the type of the frames."""
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):
         image = series.read(int(index)).image
@@ -37,7 +37,7 @@ def read_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, Image]:
-    """The images, (row, column), by camera, that an experiment file names as backgrounds."""
+    """Background images, (row, column), by camera."""
     files = {name: named if isinstance(named, str) else (named or {}).get(name) for name in cameras}
     out = {}
     for name, file in files.items():

@@ -97,7 +97,7 @@ def read_probes(
 
 
 def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
-    """Lines of a UTF-8 text with their numbers, without empty ones and comments; `what` names it."""
+    """Numbered lines of a UTF-8 text without blank lines and comments; `what` is its name in messages."""
     try:
         refuse_pipe(path, ExperimentError)
         data = path.read_bytes()
@@ -170,7 +170,7 @@ def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> 
 
 
 def _check_elevation(path: Path, name: str, elevation: NDArray[np.float64]) -> None:
-    """Refuse what cannot be the elevation of a surface: another unit, or marks of missing values."""
+    """Refuse values that cannot be surface elevations in metres, such as -99.99 for missing ones."""
     known = elevation[np.isfinite(elevation)]
     if known.size and np.ptp(known) > LARGEST:
         raise ExperimentError(

@@ -46,7 +46,7 @@ class NumberedImages:
 
 
 def files_below(folder: Path) -> Iterator[Path]:
-    """Files in a folder and in those below, of linked folders too; stores are passed over."""
+    """Files below a folder; follows links to folders and skips Zarr stores."""
     entered: set[str] = set()
     for here, folders, names in os.walk(folder, followlinks=True):
         entered.add(os.path.realpath(here))
@@ -59,7 +59,7 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 
 def image_paths(folder: Path) -> list[str]:
-    """Paths of the images in a folder and in those below, from that folder."""
+    """Sorted paths of the images below a folder, relative to it."""
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     return sorted(
@@ -98,7 +98,7 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Names of cameras: the folders of their images if these are words that differ, else cam1, cam2, ..."""
+    """Names of cameras: the folders of their images if these are distinct words, else cam1, cam2, ..."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]

@@ -13,7 +13,7 @@ from wavefield.file_access import refuse_pipe
 from wavefield.images import grey, read_image
 from wavefield.images.tiff import ENDINGS as TIFF_ENDINGS
 from wavefield.images.tiff import TiffImages
-from wavefield.series.formats import file_of, open_recording
+from wavefield.series.formats import open_recording, recording_path
 from wavefield.series.formats.arrays import ZarrImages, is_remote
 
 MAX_OPEN_FILES = 8  # per process; files with many frames stay open between reads
@@ -55,7 +55,7 @@ def count_images(name: str | Path) -> tuple[Kind, int]:
     """Kind and number of images of a single file or store."""
     refuse_pipe(name, FrameError)
     path = Path(name)
-    single = file_of(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
+    single = recording_path(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
     if single and not path.is_dir() and not is_remote(str(name)):
         if not path.is_file():
             raise FrameError(f"{path}: no such image")
@@ -70,7 +70,7 @@ def _open(path: str) -> _Images:
     """Open a file or store of many images."""
     if is_remote(path):
         return ZarrImages(path)
-    if file_of(Path(path)) is not None:
+    if recording_path(Path(path)) is not None:
         return open_recording(path)
     return TiffImages(path, path) if path.lower().endswith(TIFF_ENDINGS) else ZarrImages(path)
 
@@ -87,7 +87,7 @@ def close_files() -> None:
 
 
 def _kept_open(path: str) -> _Images:
-    """The open file of a path; the one that was not used for the longest time is closed."""
+    """The open file of a path; beyond a maximum, the least recently used one is closed."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

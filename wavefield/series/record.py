@@ -1,4 +1,4 @@
-"""The frames of a record: numbered, put in their places by the cameras' clocks, on one range of numbers."""
+"""The frames of a record: numbered, renumbered by time stamps, and cut to a common range."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ Times = NDArray[np.float64]
 def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
-    """Frames of every camera on the range of numbers that the measuring ones share.
+    """Frames of every camera over the frame numbers that all measuring cameras have.
     The path is that of the experiment file, the folder that of the images.
     """
     numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}
@@ -38,7 +38,7 @@ def open_record(
         if section.offset:
             numbered[name] = {n + section.offset: entry for n, entry in numbered[name].items()}
     used = {name: numbered[name] for name in measuring}
-    # a record is what all cameras saw: what one has before or after the others is no gap of theirs
+    # frames before or after the common range are not reported as missing in the other cameras
     first, last = record.frames.first, record.frames.last
     first = max(min(frames) for frames in used.values()) if first is None else first
     last = min(max(frames) for frames in used.values()) if last is None else last

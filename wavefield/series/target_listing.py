@@ -12,7 +12,7 @@ from wavefield.series.experiment import Experiment
 
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
-    """Target images of an experiment, by camera and by pose; that on z = 0 is called ``flat``."""
+    """Target images of an experiment by camera and pose; the pose on z = 0 is called ``flat``."""
     section = experiment.calibration
     if section is None and experiment.rig is not None:
         raise CalibrationError(
@@ -48,7 +48,7 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
 
 
 def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
-    """Views whose poses are without their camera's name, which files may repeat (left/left1.jpg)."""
+    """Remove the camera's name from the names of poses if all files repeat it (left/left1.jpg)."""
     repeated = all(
         pose == "flat" or (pose.startswith(camera) and pose != camera and not camera.isdigit())
         for camera, poses in views.items()

@@ -1,4 +1,4 @@
-"""The group of a cube's store that holds the errors of every pair of cameras on its own."""
+"""Error statistics of every pair of cameras, stored as a group of the cube."""
 
 import shutil
 from pathlib import Path
@@ -32,7 +32,7 @@ register(
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Put the statistics into a cube of this state (`state_of`)."""
+    """Write the statistics into a cube, with the state (`state_of`) that they belong to."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / GROUP):
         shutil.rmtree(path / GROUP, ignore_errors=True)
@@ -43,7 +43,7 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
-    """The statistics (error, bin) in a cube, loaded; None if there are none as they were written.
+    """Load the statistics (error, bin) of a cube; None if there are none, or if they were changed.
     Coordinates of error: quantity, cameras, units; attribute ``cube_state``: of the cube they belong to.
     """
     path = Path(store) / GROUP

@@ -77,7 +77,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open all that a cube's store holds, as it is stored; parameters and errors as of `open_cube`."""
+    """Open every variable of a cube as it is stored; parameters and errors are those of `open_cube`."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":
@@ -105,7 +105,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 class _NamedArray(BackendArray):
-    """A lazy array of a store; what goes wrong when it is read is a `StoreError` with its path."""
+    """A lazy array of a store; errors while reading it become a `StoreError` with its path."""
 
     def __init__(self, path: Path, variable: xr.Variable) -> None:
         self.path, self.variable = path, variable
@@ -174,7 +174,7 @@ class CubeAccessor:
 
     @property
     def gain(self) -> xr.Dataset:
-        """Response of the measurement to waves, (direction, k): what it keeps of their amplitude."""
+        """Amplitude response of the measurement to waves, (direction, k)."""
         names = [f"gain_{name}" for name in "zuvw" if f"gain_{name}" in self._cube]
         return self._cube[names].reset_coords(names)
 
@@ -185,6 +185,6 @@ class CubeAccessor:
 
     @property
     def rig(self) -> Rig:
-        """The cameras that measured; none if the cube does not state them."""
+        """The cameras of the measurement; empty if the cube does not contain them."""
         cameras = self.recipe.get("rig", {})
         return Rig({name: Camera.from_dict(camera) for name, camera in cameras.items()})

@@ -1,4 +1,4 @@
-"""The cube as files of other programs: NetCDF, MATLAB, UVMAT."""
+"""Export a cube to NetCDF, MATLAB or UVMAT."""
 
 import io
 import warnings
@@ -124,7 +124,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
 
 def _product(kind: str, cube: "xr.Dataset") -> Product | None:
-    """NetCDF is replaced by that of the same cube. A mark has no place in files of MATLAB and UVMAT."""
+    """The mark of a NetCDF export, which may be replaced; MATLAB and UVMAT files have no room for one."""
     return Product("netcdf export", source_of(cube)) if kind == "netcdf" else None
 
 

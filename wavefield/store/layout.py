@@ -174,14 +174,14 @@ def add_array(
 
 
 def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
-    """Values over a scale in 16 bits; `MISSING` where they are no numbers or do not fit."""
+    """Values divided by a scale, as int16; `MISSING` where they are not finite or too large."""
     with np.errstate(invalid="ignore"):
         scaled = np.rint(values / scale)
         return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)
 
 
 def gather_metadata(path: Path) -> None:
-    """Put the metadata of all arrays into the store's own, for quick opening."""
+    """Consolidate the metadata of all arrays in the store's zarr.json, so that it opens quickly."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)
@@ -192,7 +192,7 @@ _PLACES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}
 
 @contextmanager
 def named_damage(array: Path) -> Iterator[None]:
-    """Turn what a codec makes of damaged bytes into a `StoreError` that names the array."""
+    """Turn a codec's error on damaged bytes into a `StoreError` that names the array."""
     try:
         yield
     except StoreError:

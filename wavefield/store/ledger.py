@@ -1,4 +1,4 @@
-"""How far a run is, and which frames failed and why."""
+"""Progress of a run: steps done and failed, and which frames were bad and why."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The metadata of a cube: one file, ``zarr.json``, with a checksum that shows whether it was changed."""
+"""The metadata of a cube: its ``zarr.json``, with a checksum that reveals changes and damage."""
 
 import json
 import zlib
@@ -15,7 +15,7 @@ FINISHED = "finished"  # attribute: whether the run that writes the cube has end
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
-    """Content of a cube's ``zarr.json``; raises `StoreError` if it is not as it was written."""
+    """Content of a cube's ``zarr.json``; `StoreError` if it was changed since it was written."""
     file = path / "zarr.json"
     if not path.exists():
         raise StoreError(f"{path}: no such store; make one with `wavefield run`")

@@ -40,7 +40,7 @@ class Thinning:
 
 
 def thinning(group: CubeGroup) -> Thinning:
-    """How a cube is thinned: every fourth node of an usual one, all of a small one."""
+    """Thinning of a cube: every fourth node for a grid of 150 x 200, every node for a small one."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
@@ -76,7 +76,7 @@ def _attributes(thin: Thinning) -> dict[str, Any]:
 
 
 def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
-    """The array of a cube's preview; None where there is none that can be used."""
+    """The array of a cube's preview; None if it is absent, damaged, or of another shape."""
     with suppress(Exception):  # absent or damaged: the cube has it all
         root = group.store_path.store.root
         preview: Any = zarr.open_group(root / _GROUP, mode=mode, use_consolidated=False)
@@ -86,7 +86,7 @@ def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
 
 
 def _chunk(group: CubeGroup, start: int) -> Path:
-    """The file of the chunk that begins with a step."""
+    """File of the chunk that begins with a step."""
     number = start // read_layout(group).chunk_steps
     return Path(group.store_path.store.root / _GROUP / f"fields/c/0/0/0/{number}")
 
@@ -99,7 +99,7 @@ def _thinned(fields: Mapping[str, NDArray[Any]], every: int, scales: Iterable[fl
 
 
 def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write one chunk of the preview, of fields (n, ny, nx) as measured, if the cube has one."""
+    """Write one chunk of measured fields (n, ny, nx) into the preview, if the cube has one."""
     thin = thinning(group)
     preview = _open(group, thin, "r+")
     if preview is not None:
@@ -110,7 +110,7 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
 
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
-    """A chunk of steps, thinned to (variable, y, x, n): of the preview, or else of the cube itself."""
+    """A chunk of steps, thinned to (variable, y, x, n), from the preview or else from the cube itself."""
     preview = _open(group, thin, "r")
     with suppress(Exception):  # as above
         if _chunk(group, start).is_file():

@@ -1,4 +1,4 @@
-"""Opening a cube: no damaged or missing file of it is taken for what was measured."""
+"""Open a cube's store so that damaged and missing files are errors, not missing values."""
 
 import json
 from collections.abc import Iterable
@@ -50,7 +50,7 @@ class CubeStore(LocalStore):
 
 
 def _is_expected(root: Path, name: str, place: str) -> bool:
-    """Whether a chunk of an array must be there: the ledger calls its steps done, or the run has ended."""
+    """Whether a chunk must exist: the ledger calls its steps done, or the run has ended."""
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
         return True
@@ -82,13 +82,13 @@ def find_store(path: str | Path) -> Path:
 
 
 def cubes_in(folder: Path) -> list[Path]:
-    """The cubes in a folder; that of the usual name alone, where it is there."""
+    """The cubes in a folder; only ``cube.zarr`` if it is there."""
     usual = folder / "cube.zarr"
     return [usual] if usual.is_dir() else [one for one in sorted(folder.glob("*.zarr")) if is_cube(one)]
 
 
 def is_cube(path: Path) -> bool:
-    """Whether a store is a cube, by its attributes: waves, smoothed fields and truths are none."""
+    """Whether a store is a cube, by its attributes; waves, smoothed fields and truths are not."""
     try:
         attributes = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
         return "recipe" in attributes and MARK_ATTRIBUTE not in attributes

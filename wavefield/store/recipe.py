@@ -1,4 +1,4 @@
-"""The recipe of a cube: everything that its values follow from, as plain data with a hash."""
+"""The recipe of a cube: all inputs that determine its values, as plain data with a hash."""
 
 import hashlib
 import json

@@ -124,7 +124,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
 
 
 def check_verdict(store: Path) -> None:
-    """Refuse to write the verdict of a cube over a file that is not one."""
+    """Refuse to replace a file that is not a verdict."""
     path = beside(store, "verdict", ".json")
     try:
         known = read_verdict(store) is not None

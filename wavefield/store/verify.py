@@ -1,4 +1,4 @@
-"""Verify a store: every file that should be there is, and its checksum is right."""
+"""Verify a store: every file is there, and its checksum is right."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -128,7 +128,7 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
 def _damages(
     path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
 ) -> Iterator[Damage]:
-    """What is wrong with a chunk of which the ledger calls steps done; unless read, what is missing."""
+    """Damage of a chunk with steps done: unreadable variables, or (unless `read`) only missing files."""
     start, stop = layout.chunks()[number]
 
     def damage(name: str) -> Damage:
@@ -152,7 +152,7 @@ def _damages(
 
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
-    """First steps of chunks of which files are missing although the ledger calls their steps done."""
+    """First steps of chunks that the ledger calls done although files are missing."""
     group = open_group(path)
     numbered = enumerate(layout.chunks())
     return [

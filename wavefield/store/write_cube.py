@@ -1,4 +1,4 @@
-"""Writing results: the one function that does, chunk by chunk, and the ledger last.
+"""Write results into a cube, chunk by chunk, the ledger last; clear, reset and label them.
 
 Each chunk is one shard of every variable, and one chunk of the ledger; no two chunks ever touch the same
 file, so any number of processes may write at once. Whole files are renamed into place, so a killed writer
@@ -121,7 +121,7 @@ def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.nda
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
-    """Have a chunk's files, and the folders that name them, written to the disk before going on."""
+    """Wait until a chunk's files, and the folders that contain them, are on the disk."""
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)
@@ -144,7 +144,7 @@ def reset_chunks(path: Path, starts: Sequence[int]) -> None:
 
 
 def remove_partial_files(path: Path) -> None:
-    """Remove the unfinished files that killed writers left in a cube, by the names that Zarr gives them."""
+    """Remove unfinished files of killed writers, recognised by the names that Zarr gives them."""
     for file in path.rglob("*.partial"):
         if re.search(r"\.[0-9a-f]{32}\.partial$", file.name):
             file.unlink(missing_ok=True)

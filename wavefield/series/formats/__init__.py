@@ -31,13 +31,13 @@ _OPENERS: dict[str, Callable[[Path], Recording]] = {
 ENDINGS = tuple(_OPENERS)
 VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")  # the rate in them is that of the playback
 
-__all__ = ["ENDINGS", "VIDEO_ENDINGS", "Recording", "file_of", "open_recording"]
+__all__ = ["ENDINGS", "VIDEO_ENDINGS", "Recording", "open_recording", "recording_path"]
 
 
 def open_recording(path: str | Path) -> Recording:
     """Open a recording: its header is read, its images are not."""
     path = Path(path)
-    file = file_of(path)
+    file = recording_path(path)
     if file is None:
         raise FrameError(f"{path} is not a recording: its name must end in one of {', '.join(ENDINGS)}")
     try:
@@ -56,6 +56,6 @@ def open_recording(path: str | Path) -> Recording:
         ) from None
 
 
-def file_of(path: Path) -> Path | None:
-    """The recording that a path names, or names a part of; None if it names none."""
+def recording_path(path: Path) -> Path | None:
+    """The recording of a path such as ``run.cine`` or ``run.h5/cam1/images``; None if there is none."""
     return next((part for part in (path, *path.parents) if part.suffix.lower() in _OPENERS), None)

@@ -57,7 +57,7 @@ class _Dataset:
 
 
 def _times(data: h5py.Dataset) -> Times:
-    """Coordinate of the first dimension, as netCDF has it, or the `time` next to the images, s."""
+    """Times of images, s: the coordinate of the first dimension (netCDF), or a dataset `time` next to it."""
     scales = [scale for scale in data.dims[0].values() if scale.ndim == 1]
     in_folder = data.parent.get("time")
     for stored in (*scales, in_folder):
@@ -170,7 +170,7 @@ def is_remote(name: str) -> bool:
 
 
 def refuse_password(address: str) -> None:
-    """Refuse an address that gives access by itself; the message does not repeat it.
+    """Refuse an address that contains a password or token, without repeating it.
 
     Examples
     --------

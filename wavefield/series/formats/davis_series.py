@@ -45,7 +45,7 @@ def open_davis(path: Path) -> Recording:
 
 
 def _in_order(buffers: list[Path]) -> list[Path]:
-    """Buffers by the number of six digits or fewer that ends a name; one that is missing keeps its place."""
+    """Sort buffers by the number (up to six digits) that ends their names; missing ones leave a gap."""
     ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}
     if not buffers or len(numbered) < len(buffers):

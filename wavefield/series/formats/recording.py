@@ -36,7 +36,7 @@ class Recording(Protocol):
         """Close the file."""
 
 
-def fill(out: Pixels, stream: Stream) -> None:
+def read_fully(out: Pixels, stream: Stream) -> None:
     """Read bytes until an array is full; `EOFError` where there are too few."""
     rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     while rest:
@@ -140,7 +140,7 @@ def pixels(
 
     def take(stream: Stream) -> Pixels:
         raw = np.empty(size, np.uint8)
-        fill(raw, stream)
+        read_fully(raw, stream)
         if bits in (8, 16):
             out = raw.view("u1" if bits == 8 else "<u2").reshape(shape)
             return np.ascontiguousarray(out[::-1] if upside_down else out, out.dtype.newbyteorder("="))
