@@ -9,7 +9,7 @@ from explorer_cases import make_cube, write_cube_block
 from wavefield.explorer.record import CubeRecord
 from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
-from wavefield.waves.motion import kinematic_fields
+from wavefield.waves import kinematics
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_fields_are_those_of_the_cube_and_derived_ones_those_of_the_analysis(tmp
     record = CubeRecord(path)
     for name in record.stored:
         np.testing.assert_array_equal(record.field(name, 17), fields[name][17])
-    expected = kinematic_fields(open_cube(path).load())
+    expected = kinematics(open_cube(path).load(), current=(0.0, 0.0))
     for name in DERIVED:
         for step in (0, 41, 119):
             derived = expected[name].values[step]

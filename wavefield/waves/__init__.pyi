@@ -9,7 +9,6 @@ from wavefield.waves.dispersion_fit import fit_dispersion
 from wavefield.waves.elevation import fused_spectra
 from wavefield.waves.gains import (
     elevation_from_w,
-    gain_frame_mean,
     read_gain,
 )
 from wavefield.waves.increments import structure_functions
@@ -42,7 +41,6 @@ __all__ = [
     "find_record",
     "fit_dispersion",
     "fused_spectra",
-    "gain_frame_mean",
     "group_velocity",
     "higher_order",
     "kinematics",

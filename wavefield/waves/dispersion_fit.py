@@ -10,10 +10,11 @@ from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
-from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
+from wavefield.water import GAMMA, dispersion, group_velocity
 from wavefield.waves.dispersion_points import (
     LEAKAGE_ERROR,
     MIN_CELLS_FROM_ZERO,
+    MIN_SPEED_ON_CURRENT,
     PlaneSpectrum,
     RelationPoints,
     Water,
@@ -34,9 +35,6 @@ Array = NDArray[Any]
 
 MIN_POINTS = 6  # three times the unknowns
 OUTLIER_STDS = 3.0  # standard deviations of the points: larger misfits count less
-MIN_SLOPE = 0.15  # of the group velocity: waves that a current slows more count as these
-FREQUENCY_BLOCKS = 5  # that are left out in turn: each must hold enough waves to change the fit
-MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
 MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
 TENSION_ERROR = 0.1  # of the surface tension: its standard uncertainty; a film lowers that of clean water
 BAND_WIDTH = 0.5  # Hz, over which points are compared with theory
@@ -49,7 +47,7 @@ def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Ar
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
-    std = points.k_std * np.maximum(slope, MIN_SLOPE * speed)
+    std = points.k_std * np.maximum(slope, MIN_SPEED_ON_CURRENT * speed)
     return lambda current: np.asarray((free + current[0] * kx + current[1] * ky - points.omega) / std)
 
 
@@ -58,58 +56,26 @@ def _outlier_limit(misfit: Array) -> float:
     return OUTLIER_STDS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
-def solve(points: RelationPoints, water: Water, start: Array) -> tuple[Array, bool]:
-    """The current of the points, (2,), and whether they determine it along both axes."""
+def solve(points: RelationPoints, water: Water, start: Array) -> Array:
+    """The current of the points, (2,), m/s; outliers count less."""
     misfit = _misfit(points, water, start)
     result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
-    return np.asarray(result.x), bool(np.linalg.cond(result.jac.T @ result.jac) < MAX_CONDITION)
-
-
-def jackknife(points: RelationPoints, water: Water, fit: Array) -> Array:
-    """Standard uncertainty of the current, (2,), by leaving out one frequency band at a time.
-    The bands determine the current equally well. Raises CubeError if one band changes it much.
-    """
-    order = np.argsort(points.omega, kind="stable")
-    information = (points.k / (points.k_std * group_velocity(points.k, *water))) ** 2
-    share = np.cumsum(information[order])
-    block = np.minimum((share / share[-1] * FREQUENCY_BLOCKS).astype(int), FREQUENCY_BLOCKS - 1)
-    complete, _ = solve(points, water, fit)
-    changes, bands = [], []
-    for number in np.unique(block):
-        left_out, used = order[block == number], order[block != number]
-        current, determined = (
-            solve(points[used], water, fit) if len(used) >= MIN_POINTS else (complete, False)
-        )
-        changes.append(current - complete if determined else np.full(2, np.nan))
-        bands.append(points.omega[left_out[[0, -1]]] / (2 * np.pi))
-    change = np.array(changes)
-    size = np.hypot(*change.T)
-    worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
-    if not size[worst] <= MAX_CHANGE:
-        how_far = f"changes by {size[worst]:.3f} m/s" if np.isfinite(size[worst]) else "is not determined"
-        raise CubeError(
-            f"the current depends on the band: without the waves between {bands[worst][0]:.2g} and"
-            f" {bands[worst][1]:.2g} Hz it {how_far} (the fit is {fit[0]:.2f}, {fit[1]:.2f} m/s); choose a"
-            " band with `fit: {lowest, highest}` or a longer record"
-        )
-    return np.asarray(np.sqrt((change**2).mean(axis=0) * (len(change) - 1)))
+    return np.asarray(result.x)
 
 
 def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Covariance (2, 2) of the least-squares fit, from the misfit of all points; NaN if there are few.
-    Multiplied by the variance of Student's distribution.
+    """Covariance (2, 2) of the current, from the misfit of all points; NaN where they do not determine it.
+    Neighbouring points share their error, so half of them count.
     """
     misfit = _misfit(points, water, current)
     residual = misfit(current)
     slopes = np.stack([misfit(current + unit) - residual for unit in np.eye(2)], axis=1)  # it is linear
     robust = 1 / np.sqrt(1 + (residual / _outlier_limit(residual)) ** 2)
     normal = (slopes * robust[:, None]).T @ slopes
-    freedom = len(points) - 2
-    if freedom <= 2 or not np.linalg.cond(normal) < MAX_CONDITION:
+    if not np.linalg.cond(normal) < MAX_CONDITION:
         return np.full((2, 2), np.nan)
-    # neighbouring points share their error: half of them count for how well the misfit itself is known
-    independent = max(freedom / 2, 3.0)
-    variance = (robust * residual**2).sum() / freedom * independent / (independent - 2)
+    independent = (len(points) - 2) / 2
+    variance = (robust * residual**2).sum() / independent
     return np.asarray(variance * np.linalg.inv(normal))
 
 
@@ -118,7 +84,7 @@ def distance_from_relation(points: RelationPoints, water: Water, current: Array)
     along = points.along(current)
     speed = group_velocity(points.k, *water)
     model = dispersion(points.k, *water) + points.k * along
-    return np.asarray((model - points.omega) / np.maximum(speed + along, MIN_SLOPE * speed))
+    return np.asarray((model - points.omega) / np.maximum(speed + along, MIN_SPEED_ON_CURRENT * speed))
 
 
 def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
@@ -139,8 +105,7 @@ MIN_CONTRAST = 1.5  # energy near the relation over that at other frequencies: n
 MAX_CURRENT_STD = 0.012  # m/s: more is of no use, and found where waves are blocked
 FIT_SECTORS = 24  # of direction; each must hold several cells of the shortest waves' ring
 MAX_ROUNDS = 12  # in which the displacement by the windows is removed; at least two
-DAMPED_FROM = 3  # round: from here on, rounds that overshoot in turn are damped
-CONVERGED, NOT_CONVERGED = 3e-4, 5e-3  # m/s: the rounds end at a smaller change; a larger one is refused
+CONVERGED = 3e-4  # m/s: the rounds end at a smaller change
 
 
 @takes(plane_of("w"))
@@ -166,9 +131,9 @@ def fit_dispersion(
         Surface tension over density, m3/s2; by default that of the cube, or of clean water. It is kept
         fixed, too.
     lowest, highest : float, optional
-        Band of frequencies used, Hz, and higher ones of waves that a current carries past faster. If not
-        given, all that the spectrum resolves, each line weighted by how far its waves exceed the noise. Waves
-        longer than two fifths of the shorter side of the rectangle are always left out.
+        Band of frequencies used, Hz. If not given, all that the spectrum resolves, each line weighted by how
+        far its waves exceed the noise. Waves longer than two fifths of the shorter side of the rectangle are
+        always left out.
 
     Returns
     -------
@@ -183,8 +148,7 @@ def fit_dispersion(
     CubeError
         If the band has too few points, they lie on the relation of no current, or the energy near the
         relation hardly exceeds that of the same wave vectors at other frequencies (noise has a best current,
-        too); if the fit does not converge or depends on the band, or the standard uncertainty of the current
-        exceeds 12 mm/s.
+        too); or if the standard uncertainty of the current exceeds 12 mm/s.
 
     Notes
     -----
@@ -197,12 +161,11 @@ def fit_dispersion(
     noise are left out. The displacement by the spectral windows
     (leakage along a falling spectrum and from strong directions into weak ones, the curvature of the
     relation) is that of simulated free waves of the measured energy on the fitted relation
-    (`windowed_dispersion.windowed_waves`); it is subtracted in rounds until the current converges.
+    (`windowed_waves`); it is subtracted in rounds until the current converges.
 
-    The uncertainty is the larger of two: that of least squares, from the misfit of all points, increased
-    where the contrast of the relation is low; and a jackknife over five blocks of lines of equal
-    information. Added in quadrature are its changes with three tenths of the displacement by the windows
-    left, and with a tenth more surface tension.
+    The uncertainty is that of least squares, from the misfit of all points, increased where the contrast of
+    the relation is low. Added in quadrature are the changes of the current with three tenths of the
+    displacement by the windows left, with a tenth more surface tension, and in the last round.
 
     Examples
     --------
@@ -227,35 +190,28 @@ def fit_dispersion(
     density, water = density.compute(), (depth, gamma)
     spectrum = PlaneSpectrum.of(density, water)
     omega, plane = spectrum.omega, spectrum.plane
-    top = min(
-        2 * np.pi * (highest or np.inf), 0.92 * dispersion(0.9 * plane.nyquist, depth), 0.97 * omega[-1]
-    )
+    top = min(2 * np.pi * (highest or np.inf), 0.97 * omega[-1])
     bottom = max(2 * np.pi * (lowest or 0.0), dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth))
-    fit = scan_current(spectrum.on_lines((omega >= bottom) & (omega <= top)))
-    # the same waves pass faster with the current
-    top = max(top, min(top + np.hypot(*fit) * wavenumber(top, *water), 0.97 * omega[-1]))
-    limits = bottom, top
-    in_band = (omega >= bottom) & (omega <= top)
+    limits, in_band = (bottom, top), (omega >= bottom) & (omega <= top)
     band = spectrum.on_lines(in_band)
+    fit = scan_current(band)
     sectors = sectors_of(plane, FIT_SECTORS)
     for correction in range(MAX_ROUNDS):
         before = fit
-        measured = _refuse_few(centroids(band, sectors, fit, highest), limits)
-        windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit, highest)
+        measured = _refuse_few(centroids(band, sectors, fit), limits)
+        windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit)
         points = _refuse_few(windows.removed_from(measured), limits)
-        fit, _ = solve(points, water, fit)
-        if correction >= DAMPED_FROM:  # rounds that overshoot in turn converge half-way
-            fit = (fit + before) / 2
-        change = float(np.hypot(*(fit - before)))
-        if correction > 0 and change < CONVERGED:
+        fit = solve(points, water, fit)
+        change = fit - before
+        if correction > 0 and np.hypot(*change) < CONVERGED:
             break
-    contrast_of_fit = _check_fit(spectrum, points, fit, change, limits)
+    contrast_of_fit = _check_fit(spectrum, points, fit, limits)
 
-    by_leakage = solve(windows.removed_from(measured, 1 - LEAKAGE_ERROR), water, fit)[0] - fit
-    by_tension = solve(points, (depth, (1 + TENSION_ERROR) * gamma), fit)[0] - fit
+    by_leakage = solve(windows.removed_from(measured, 1 - LEAKAGE_ERROR), water, fit) - fit
+    by_tension = solve(points, (depth, (1 + TENSION_ERROR) * gamma), fit) - fit
     # 1 / contrast of the energy in the points is noise
     std = np.sqrt(np.diag(covariance_of(points, water, fit))) / (1 - 1 / contrast_of_fit)
-    std = np.sqrt(np.maximum(std, jackknife(points, water, fit)) ** 2 + by_leakage**2 + by_tension**2)
+    std = np.sqrt(std**2 + by_leakage**2 + by_tension**2 + change**2)
     _refuse_uncertain(float(np.hypot(*std)), limits)
 
     out: dict[str, Any] = {}
@@ -289,7 +245,7 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 
 
 def _check_fit(
-    spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, change: float, limits: tuple[float, float]
+    spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, limits: tuple[float, float]
 ) -> float:
     """Contrast of the fitted relation; raises CubeError if the fit does not describe the waves."""
     between = _between(limits)
@@ -310,11 +266,6 @@ def _check_fit(
         raise CubeError(
             f"no dispersion relation was found {between}: the best one holds {contrast_of_fit:.2f} times the"
             " energy of the same wave vectors at other frequencies, where noise has 1"
-        )
-    if change > NOT_CONVERGED:
-        raise CubeError(
-            f"the current fit did not converge {between} (last estimate {best}); choose a band with"
-            " `fit: {lowest, highest}`"
         )
     return contrast_of_fit
 

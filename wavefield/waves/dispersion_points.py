@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from wavefield.errors import CubeError
-from wavefield.water import dispersion, group_velocity, wavenumber
+from wavefield.water import dispersion, group_velocity
 from wavefield.waves import kernels
 from wavefield.waves.welch import REACH, hann_power, richardson_lucy
 
@@ -212,11 +212,9 @@ def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
-WAVES_PER_AXIS = 2  # in a cell of the k plane; chosen
+WAVES_PER_AXIS = 2  # in a cell of the k plane: one bends the relation of the longest waves by 4 %, not 2 %
 ROUNDS = 8  # in which the energy of the waves is adjusted: four leave narrow seas too wide
-EXPONENT = 1.8  # of a round's factor: with 1 narrow seas would need twice as many
 FLOOR = 1e-9  # of the strongest cell: weaker ones are left out
-MAX_FACTOR = 4.0  # of the energy in one round
 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
@@ -230,11 +228,11 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
         return np.asarray(np.where(near, np.maximum(energy, 0.0), 0.0).sum(axis=0).reshape(shape[1:]))
 
     measured = on_relation(spectrum.energy - spectrum.noise)
-    # the energy of four waves a cell is adjusted in rounds of `richardson_lucy`, each to the power 1.8, until
-    # each cell of the k plane shows what was measured there: a sea that is left too wide would hide how far
-    # the windows reach from its strong directions into the weak ones
+    # the energy of four waves a cell is adjusted in rounds of `richardson_lucy` until each cell shows what
+    # was measured there: a sea that is left too wide would hide how far the windows reach from its strong
+    # directions into the weak ones
     offsets = (np.arange(WAVES_PER_AXIS) + 0.5) / WAVES_PER_AXIS - 0.5
-    rows, columns = np.meshgrid(np.arange(ky.size), np.arange(kx.size), indexing="ij")
+    rows, columns = np.indices(shape[1:])
     places = np.array([(rows + a, columns + b) for a in offsets for b in offsets])
     row, column = places.reshape(WAVES_PER_AXIS**2, 2, -1).swapaxes(0, 1).reshape(2, -1)
     wave_y, wave_x = ky[0] + row * (ky[1] - ky[0]), kx[0] + column * (kx[1] - kx[0])
@@ -261,7 +259,7 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
         measured,
         np.exp(ndimage.map_coordinates(logs, place[1:], order=1, mode="nearest")),
         lambda power: np.maximum(on_relation(spread(power)), floor * 1e-3),
-        lambda power, ratio: power * np.clip(ratio, 1 / MAX_FACTOR, MAX_FACTOR).ravel()[cell] ** EXPONENT,
+        lambda power, ratio: power * ratio.ravel()[cell],
         ROUNDS,
     )
     return spread(power)
@@ -326,19 +324,13 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
     return out
 
 
-def centroids(
-    spectrum: PlaneSpectrum, sectors: list[Sector], current: Array, highest_hertz: float | None
-) -> RelationPoints:
+def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) -> RelationPoints:
     """Centroids in k of the energy above the noise, in a window around the relation of the current."""
     plane, omega, water = spectrum.plane, spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(k_table, *water)
     speed = np.gradient(free, k_table)
-    largest_k = np.full(omega.size, SHORTEST_WAVES * min(plane.kx.max(), plane.ky.max()))
-    if highest_hertz:
-        highest = 2 * np.pi * highest_hertz
-        shortest = wavenumber(highest, *water)
-        largest_k[omega > highest] = np.minimum(largest_k[omega > highest], shortest)
+    largest_k = SHORTEST_WAVES * min(plane.kx.max(), plane.ky.max())
     parts = []
     for number, sector in enumerate(sectors):
         along = current[0] * np.cos(sector.theta) + current[1] * np.sin(sector.theta)
@@ -415,7 +407,6 @@ class WindowDisplacement:
         band: Array,
         sectors: list[Sector],
         current: Array,
-        highest_hertz: float | None,
     ) -> "WindowDisplacement":
         """Displacements of the centroids of free waves on the relation of the current, by simulated windows.
         Points displaced far are left out: beyond the end of a sea all energy is leakage. band is (lines,).
@@ -424,7 +415,7 @@ class WindowDisplacement:
         simulated = replace(
             spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
         )
-        points = centroids(simulated, sectors, current, highest_hertz)
+        points = centroids(simulated, sectors, current)
         along = points.along(current)
         off = points.omega - dispersion(points.k, *spectrum.water) - points.k * along
         displacement = -off / (group_velocity(points.k, *spectrum.water) + along)

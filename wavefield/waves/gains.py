@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from wavefield.errors import StoreError
-from wavefield.variables import AROUND, INSTANTANEOUS, PATH_WEIGHTS, annotate
+from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
 from wavefield.water import dispersion
 from wavefield.waves.welch import (
     k_coords,
@@ -25,42 +25,6 @@ Values = TypeVar("Values", float, Array, xr.DataArray)
 
 MIN_SIGNAL_TO_NOISE = 3.0  # of a cell: noise that is off by a tenth then changes the waves by 3 %
 MIN_AMPLITUDE = 0.5  # of a wave as measured: a correction is at most twofold
-# by frames: weights of cos b, cos 3b and cos 5b in the polynomial through the frames at its middle
-MEAN_WEIGHTS = {2: (1,), 4: (9, -1), 6: (150, -25, 3)}
-
-
-def gain_frame_mean(omega: Values, dt: float, frames: int = 2) -> Values:
-    """Gain of the polynomial through two, four or six frames at its middle.
-
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s.
-    dt : float
-        Time between frames, s.
-    frames : int
-        2, 4 or 6; of two it is their mean.
-
-    Returns
-    -------
-    array_like
-        Gain of power, 0 to 1.
-
-    Notes
-    -----
-    cos^2 b of two frames, ((9 cos b - cos 3b) / 8)^2 of four,
-    ((150 cos b - 25 cos 3b + 3 cos 5b) / 128)^2 of six.
-
-    Examples
-    --------
-    >>> [round(float(gain_frame_mean(2 * np.pi * 5, 0.05, frames)), 2) for frames in (2, 6)]
-    [0.5, 0.9]
-    """
-    weights = MEAN_WEIGHTS[frames]
-    b = omega * dt / 2
-    total: Any = sum(weight * np.cos((2 * n + 1) * b) for n, weight in enumerate(weights))
-    gain: Values = (total / sum(weights)) ** 2
-    return gain
 
 
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
@@ -94,12 +58,14 @@ def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
 def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
     """Factor from z at mid-time to z at the step's first frame; ``frames`` is the cube's `path_frames`.
     Measured z are interpolated from six frames, in a frame moving with the mean flow, in which a free wave
-    turns by sigma(k) dt per frame: their gain is undone up to a factor 2.
+    turns by sigma(k) dt = 2 b per frame: the gain of the polynomial through six frames at its middle,
+    (150 cos b - 25 cos 3b + 3 cos 5b) / 128, is undone up to a factor 2.
     """
     start = np.exp(-0.5j * omega * dt)
     if frames <= 2:  # fields of another program
         return np.asarray(start)
-    amplitude = np.sqrt(gain_frame_mean(dispersion(np.asarray(k, float)), dt, 2 * AROUND + 2))
+    b = dispersion(np.asarray(k, float)) * dt / 2
+    amplitude = np.abs(150 * np.cos(b) - 25 * np.cos(3 * b) + 3 * np.cos(5 * b)) / 128
     return np.asarray(start / np.maximum(amplitude, MIN_AMPLITUDE))
 
 

@@ -17,7 +17,6 @@ Array = NDArray[Any]
 
 ORDERS = np.arange(1, 7)
 STEP_DISTANCE_S = 0.2  # between the steps of differences in space: half a period of waves of 2.5 Hz
-MAX_BLOCKS = 64  # of time: more hold too little to be independent
 _AXES = ("time", "y", "x")
 
 
@@ -55,7 +54,7 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
     """Blocks of equal length within the runs, each several longest lags long if the record allows."""
     steps = sum(b - a for a, b in record.runs)
-    length = max(steps // MAX_BLOCKS, min(2 * longest, steps // MIN_BLOCKS), 2)
+    length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
 
 
@@ -64,10 +63,11 @@ def structure_functions(
     field: xr.DataArray,
     *,
     differences: int = 1,
-    longest: float | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
     """Structure functions of a field and the flatness of its increments, in time and along x and y.
+
+    Lags reach a 16th of the record, at most 10 s, and a third of the rectangle.
 
     Parameters
     ----------
@@ -76,9 +76,6 @@ def structure_functions(
     differences : int
         1 for f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r), needed for spectra steeper than the power
         -3: a first difference is dominated there by the slope of the longest waves.
-    longest : float, optional
-        Longest lag in time, s; a 16th of the record, at most 10 s, if not given. In space it is a third of
-        the rectangle.
     record : Record, optional
         Rectangle and runs; found from the field if not given.
 
@@ -117,14 +114,13 @@ def structure_functions(
         raise CubeError(f"differences is {differences}: choose 1 or 2")
     record = find_record(field) if record is None else record
     steps = sum(b - a for a, b in record.runs)
-    requested = min(steps / 16, 10 / record.dt) if longest is None else longest / record.dt
-    spans = [max(int(requested), 1), *(max(n // 3, 1) for n in record.shape)]
+    spans = [max(int(min(steps / 16, 10 / record.dt)), 1), *(max(n // 3, 1) for n in record.shape)]
     chosen = [lags(span) for span in spans]
     blocks = _blocks_of_time(record, differences * spans[0])
     if len(blocks) < MIN_BLOCKS:
         raise CubeError(
             f"the record of {steps} steps holds {len(blocks)} blocks, and errors of increments need"
-            f" {MIN_BLOCKS}: choose a shorter lag or a longer record"
+            f" {MIN_BLOCKS}: choose a longer record"
         )
     read = Reader([field], record)
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))

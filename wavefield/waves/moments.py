@@ -45,36 +45,29 @@ def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, flo
 
 
 MIN_PERIODS = 10  # of the strongest wave: fewer do not separate it from its neighbours
-MIN_PERIODS_OF_HEIGHT = 3  # its standard uncertainty is that of a chi-squared value: fewer give no height
 
 
 def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
-    """Statistics without spectral peak and steepness where the record holds too few of its periods.
+    """Statistics without spectral peak, steepness and height if the record holds too few peak periods.
 
     Examples
     --------
     >>> peak = xr.Dataset({"peak_frequency": 1.3, "peak_k": 6.8, "steepness": 0.1})
     >>> without_short_peak(peak, 1.15).notes[0]
-    'No spectral peak, no steepness: the record holds 1.5 peak periods (1.15 s); 10 are needed.'
+    'No spectral peak, steepness or wave height: the record holds 1.5 peak periods; 10 are needed.'
     >>> "steepness" in without_short_peak(peak, 60.0).value
     True
     """
     periods = seconds * float(statistics["peak_frequency"])
     if periods >= MIN_PERIODS:
         return Noted(statistics, [])
-    gone = ["peak_frequency", "peak_k", "steepness"]
-    notes = [
-        f"No spectral peak, no steepness: the record holds {periods:.2g} peak periods ({seconds:.3g} s);"
-        f" {MIN_PERIODS} are needed."
-    ]
-    if not periods >= MIN_PERIODS_OF_HEIGHT:
-        gone += ["significant_height"]
-        notes.append(
-            f"No significant wave height: the record holds {periods:.2g} peak periods;"
-            f" {MIN_PERIODS_OF_HEIGHT} are needed."
-        )
+    gone = ["peak_frequency", "peak_k", "steepness", "significant_height"]
+    note = (
+        "No spectral peak, steepness or wave height: the record holds"
+        f" {periods:.2g} peak periods; {MIN_PERIODS} are needed."
+    )
     gone = [f"{name}{end}" for name in gone for end in ("", "_std")]
-    return Noted(statistics.drop_vars(gone, errors="ignore"), notes)
+    return Noted(statistics.drop_vars(gone, errors="ignore"), [note])
 
 
 def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:

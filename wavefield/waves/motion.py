@@ -23,16 +23,6 @@ Array = NDArray[Any]
 OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
 
 
-def _checked(cube: xr.Dataset) -> xr.Dataset:
-    """The fields of a cube, validated."""
-    for name in FIELDS:
-        if name not in cube:
-            raise CubeError(
-                f"the cube has no {name!r}: kinematics need {', '.join(FIELDS)} over time, y and x"
-            )
-    return validate(cube, *FIELDS)
-
-
 def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
     """Slopes z_y, z_x of fields (steps, ny, nx) by central differences of sixth order."""
     z_y, z_x = np.empty_like(z), np.empty_like(z)
@@ -106,27 +96,21 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     >>> print(f"{float(kinematics(cube).nonlinear_ratio):.3f}")
     0.000
     """
-    checked = _checked(cube)
+    for name in FIELDS:
+        if name not in cube:
+            raise CubeError(
+                f"the cube has no {name!r}: kinematics need {', '.join(FIELDS)} over time, y and x"
+            )
+    cube = validate(cube, *FIELDS)
+    _, dy, dx = check_axes(cube)
+    fields = [cube[name].transpose("time", "y", "x") for name in FIELDS]
+    lazy = any(field.chunks is not None for field in fields)
     if current is None:
-        (mean, _) = delayed_current(checked, whole_record(checked))
-        lazy = any(array.chunks is not None for array in checked.values())
+        mean, _ = delayed_current(cube, whole_record(cube))
         used = da.from_delayed(mean, (2,), np.float64)
         velocity = xr.DataArray(used if lazy else used.compute(), dims="axis")
     else:
         velocity = xr.DataArray(np.asarray(current, np.float64), dims="axis")
-    out = kinematic_fields(cube, velocity)
-    out["mean_current_x"], out["mean_current_y"] = velocity[0], velocity[1]
-    out["nonlinear_ratio"] = np.sqrt((out["nonlinear"] ** 2).mean() / (checked["w"] ** 2).mean())
-    return annotate(out, "kinematics")
-
-
-def kinematic_fields(
-    cube: xr.Dataset, current: xr.DataArray | tuple[float, float] = (0.0, 0.0)
-) -> xr.Dataset:
-    """The fields of `kinematics`, the nonlinear term relative to a current (2,), m/s."""
-    cube = _checked(cube)
-    _, dy, dx = check_axes(cube)
-    fields = [cube[name].transpose("time", "y", "x") for name in FIELDS]
 
     def compute(ux: Array, uy: Array, *arrays: Array) -> tuple[Array, ...]:
         named = dict(zip(FIELDS, arrays))
@@ -134,7 +118,8 @@ def kinematic_fields(
 
     results = xr.apply_ufunc(
         compute,
-        *(current[i] for i in (0, 1)),
+        velocity[0],
+        velocity[1],
         *fields,
         input_core_dims=[[], [], *[["y", "x"]] * len(fields)],
         output_core_dims=[["y", "x"]] * len(OUTPUTS),
@@ -142,7 +127,10 @@ def kinematic_fields(
         output_dtypes=[fields[0].dtype] * len(OUTPUTS),
         dask_gufunc_kwargs={"allow_rechunk": True},
     )
-    return annotate(xr.Dataset(dict(zip(OUTPUTS, results))))
+    out = xr.Dataset(dict(zip(OUTPUTS, results)))
+    out["mean_current_x"], out["mean_current_y"] = velocity[0], velocity[1]
+    out["nonlinear_ratio"] = np.sqrt((out["nonlinear"] ** 2).mean() / (fields[-1] ** 2).mean())
+    return annotate(annotate(out), "kinematics")
 
 
 def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:

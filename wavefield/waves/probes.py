@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.parabola import parabola_vertex
 from wavefield.variables import annotate
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.welch import (
-    LEAST_COUNT,
     MAIN_LOBE,
     Welch,
     degrees_of_freedom,
@@ -149,7 +148,6 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
 
 
 LONGEST_GAP = 3  # samples that are bridged: a glitch of the logger
-COHERENCE_LINES = 9  # over which it is averaged, against that chance
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
@@ -178,30 +176,30 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
     Notes
     -----
-    n probes count as n^2 / sum of gamma_ij^2, their squared coherences: those beside one another see the same
-    waves. With fewer than four segments they count as one.
+    The mean has the interval of one probe: probes beside one another see the same waves.
     """
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
     inside, rate = _shared_time(probes["time"].values, span, duration)
-    values = np.array([_bridged(row) for row in probes["elevation"].values[:, inside]])
+    recorded = probes["elevation"].values[:, inside]
+    values = pd.DataFrame(recorded.T).interpolate(limit=LONGEST_GAP).to_numpy().T
     usable = np.isfinite(values).all(axis=1)
     if not usable.any():
         raise CubeError(
             f"every probe lacks more than {LONGEST_GAP} values in a row during the record: repair or leave"
             " out the probes"
         )
-    for name, row in zip(probes["probe"].values[~usable], values[~usable]):
+    for name, row in zip(probes["probe"].values[~usable], recorded[~usable]):
         warnings.warn(
             f"probe {name} is left out: {np.isnan(row).sum()} of its {row.size} values during the record are "
             f"missing, more than {LONGEST_GAP} in a row",
             stacklevel=2,
         )
-    own, density, count, coherence = _density(values[usable], rate, duration)
+    own, density, count = _density(values[usable], rate, duration)
     # the frequencies agree where the rates divide; else straight lines between them
     on_grid = np.full((usable.size, target.size), np.nan)
     on_grid[usable] = [np.interp(target, own, row, right=np.nan) for row in density]
-    dof = degrees_of_freedom(count) * np.interp(target, own, _independent(coherence, count))
+    dof = np.full(target.size, degrees_of_freedom(count))
     low, high = interval(dof)
     out = xr.Dataset(
         {
@@ -220,19 +218,6 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     return annotate(out, "spectra")
 
 
-def _bridged(values: Array) -> Array:
-    """A series with its short gaps filled by straight lines."""
-    missing = ~np.isfinite(values)
-    if not missing.any() or missing.all():
-        return values
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
-    out, there = values.copy(), np.flatnonzero(~missing)
-    for start, stop in zip(edges[::2], edges[1::2]):
-        if stop - start <= LONGEST_GAP:
-            out[start:stop] = np.interp(np.arange(start, stop), there, values[there])
-    return out
-
-
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
     """Samples of the probes during the record, and their rate, 1/s."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
@@ -248,30 +233,14 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
     return inside, float(1 / step.mean())
 
 
-def _independent(coherence: Array, count: int) -> Array:
-    """Number of independent probes, (omega,): n^2 over the sum of their squared coherences (n, n, omega)."""
-    n, lines = coherence.shape[1:]
-    if count < LEAST_COUNT:  # coherence by chance, 1 / segments, hides the waves'
-        return np.ones(lines)
-    coherence = ndimage.uniform_filter1d(coherence, min(COHERENCE_LINES, lines), axis=-1, mode="nearest")
-    coherence = ((coherence - 1 / count) / (1 - 1 / count)).clip(0, 1)  # by chance it is 1 / count
-    coherence[np.arange(n), np.arange(n)] = 1
-    return np.asarray(n**2 / coherence.sum(axis=(0, 1)))
-
-
-def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int, Array]:
-    """Frequencies, one-sided density (probe, omega), number of segments, squared coherence of each pair."""
-    from scipy.signal import csd  # takes a second to import
+def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
+    """Frequencies, one-sided density (probe, omega), number of segments."""
+    from scipy.signal import welch  # takes a second to import
 
     n = min(round(duration * rate), values.shape[1])
     n -= n % 2
-    hertz, cross = csd(
-        values[:, None], values, fs=rate, window=hann(n), nperseg=n, noverlap=n // 2, detrend="linear"
-    )
-    power = np.einsum("iiw->iw", cross).real
-    with np.errstate(divide="ignore", invalid="ignore"):
-        coherence = np.nan_to_num(np.abs(cross) ** 2 / (power[:, None] * power))
-    return 2 * np.pi * hertz, power / (2 * np.pi), segment_count(values.shape[1], n), coherence
+    hertz, power = welch(values, rate, hann(n), n, n // 2, detrend="linear")
+    return 2 * np.pi * hertz, power / (2 * np.pi), segment_count(values.shape[1], n)
 
 
 def _group(probes: xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Dataset | None:
