@@ -16,7 +16,6 @@ State = Literal["good", "unknown", "doubtful", "bad"]  # in rising order of seve
 Limits = tuple[float, float]  # for doubtful, for bad
 _CELL_PX = 16  # every cell of this size should contain a bead
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)  # largest grey levels of 8, 10, 12, 14 and 16 bits
-_BEAD_SIZE_PX = 1024  # the size of beads is measured in a corner of this size, which takes 20 ms
 
 _BRIGHT = 5.5  # a bead exceeds the background by this many standard deviations of the noise
 Image = NDArray[Any]
@@ -94,7 +93,7 @@ def frame_features(image: Image) -> FrameFeatures:
     h, w = (n - n % _CELL_PX for n in image.shape)
     cells = image[:h, :w].reshape(h // _CELL_PX, _CELL_PX, w // _CELL_PX, _CELL_PX).max(axis=(1, 3))
     seeded = float(np.mean(cells.astype(np.float32) - background > _BRIGHT * noise))
-    size = blur(image[:_BEAD_SIZE_PX, :_BEAD_SIZE_PX]) if seeded > LIMITS.cells[1] else np.nan
+    size = blur(image) if seeded > LIMITS.cells[1] else np.nan
     return FrameFeatures(dark, background, peak, saturated, seeded, size)
 
 

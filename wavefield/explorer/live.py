@@ -29,7 +29,7 @@ from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
-_STEPS_BACK = 3  # older steps tried if the newest frames cannot be read yet
+_STEPS_BACK = 3  # number of steps tried, from the newest, until all frames can be read
 _STEPS = 2  # the wave and noise model is estimated from this many of the newest steps
 _PAUSE_PER_ESTIMATE = 10.0  # pause between two estimates of the model over the time that one takes
 POLL_S = 0.2  # between looks for new frames, and between looks of a page for new results

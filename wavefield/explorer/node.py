@@ -99,7 +99,7 @@ class NodePanel:
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self.probes: xr.Dataset | None = None  # of the experiment, when they are read
-        self._node: tuple[float, float] | None = None  # the picked one, m
+        self._node: tuple[float, float] | None = None  # x and y of the picked node, m
         self._main = tuple(name for name in _MAIN if name in record.stored)
         self.words = parts.text_line("node_words", "Click a node of the map.", html=True)
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 PICKED = ("node", "mask")  # tabs beside the tabs of `TABS`
 DRAGS = [("move", "pan"), ("mask", "mask")]  # what clicks do: value and label of the options
-_RECHECK_MS = 2000  # between checks of the ledger of a cube that is being written
+_RECHECK_MS = 2000  # between looks at the status of steps while a cube is being written
 _STATUS_WORDS = {
     FrameStatus.NOT_STARTED: " – not measured yet",
     FrameStatus.FAILED: " – this step could not be measured",

@@ -156,7 +156,7 @@ class LazyPanel(Generic[P]):
 
     def __init__(self, make: Callable[[], P]) -> None:
         loading = text_line("", _LOADING, html=True)
-        loading.stylesheets = [_SPINNER]  # the page's own does not reach into Bokeh's parts
+        loading.stylesheets = [_SPINNER]  # the style sheet of the page does not apply inside Bokeh's widgets
         self.body = column(loading, sizing_mode="stretch_width")
         self._make = make
         self._made: P | None = None

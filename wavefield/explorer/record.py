@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # slow to import: the first map does not need it
     from wavefield.pipeline import Run
 
 _CACHED_FIELDS = 160  # steps of single variables in memory
-_STEPS_PER_READ = 8  # a chunk of the store holds so many or more
+_STEPS_PER_READ = 8  # steps of a field read at once, which makes playback smooth
 
 
 def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from wavefield.figures.display import POSITIVE
 
 DECADES = 6.0  # decades of the colour scale below the largest density
 _PLANE_PX = 340  # height of the map of (kx, ky)
-DEEP_WATER_M = 5.0  # in place of an unknown depth
+DEEP_WATER_M = 5.0  # start of the depth slider if the depth is unknown or infinite
 _WRAP = {"flex-wrap": "wrap"}
 
 

@@ -43,7 +43,7 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
     Corresponds to the maps of eta, u . grad eta and the error field in Aubourg et al. (2019). The residual
     and the nonlinear term share one colour scale.
     """
-    from wavefield.waves.motion import kinematics_at  # imports compiled kernels
+    from wavefield.waves.motion import kinematics_at  # slow to import: compiled kernels
 
     figure, axes = map_panels(snapshot.z, 2, 2)
     title = f"elevation, {moment_title(snapshot)}"
