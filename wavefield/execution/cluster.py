@@ -44,8 +44,7 @@ Watch = Callable[["Client"], None]
 _MOST_THREADS = 4  # of a run's own process
 _TASKS_PER_WORKER = 2  # that the scheduler holds: one at work, one ready
 _POLL_SECONDS = 2.0  # between looks at the workers, without results
-_START_SECONDS = 90.0  # for workers of this machine, which take 3 s where it is idle
-_START_TRIES = 3
+_START_SECONDS = 300.0  # for workers of this machine, which take 3 s where it is idle
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 
 
@@ -121,7 +120,7 @@ def _connect(
     client = stack.enter_context(Client(cluster, timeout="60s", set_as_default=False))
     if workflow.cluster == "local":
         cluster.scale(count_workers(workflow))  # after the client, which would wait for them
-        watch = _LocalWorkers(cluster, count_workers(workflow))
+        watch = _LocalWorkers()
     return client, watch
 
 
@@ -157,26 +156,19 @@ def _end_workers(cluster: Any) -> None:
 
 
 class _LocalWorkers:
-    """Starts the workers again if none is left: on an overloaded machine Dask may give up their start."""
+    """Ends a run that has had no workers for long: on an overloaded machine Dask may give up their start."""
 
-    def __init__(self, cluster: Any, count: int) -> None:
-        self._cluster, self._count, self._tries = cluster, count, 0
+    def __init__(self) -> None:
         self._seen = time.monotonic()
 
     def __call__(self, client: "Client") -> None:
-        now = time.monotonic()
         if client.nthreads():
-            self._seen = now
-        elif now - self._seen > _START_SECONDS:
-            if self._tries == _START_TRIES:
-                raise StoreError(
-                    "the workers of this machine do not start; with `cluster: none` in the workflow the run "
-                    "measures in its own process"
-                )
-            log.warning("no worker has started within %.0f s: starting them again", _START_SECONDS)
-            self._seen, self._tries = now, self._tries + 1
-            self._cluster.scale(0)
-            self._cluster.scale(self._count)
+            self._seen = time.monotonic()
+        elif time.monotonic() - self._seen > _START_SECONDS:
+            raise StoreError(
+                "the workers of this machine do not start; run the same command again, or state "
+                "`cluster: none` in the workflow to measure in the run's own process"
+            )
 
 
 class _WithoutWorkers:
