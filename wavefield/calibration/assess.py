@@ -23,7 +23,6 @@ from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance, triangulate
 from wavefield.rig.water_level import WaterPlane, fit_plane
-from wavefield.robust import robust_std
 
 
 @dataclass(frozen=True)
@@ -94,22 +93,20 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
 def numbers(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """All numbers of the report that are computed from residuals."""
+    """Residuals, distances from epipolar lines and flatness of the target for the calibration's page."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
         rows = o.camera == c
-        mm = 1e3 * _pixel_on_target(fit, o, c)
-        rms, worst = _rms(fit.residual[rows]), float(np.abs(fit.residual[rows]).max())
+        rms = _rms(fit.residual[rows])
         views = {}
         for p in np.unique(o.pose[rows]):
             view = rows & (o.pose == p)
             views[o.poses[p]] = {"points": int(view.sum()), "rms_px": _rms(fit.residual[view])}
         cameras[name] = {
             "rms_px": rms,
-            "rms_mm": rms * mm,
-            "max_px": worst,
-            "max_mm": worst * mm,
+            "rms_mm": 1e3 * _pixel_on_target(fit, o, c) * rms,
+            "max_px": float(np.abs(fit.residual[rows]).max()),
             "position_m": [float(v) for v in rig[name].centre],
             "views": views,
         }
@@ -119,13 +116,11 @@ def numbers(
             f"{a} - {b}": {
                 "rms_px": _rms(d),
                 "median_px": float(np.median(np.abs(d))),
-                "scatter_px": robust_std(d),
                 "max_px": float(np.abs(d).max()),
                 "points": len(d),
             }
             for (a, b), d in epipolar_residuals(o, rig).items()
         },
-        "errors_over_stated_uncertainty": fit.scale,
     }
     surface = flat_surface(o, fit, rig, reference)
     if surface is not None:
@@ -134,12 +129,8 @@ def numbers(
             "nodes": len(surface.z),
             "z_rms_mm": 1e3 * surface.rms,
             "z_about_its_plane_rms_mm": 1e3 * surface.plane.rms,
-            "height_mm": 1e3 * surface.plane.height,
             "tilt_mrad": surface.tilt,
         }
-    offset = fit.geometry.offset[np.unique(o.node)]
-    if offset.any():
-        out["node_offsets_rms_mm"] = [float(v) for v in 1e3 * np.sqrt(np.mean(offset**2, axis=0))]
     return out, surface
 
 

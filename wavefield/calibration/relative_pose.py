@@ -126,20 +126,14 @@ def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
     """Where sight lines of matches (n, 2) meet in front of both cameras, (m, 3), m, in the rig's frame."""
     a, b = matches
     near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < MAX_EPIPOLAR_ERROR
-    rays = []
-    for camera, pixel in ((one, a[near]), (other, b[near])):
-        x, y = camera.tangents(*pixel.T)
-        ray = np.stack([x, y, np.ones(len(x))], -1) @ camera.R
-        rays.append(ray / np.linalg.norm(ray, axis=1)[:, None])
-    u, v = rays
-    between = other.centre - one.centre
-    cosine = np.sum(u * v, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along_u = (u @ between - cosine * (v @ between)) / (1 - cosine**2)
-        along_v = (cosine * (u @ between) - v @ between) / (1 - cosine**2)
-    points = 0.5 * (one.centre + along_u[:, None] * u + other.centre + along_v[:, None] * v)
-    ahead = np.isfinite(points).all(1) & (along_u > 0) & (along_v > 0)
+    cameras = (one, a[near]), (other, b[near])
+    tangents = [np.stack(camera.tangents(*pixel.T)) for camera, pixel in cameras]
+    places = [np.column_stack([camera.R, camera.T]) for camera in (one, other)]
+    homogeneous = cv2.triangulatePoints(*places, *tangents)
+    points: Array = np.asarray(homogeneous[:3] / homogeneous[3], float).T
+    depth, other_depth = (points @ camera.R[2] + camera.T[2] for camera in (one, other))
+    ahead = np.isfinite(points).all(1) & (depth > 0) & (other_depth > 0)
     if ahead.any():
-        ahead &= along_u < MAX_DISTANCE_RATIO * np.median(along_u[ahead])
+        ahead &= depth < MAX_DISTANCE_RATIO * np.median(depth[ahead])
     out: Array = points[ahead]
     return out
