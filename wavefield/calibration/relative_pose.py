@@ -126,6 +126,8 @@ def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
     """Where sight lines of matches (n, 2) meet in front of both cameras, (m, 3), m, in the rig's frame."""
     a, b = matches
     near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < MAX_EPIPOLAR_ERROR
+    if not near.any():
+        return np.empty((0, 3))
     cameras = (one, a[near]), (other, b[near])
     tangents = [np.stack(camera.tangents(*pixel.T)) for camera, pixel in cameras]
     places = [np.column_stack([camera.R, camera.T]) for camera in (one, other)]
