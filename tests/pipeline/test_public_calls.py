@@ -11,6 +11,7 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
 from wavefield.pipeline import Workflow, catalog_add, check, run, run_catalog, status
+from wavefield.pipeline.catalog import find_experiment
 from wavefield.store.ledger import BadFrames
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 
@@ -130,7 +131,7 @@ def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog, tmp_path):
     assert list(cat) == ["frames", "cube", "waves"]
     for name, steps in (("small-tank", 7), ("other-tank", 5)):
         frames = cat(run=name)["frames"].read()
-        assert frames.cam3.shape == (steps + 1, 207, 292)
+        assert frames.cam3.image.shape == (steps + 1, 207, 292)
         assert frames.attrs["experiment"] == name
         cube = cat(run=name)["cube"].read()
         assert cube.sizes["time"] == steps
@@ -141,7 +142,9 @@ def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog, tmp_path):
     path = catalog.with_suffix("") / "small-tank" / "experiment.yaml"
     path.unlink()
     path.write_text((away / "experiment.yaml").read_text())
-    assert cat(run="small-tank", location=str(away))["frames"].read().cam1.shape[0] == 8
+    assert (
+        len(find_experiment(catalog, {"run": "small-tank", "location": str(away)}).open_frames()["cam1"]) == 8
+    )
     with pytest.raises(ValueError, match="validate"):
         cat(run="nobody")["frames"]
 

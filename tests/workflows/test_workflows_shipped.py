@@ -50,10 +50,10 @@ def test_the_slurm_workflow_asks_for_jobs_that_end_after_the_run_does(tmp_path):
 def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared, tmp_path):
     catalog = ROOT / "catalogs" / "d_specimen.yaml"
     folder = str(shared / "data" / "d_specimen")
-    frames = intake.open_catalog(str(catalog))(location=folder)["frames"].read()
-    assert frames.left.shape == frames.right.shape == (6, 1200, 1920)
-    assert int(frames.left[5].max()) > 100
-    assert find_experiment(catalog, {"run": "loads", "location": folder}).frame_rate == 1.0
+    experiment = find_experiment(catalog, {"run": "loads", "location": folder})
+    assert experiment.frame_rate == 1.0
+    assert {one.shape for one in experiment.open_frames().values()} == {(1200, 1920)}
+    assert "frames" in intake.open_catalog(str(catalog))
     # two load states are run as the six are
     two = tmp_path / "two"
     (two / "images").mkdir(parents=True)

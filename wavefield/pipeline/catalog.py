@@ -9,8 +9,7 @@ A catalog ``tank.yaml`` has a folder ``tank`` next to it, and in it one folder p
     tank/coriolis-07/latest                 link to the recipe run last
 
 so that the cube of a changed recipe does not replace the old one. Commands take their files from these
-folders; `intake.open_catalog` gives the same by the catalog's entries, with the parameters ``run``,
-``recipe`` and ``location``.
+folders. The entries of `intake.open_catalog` open the same, with the parameters ``run`` and ``recipe``.
 """
 
 import errno
