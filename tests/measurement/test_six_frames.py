@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -75,16 +74,3 @@ def test_exact_paths_are_taken_where_waves_turn_fast():
     four = errors(measure(frames, geometry, 20.0, Model(geometry, record)), tank)
     assert exact["u"] < 0.95 * four["u"]
     assert exact["w"] < four["w"]
-
-
-def test_a_knock_is_not_spread_along_paths(fast):
-    _, frames, geometry, model = fast
-    moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.6]])
-    knocked = {name: list(images) for name, images in frames.items()}
-    image = knocked["cam1"][5]
-    knocked["cam1"][5] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
-    six = {name: images[:6] for name, images in knocked.items()}
-    out = measure(six, geometry, RATE, model)
-    four = measure(six, geometry, RATE, Model(geometry, replace(model.record, path_frames=4)))
-    for name in (*NAMES, "z", "quality"):
-        np.testing.assert_array_equal(out[name], four[name])

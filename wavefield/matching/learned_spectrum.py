@@ -19,7 +19,6 @@ from wavefield.matching.spectrum import (
     SHORTEST_WAVENUMBER,
     Prior,
     WavenumberRings,
-    footprint,
     wavenumbers,
 )
 
@@ -27,40 +26,25 @@ Float = NDArray[np.floating[Any]]
 
 SHRINKAGE_MODES = 2.0  # a sector of so many modes and its ring have equal weights
 RING_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # weights of rings with similar directions
-MIN_SECTOR_FRACTION = 0.01  # of the ring: least power of a sector
-MIN_SQUARED_WINDOW_GAIN = 0.15  # of the windows: less, and a wave is not resolved
-MIN_POWER_TO_PLATEAU = 3.0  # of the windowed field over the plateau of noise, to be signal
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
 SHORTEST_IN_LIMITS = 0.5 * np.pi  # rad per block: what shorter waves show of a spectrum is noise
 MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
-MIN_INFORMATION_SHARE = 1e-3  # of what a prior assumes, in the fields that it gave; else they show nothing
 FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
 FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
 SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
 SLOPE_RINGS = 6  # from which the slope is fitted
 
 
-def first_prior(
-    fields: Sequence[Float], window: Float, information: float, area: float = FOOTPRINT_VARIANCE
-) -> Prior:
-    """Prior from windowed fields (c, ny, nx) of sample frames without holes, their edge slopes subtracted.
+def first_prior(fields: Sequence[Float], information: float, area: float = FOOTPRINT_VARIANCE) -> Prior:
+    """Prior with the isotropic spectrum of windowed fields (c, ny, nx) of sample frames without holes.
 
-    For every cosine mode (ny, nx): its power less the noise plateau, divided by the gain of the windows; a
-    power law where that is below three times the plateau. `information` is that of a block; `area` is what
-    the value of a block averages over, px^2.
+    Their edge slopes are subtracted. Windows damp short waves: `Prior.with_min_signal_to_noise` opens the
+    prior for those before the spectrum is refined. `information` is that of a block; `area` is what the value
+    of a block averages over, px^2.
     """
-    kx, ky = wavenumbers(window.shape)
+    binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
-    binning = WavenumberRings(kx, ky)
-    window_power, gain = binning.mean(window**2), binning.mean(footprint(kx, ky, area) ** 2)
-    raw = binning.mean(power) / np.maximum(window_power, 1e-9)
-    plateau = float(raw[window_power > MIN_SQUARED_WINDOW_GAIN].min())
-    signal = np.maximum(raw - plateau, 0.0) / gain
-    last = binning.count_until_false(
-        (window_power > MIN_SQUARED_WINDOW_GAIN) & (raw > MIN_POWER_TO_PLATEAU * plateau)
-    )
-    power_law = _extrapolated(binning.middle, signal, last, plateau)
-    return Prior.isotropic(binning.k, power_law, information, area)
+    return Prior.isotropic(binning.k, binning.mean(power).tolist(), information, area)
 
 
 def refined_prior(
@@ -82,13 +66,13 @@ def refined_prior(
     Fields of noise alone that the same prior gave, with their information, measure how noise changes from
     ring to ring. Its level is the least of the power over what is expected of it.
     """
-    if not information > MIN_INFORMATION_SHARE * prior.information:  # nothing was visible
+    if not information > 0:  # nothing was visible
         return prior
     spectrum, binning = prior.spectrum(modes.kx, modes.ky), WavenumberRings(modes.kx, modes.ky)
     measured, of_sectors, noise = _signals_and_noise(
         waves, spectrum, modes.foot, information, binning, noise_alone
     )
-    detected = np.array([binning.significant(one, len(waves)) for one in measured / noise])
+    detected = np.array([binning.significant(one) for one in measured / noise])
     lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in detected]
     occupied = binning.count > 0
     relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
@@ -176,8 +160,8 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
     mean = convolve1d(estimate * weight, RING_SMOOTHING, axis=-1, mode="constant") / np.maximum(
         total_weight, 1e-30
     )
-    out: NDArray[np.float64] = np.maximum(
-        (total_weight * mean + SHRINKAGE_MODES) / (total_weight + SHRINKAGE_MODES), MIN_SECTOR_FRACTION
+    out: NDArray[np.float64] = (total_weight * np.maximum(mean, 0.0) + SHRINKAGE_MODES) / (
+        total_weight + SHRINKAGE_MODES
     )
     for one, last in zip(out, lasts):
         one[:, last:] = one[:, last - 1 : last]

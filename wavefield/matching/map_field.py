@@ -38,7 +38,6 @@ EXACT_MODES = 300  # modes of the highest signal over noise that are solved exac
 # blocks: width over which slopes are fitted, and length over which the field decays. Wide enough that the
 # noise of a slope is small, and short against the lattice.
 EDGE_REACH = 6
-ALONG_EDGE_SIGMA = 3.0  # blocks: smoothing of the slopes along the edge, half of their fit across
 
 # sums may be reordered by the compiler, but in the same way on every call
 reassociating = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
@@ -452,7 +451,8 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
-    gain = np.exp(-0.5 * np.square(ALONG_EDGE_SIGMA * np.pi * np.arange(ny) / ny))
+    # along the edge the slopes are smoothed by a Gaussian of half the reach
+    gain = np.exp(-0.5 * np.square(0.5 * EDGE_REACH * np.pi * np.arange(ny) / ny))
     return t / (t * t).sum(), profile.astype(np.float32), ((modes.T * gain) @ modes).astype(np.float32)
 
 

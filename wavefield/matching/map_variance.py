@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +9,6 @@ import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, spline_filter1d
 
 from wavefield.compiled import compiled
 from wavefield.matching.map_field import cosines
@@ -23,13 +21,8 @@ F = np.float32
 # information over the typical one at which variances are tabulated: from three times to a thousandth
 INFORMATION_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)
 KERNEL_CUTOFF = 1e-3  # smaller values of a kernel's transform are left out
-HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # blocks: radii of tabulated holes
-HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # tabulated fractions of the way from a hole's rim to its middle
 EVERY = 4  # blocks: the variance is computed on every fourth, because it varies slowly, and interpolated
 MIN_WAVE_FRACTION = 1e-3  # of a spectrum: keeps logarithms finite
-# rings of blocks around a hole that are taken as measured, from its edge: farther ones hardly count
-RIM_MIDDLES, RIM_WIDTHS = np.array([0.5, 2.5, 7.0]), np.array([1.0, 3.0, 6.0])
-RIM_POINTS = 16  # of each ring
 
 
 class PosteriorVariance:
@@ -37,8 +30,8 @@ class PosteriorVariance:
 
     For uniform information A a mode has the variance 1 / (F^2 A + 1/S): the part F^2 A / (F^2 A + 1/S)^2 is
     noise, the part 1/S / (F^2 A + 1/S)^2 missing waves. Where information varies, a block gets the value for
-    the mean information around it, weighted by the squared impulse response of the estimate. The variance in
-    holes is tabulated for round holes by radius and depth.
+    the mean information around it, weighted by the squared impulse response of the estimate. In holes it is
+    at least that of a field known at the rim alone (`hole_variance`).
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -69,7 +62,7 @@ class PosteriorVariance:
 
     @cached_property
     def _holes(self) -> list[Float]:
-        return [hole_variance(variance, 1.0 / self.typical_information) for variance in self._spectrum]
+        return [hole_variance(one) for one in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
         """Variances of noise and of missing waves, each (1 or c, ny, nx), for the information (ny, nx)."""
@@ -87,7 +80,9 @@ class PosteriorVariance:
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
             # the lower information around the hole has added a part of this already
-            more = _in_holes(~hole, self._holes) - noise - missing
+            depth = cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 5)
+            inside = [np.interp(depth, np.arange(len(one)), one) for one in self._holes]
+            more = np.array(inside, np.float32) - noise - missing
             missing += np.maximum(more, np.float32(0)) * hole
         return noise, missing
 
@@ -133,43 +128,16 @@ def _squared_response(gain: Float) -> Float:
     return out
 
 
-def hole_variance(spectrum: Float, noise: float) -> Float:
-    """Variance in round holes, (radii, depths), of a field with a spectrum (ny, nx) and the noise of blocks.
-    It is that of optimal interpolation from three rings of blocks around the hole.
+def hole_variance(spectrum: Float) -> Float:
+    """Variance in a hole of a field with a spectrum (ny, nx), by the distance from the rim in blocks, (n,).
+
+    At the rim the field and its slope are taken as known. At a distance r from it the rest of the field has
+    the variance C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with C the covariance of the field.
     """
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)
-    curve = spline_filter1d(0.5 * (covariance[0, :side] + covariance[:side, 0]), mode="mirror")
-
-    def at(distance: Float) -> Float:
-        places = np.minimum(distance, side - 1)[None]
-        return np.asarray(map_coordinates(curve, places, mode="mirror", prefilter=False))
-
-    angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    out = np.zeros((len(HOLE_RADII), len(HOLE_DEPTHS)))
-    for i, radius in enumerate(HOLE_RADII):
-        ring = np.repeat(radius + RIM_MIDDLES, RIM_POINTS)
-        x, y = ring * np.tile([np.cos(angle), np.sin(angle)], len(RIM_MIDDLES))
-        # blocks that a point stands for
-        blocks = 2.0 * np.pi / RIM_POINTS * ring * np.repeat(RIM_WIDTHS, RIM_POINTS)
-        measured = at(np.hypot(x[:, None] - x, y[:, None] - y)) + noise * np.diag(1.0 / blocks)
-        inside = at(np.hypot(x[:, None] - radius * (1.0 - np.array(HOLE_DEPTHS)), y[:, None]))
-        known = np.sum(inside * np.linalg.solve(measured, inside), axis=0)
-        out[i] = np.maximum(covariance[0, 0] - known, 0.0)
-    return out
-
-
-def _in_holes(measured: Float, tables: Sequence[Float]) -> Float:
-    """Variance in holes, by their width and the distance to the rim, (tables, ny, nx)."""
-    depth = cv2.distanceTransform((~measured).astype(np.uint8), cv2.DIST_L2, 5)
-    out = np.zeros((len(tables), *measured.shape), np.float32)
-    inside = depth > 0
-    radius = depth.copy()
-    for _ in range(3):
-        radius = np.where(inside, cv2.dilate(radius, np.ones((9, 9), np.uint8)), np.float32(0))
-    width = np.maximum(radius[inside], 1.0)
-    i = np.interp(width, HOLE_RADII, np.arange(len(HOLE_RADII)))
-    j = np.interp(depth[inside] / width, HOLE_DEPTHS, np.arange(len(HOLE_DEPTHS)))
-    for variance, table in zip(out, tables):
-        variance[inside] = np.exp(map_coordinates(np.log(table + 1e-30), [i, j], order=1, mode="nearest"))
+    curve = 0.5 * (covariance[0, :side] + covariance[:side, 0])
+    bend = max(2.0 * (curve[0] - curve[1]), 1e-30)
+    known = curve**2 / max(curve[0], 1e-30) + np.gradient(curve) ** 2 / bend
+    out: Float = np.maximum.accumulate(np.maximum(curve[0] - known, 0.0))
     return out

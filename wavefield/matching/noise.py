@@ -18,7 +18,6 @@ HOLE_INFORMATION = 0.15  # of the typical information, mean of 7 x 7 blocks: bel
 # a cluster's squared score over that expected from its surroundings; an exponential exceeds it once in 10^13
 MAX_MISFIT = 30.0
 LEAST_NOISE = 0.3  # of the median noise: lower bound of the noise expected from the surroundings
-RIM_WIDTH, RIM_SIGMA = 6, 2.0  # blocks: reach of the surroundings of a hole, and smoothing of their edge
 
 
 def noise_of_scores(
@@ -75,23 +74,6 @@ def hole_mask(information: Float, typical_information: float) -> Mask:
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )
-
-
-def noise_factor_near_holes(information: Float, factor: float) -> Float:
-    """Factor, (ny, nx), on the noise of scores near holes of the information; 1 far from holes.
-
-    Blocks that share beads have correlated errors, which the diagonal A ignores. It matters at holes, where
-    the field is extrapolated from the rim. The factor is `factor` at the rim and 1 beyond some eight blocks.
-    The edge of the lattice is not a hole.
-    """
-    hole = hole_mask(information, float(information.mean())).view(np.uint8)
-    hole[:RIM_WIDTH] = hole[-RIM_WIDTH:] = 0
-    hole[:, :RIM_WIDTH] = hole[:, -RIM_WIDTH:] = 0
-    if not hole.any():
-        return np.ones_like(information)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_WIDTH + 3, 2 * RIM_WIDTH + 3))
-    rim = cv2.GaussianBlur(cv2.dilate(hole, disc).astype(np.float32), (0, 0), RIM_SIGMA)
-    return np.asarray(F(1) + F(factor - 1) * rim)
 
 
 def _clusters(field: Float) -> Float:

@@ -43,7 +43,6 @@ from wavefield.parabola import parabola_vertex
 RIDGE_FRACTION = 0.01
 MAX_STEP = 1.5  # px
 _TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE  # px^2: slopes within blocks depend little on it
-MIN_CORRELATION = 0.3  # of windows: below, a block has no score and no Hessian
 
 njit = compiled(error_model="numpy")
 
@@ -379,7 +378,7 @@ def _assess(
 ) -> Displacement:
     """Find scores and validity of the blocks at a displacement u, v (ny, nx), px."""
     correlation, energy = _correlation(last)
-    score, hessian = _own_scores(last, correlation)
+    score, hessian = _own_scores(last)
     reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
     return Displacement(u, v, correlation, reason, settings, score, hessian)
 
@@ -398,13 +397,12 @@ def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(correlation, F(-1), F(1)), ab * n
 
 
-def _own_scores(last: _LastStep, correlation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _own_scores(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
     """Score (2, ny, nx) and Hessian (3, ny, nx) of each single block after the step."""
     # the Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
-    # the gradients is ratio / (2 - ratio), and 0 where their correlation is too low
+    # the gradients is ratio / (2 - ratio)
     shared, of_mean = last.windowed[10:12]
     ratio = np.clip(shared / np.maximum(of_mean, F(1e-12)), F(0), F(1))
-    ratio[correlation <= F(MIN_CORRELATION)] = 0
     hessian = last.sums[2:5] * (ratio / (F(2) - ratio))
     xx, xy, yy = hessian
     step = np.stack([xx * last.du + xy * last.dv, xy * last.du + yy * last.dv])

@@ -14,9 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching.blocks import SMOOTHER_ORDER, gaussian, window_sigma
 from wavefield.matching.kernels import BLOCK
-from wavefield.matching.settings import MatchSettings
 
 Float = NDArray[np.floating[Any]]
 
@@ -24,7 +22,6 @@ RINGS = 40  # of wavenumber, from 0 to pi per block
 SECTORS = 6  # of direction, from along columns to along rows
 DETECTED_SIGNAL_TO_NOISE = 0.3  # least that the MAP field separates from noise
 SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
-MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
 MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is uncertain
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
@@ -210,26 +207,16 @@ class WavenumberRings:
         total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
-    def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
-        """Whether each ring (rings,) has significant power; beyond a gap more is required."""
-        contiguous = np.arange(RINGS) < self.count_until_false(
-            (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
-        )
-        # beyond the first ring without waves, a ring and both its neighbours have to exceed the noise by more
-        beyond_gap = self.exceeds(ratio, MIN_RING_SIGNAL_TO_NOISE, samples) & (self.count > 0)
-        beyond_gap &= ratio > DETECTED_SIGNAL_TO_NOISE
-        beyond_gap &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
-        if beyond_gap.any():  # the first three rings may belong to the gap
-            contiguous &= ratio > DETECTED_SIGNAL_TO_NOISE
-        return np.asarray(contiguous | beyond_gap)
-
-    def exceeds(self, ratio: Float, least: float, samples: int = 1) -> NDArray[np.bool_]:
-        """Whether the mean ratio of each ring and its neighbours exceeds `least` and chance, (rings,)."""
-        count = self.count * samples
-        of_three = np.maximum(np.convolve(count, np.ones(3), mode="same"), 1)
-        chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / of_three)
-        mean = np.convolve(ratio * count, np.ones(3), mode="same") / of_three
-        return np.asarray(mean > np.maximum(chance, least))
+    def significant(self, ratio: Float) -> NDArray[np.bool_]:
+        """Whether each ring (rings,) has significant power, from its power over noise.
+        Beyond the first ring without, a ring and the mean with both its neighbours have to exceed more noise.
+        """
+        occupied = self.count > 0
+        last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
+        total, count = (np.convolve(f, np.ones(3), mode="same") for f in (ratio * self.count, self.count))
+        least = np.minimum(ratio, total / np.maximum(count, 1))
+        beyond_gap = occupied & (self.middle < SHORTEST_WAVENUMBER) & (least > MIN_RING_SIGNAL_TO_NOISE)
+        return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Level of noise, (rings,), from single rings, without long waves (calibration errors)."""
@@ -245,28 +232,6 @@ class WavenumberRings:
     def count_until_false(flags: NDArray[np.bool_]) -> int:
         """Number of flags before the first False, at least three."""
         return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
-
-
-def transfer_function(settings: MatchSettings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
-    """Gain of windows, smoother and steps at wavenumbers kx, ky, rad per block, by linear theory:
-    T <- S (T + W (1 - T)) for the window W and the smoother S of every step at every level.
-    """
-
-    def response(weights: np.ndarray) -> np.ndarray:
-        n = np.arange(len(weights)) - len(weights) // 2
-        along_x, along_y = (np.cos(np.asarray(k)[..., None] * n) @ weights.astype(float) for k in (kx, ky))
-        return np.asarray(along_x * along_y)
-
-    total = np.zeros(np.broadcast_shapes(np.shape(kx), np.shape(ky)))
-    for level in reversed(range(settings.levels)):
-        sigma = settings.smoother_sigma if level == 0 else settings.coarse_smoother_sigma
-        window = response(gaussian(2**level * window_sigma(settings.window)))
-        smoother = np.ones_like(window)
-        if sigma > 0:
-            smoother = 1 - (1 - response(gaussian(2**level * sigma))) ** SMOOTHER_ORDER
-        for _ in range(settings.iterations[settings.levels - 1 - level]):
-            total = smoother * (total + window * (1 - total))
-    return total
 
 
 def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:

@@ -2,4 +2,4 @@
 
 # Raise it whenever a change makes the values of a cube other than they were: a cube that was begun before
 # is then not gone on with. Changes that leave all values as they are leave it alone.
-ALGORITHM = 45
+ALGORITHM = 46

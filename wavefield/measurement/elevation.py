@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching.map_field import Modes
-from wavefield.matching.noise import noise_factor_near_holes, noise_of_scores
+from wavefield.matching.noise import noise_of_scores
 from wavefield.matching.pyramid import reevaluate, scores_at
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel
@@ -24,9 +24,7 @@ PreparedImages = Mapping[str, matching.PreparedImage]
 
 _SMOOTH_MODES = 6  # half waves along the lattice: epipolar errors as smooth as that are the calibration's
 NOISE_MARGIN = 1.5  # on the noise across the sight lines, in the weights: spectra contain some noise
-MAX_NOISE_GROWTH = 2.0  # from evaluation to evaluation, of the least, while a spectrum is learned
 MIN_MEASURED = 0.2  # of the common view: a frame with less shows no surface
-_NOISE_AT_HOLES = 3.0  # times more noise is assumed around a hole
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def map_elevation(
     pairs = [_PairScores(m, pixel) for m in matches]
     smooth, epipolar = _smooth_across(matches, modes)
     seen, scores = None, [z[0]]
-    information, least = z[:1], np.inf
+    information = z[:1]
     convergence = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in pairs]))))
     for number in range(MAX_EVALUATIONS):
         if number:
@@ -113,10 +111,6 @@ def map_elevation(
         # opposite sides; across the sight lines there is only noise, once the smooth part, an error of the
         # calibration, is subtracted
         nu = _noise_across(pairs, smooth) if noise_across else _noise(score, hessian, modes.freedom)
-        if not noise_across:  # waves that a field loses add to its scores, and more noise takes more of them
-            level = float(nu.mean())
-            least = min(least, level)
-            nu = nu * np.float32(min(1.0, MAX_NOISE_GROWTH * least / max(level, 1e-30)))
         information = (hessian / nu)[None]
         right = information * (z - edges) + (score / nu)[None]
         if not number:
@@ -130,13 +124,14 @@ def map_elevation(
     return ElevationEstimate(waves, edges, information[0], float(nu.mean()), epipolar, inconsistent)
 
 
-def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
-    """Mean information of a block about the elevation, before the MAP estimate."""
+def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float) -> float:
+    """Mean information about the elevation of the blocks that have any, before the MAP estimate."""
     pairs = [_PairScores(m, pixel) for m in matches]
     z = blocks.filled[0]
     hessian = np.sum([one.hessian for one in pairs], axis=0)
     score = np.sum([one.score(z) for one in pairs], axis=0)
-    return float((hessian / _noise(score, hessian, freedom)).mean())
+    known = hessian > 0
+    return float((hessian / _noise(score, hessian, 1.0))[known].mean()) if known.any() else 0.0
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
@@ -147,9 +142,7 @@ def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
     """Noise variance of the scores, (ny, nx), from the component across the sight lines."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-    out = np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
-    information = np.sum([one.hessian for one in pairs], axis=0) / out
-    return np.asarray(out * noise_factor_near_holes(information, _NOISE_AT_HOLES))
+    return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
@@ -214,8 +207,6 @@ def _through(D: Float, h: Float) -> Float:
 
 MatchedPairs = tuple[Blocks, list[PairMatch]]
 
-_NOISE_ALONG = 1.05  # of z over that across the sight lines: cameras see a bead's light at different places
-
 
 @dataclass(frozen=True)
 class Surface:
@@ -252,7 +243,7 @@ def surface_of(
     estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel, model.whole_beads)
     spline = model.splined(estimate.waves, estimate.edges)
     (noise,), (missing,) = model.spread(estimate.information)
-    noise *= np.float32(_NOISE_ALONG / NOISE_MARGIN)
+    noise /= np.float32(NOISE_MARGIN)
     lattice, centre = geometry.lattice, geometry.rig[matches[0].pair[0]].centre
 
     def read(x: Float, y: Float) -> Float:

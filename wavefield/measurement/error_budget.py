@@ -13,19 +13,20 @@ uncertainty of z = 0, common to all nodes and times, is kept apart (`level_std`)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Displacement, Prior
+from wavefield.matching import Prior
 from wavefield.matching.kernels import BLOCK
 from wavefield.measurement.displacement import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.midtime import StepEstimate
 from wavefield.measurement.model import LearnedRecord
+from wavefield.measurement.outliers import MIN_NODES
 from wavefield.measurement.paths import (
     EVEN_TIMES,
     FRAMES_OF_Z,
@@ -43,26 +44,16 @@ from wavefield.water import dispersion
 Float = NDArray[Any]
 
 TERMS = "noise", "prior", "frames", "ripples", "setup"
-MARGIN = 1.25  # on what frames lose of velocities: a step's spectrum differs from that of the sample steps
 CHANGE_RATIO = 2.0  # error of z over its departure where waves start within 0.25 s at 20 frames/s: 1 to 4
 CHANGE_DETECTED = 2.0  # departure over that expected: 1.0 to 1.1 on beads, to 1.5 on texture; more is change
 CORRELATION_OF_DIRECTIONS = 0.75  # of two waves: 1/2 in all directions, 1 in one
 HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images: 0.17 to 0.20 when path-traced
 RELATIVE_HEIGHT_STD = 0.2  # of the visible part of a bead, which changes with light and view
-LONGEST_RIPPLE, SHORTEST_RIPPLE = 4.0, 1.0  # blocks: the longest are highest, the shortest fastest
-SHORTEST_DAMPED = 0.01  # metres: shorter ripples are damped fast
 RIPPLE_BLOCKS = 2.5  # wavelength that stands for all waves that blocks do not resolve
-# Of the variance of the blocks' residuals, that two cameras share: 0.29 to 0.47 in seas with ripples, at most
+# Part of the blocks' residual variance that two cameras share: 0.29 to 0.47 in seas with ripples, at most
 # 0.13 in gaps, on short steep waves and of other renderers
 MIN_SHARED = 0.2
-SHARED_BY_BEADS = 0.05  # of a block's variance: clustered beads without ripples
 SEEN_BY_BLOCKS = 0.11  # of the ripples' variance, the least of 0.11 to 0.30: blocks hold different beads
-SEEN_OF_REMOVED = 0.5  # of the variance of waves that the prior removes: of three to four blocks
-RIDGE = 0.1  # of the typical Hessian
-MAX_STD = 3.0  # single blocks are limited to so many standard deviations
-MIN_BLOCKS = 50
-MIN_SINE = 0.3  # between sight lines: nearer cameras share changes of light
-MEDIAN_SQUARE = 0.455  # of a standard normal variable
 
 
 class WaveRings(NamedTuple):
@@ -81,8 +72,7 @@ def error_budget(
     times: Float = EVEN_TIMES,
 ) -> dict[str, Float]:
     """Variances of z and dx, dy, dz of one step by term, each (4, ny, nx), m^2."""
-    sheet = geometry.settings.sheet_thickness is not None
-    waves = waves_of_flat_sheet() if sheet else detected_waves(record.elevation, geometry.pixel, frame_rate)
+    waves = detected_waves(record.elevation, geometry.pixel, frame_rate)
     return {
         "noise": noise(estimate),
         "prior": removed_by_prior(estimate),
@@ -126,7 +116,7 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
         out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)
     for count in np.unique(estimate.motion.frames).tolist():
         code = max(path_frames, count) if count == 6 else count
-        lost = MARGIN**2 * lost_by_paths(waves, code, times) * WAVE_VARIANCES.astype(np.float32)
+        lost = lost_by_paths(waves, code, times) * WAVE_VARIANCES.astype(np.float32)
         out[1:] += np.where(estimate.motion.frames == count, lost[:, None, None], np.float32(0))
     change = changed_waves(estimate, waves, times)
     return out + np.array([change, *(change * WAVE_VARIANCES)], np.float32)[:, None, None]
@@ -188,11 +178,6 @@ def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRin
     return WaveRings(k, variance, dispersion(k) / frame_rate)
 
 
-def waves_of_flat_sheet() -> WaveRings:
-    """No waves: a light sheet does not rise."""
-    return WaveRings(*np.zeros((3, 1)))
-
-
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
     """Fraction of the variance of the rise that is aliased, and the longest aliased wave, metres.
     A wave is aliased if it turns by more than half a turn from frame to frame.
@@ -211,7 +196,7 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
     def error(code: int) -> float:
         half = PATH_WEIGHTS[code]
         noise = noise_variance * noise_of_displacements(np.array([*half[:0:-1], *half])).sum()
-        lost = MARGIN**2 * float(WAVE_VARIANCES.sum()) * lost_by_paths(waves, code)
+        lost = float(WAVE_VARIANCES.sum()) * lost_by_paths(waves, code)
         return float(noise) + lost
 
     return min((4, 6, EXACT_SIX), key=error)
@@ -220,20 +205,15 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
     """Variances (4,) of waves shorter than blocks, from the std of their rise per frame and a wavelength.
 
-    Waves of variance a^2 and phase p per frame rise by 2 a^2 (1 - cos p) per frame, or 2 a^2 if phases are
-    uniform, at a rate of variance (a p)^2. For z the longest of them count, for velocities the shortest.
-    Wavelength 0 means that cameras on one side share changes of light, which disturb only velocities.
+    Waves of variance a^2 and phase p per frame rise by a variance of 2 a^2 (1 - cos p) per frame, or 2 a^2
+    where they turn by more than a quarter, at a rate of variance (a p)^2.
     """
     rise, wavelength = learned
     if not rise:
         return np.zeros(4, np.float32)
-    if not wavelength:
-        return np.array([0.0, *(WAVE_VARIANCES * rise**2)], np.float32)
-    block = wavelength / RIPPLE_BLOCKS
-    shortest = max(SHORTEST_RIPPLE * block, min(wavelength, SHORTEST_DAMPED))
-    phases = dispersion(2.0 * np.pi / np.array([LONGEST_RIPPLE * block, shortest])) / frame_rate
-    z = rise**2 / (2.0 * (1.0 - np.cos(np.minimum(phases, 0.5 * np.pi))))
-    return np.array([z[0], *(WAVE_VARIANCES * z[1] * phases[1] ** 2)], np.float32)
+    phase = float(dispersion(np.array(2.0 * np.pi / wavelength))) / frame_rate
+    z = rise**2 / (2.0 * (1.0 - np.cos(min(phase, 0.5 * np.pi))))
+    return np.array([z, *(WAVE_VARIANCES * z * phase**2)], np.float32)
 
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
@@ -281,70 +261,42 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 # blocks of two cameras share gives their height, once for a record.
 
 
-class SharedMotion(NamedTuple):
-    """Residual displacements that two cameras share in one step, as variance of the rise, m^2."""
+def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
+    """Variance of the rise per frame, m^2, that the blocks of two cameras share, and that of single blocks.
 
-    shared: float  # per frame; by chance it may be negative
-    total: float  # variance of the blocks
-    removed: float  # part of what is shared that the prior removed from longer waves
-    wavelength: float  # of the ripples, metres; 0 where cameras side by side share changes of light as well
-
-
-def shared_motion(
-    found: Mapping[str, FlowEstimate], missing: Mapping[str, Float], z: Float, geometry: GridGeometry
-) -> tuple[SharedMotion, ...]:
-    """Residual motion that every pair of cameras shares in one step on the surface z (ny, nx).
-
-    Ripples whose rise has the variance c give the blocks of two cameras the covariance
-    J_a diag(1/2, 1/2, 1) J_b^T c. So do waves that the prior removes, whose variance per block is `missing`
-    (1 or 2, ny, nx), px^2. Cameras that look from the same side share changes of light as well: only where
-    all do are they compared.
+    Ripples whose rise has the variance c move the blocks of cameras a and b by displacements of covariance
+    J_a diag(1/2, 1/2, 1) J_b^T c, on the surface z (ny, nx). Both variances are fitted to the blocks' scores,
+    each over the square root of its Hessian's trace, so that all have the same noise. Of several pairs of
+    cameras the one counts that shares least: cameras side by side share changes of light as well. The shared
+    variance may be negative by chance; both are 0 if no two cameras measured enough blocks.
     """
-    moved, jacobians, removed, scales = {}, {}, {}, []
+    scores, waves = {}, {}
     for name, one in found.items():
         sight = geometry.sights[name]
         x, y, *jacobian = sight.at(z).reshape(8, -1)
         columns, rows, inside = blocks_at(sight.lattice, x, y)
-        moved[name] = np.where(inside, block_residuals(one.found)[:, rows, columns], np.nan)
-        jacobians[name] = J = np.reshape(jacobian, (2, 3, -1)).astype(np.float64)
-        size = 2.0 * np.mean(missing[name], axis=0)[rows, columns] / np.einsum("iin->n", covariance(J, J))
-        removed[name] = float(np.median(size[inside])) if inside.any() else 0.0
-        scales.append(np.median(np.linalg.norm(J[:, :2], axis=(0, 1))) / np.sqrt(2.0))
-    out, pairs = [], list(combinations(moved, 2))
-    apart = [(a, b) for a, b in pairs if sine_between(jacobians[a], jacobians[b]) > MIN_SINE]
-    wavelength = float(RIPPLE_BLOCKS * BLOCK / np.mean(scales)) if apart else 0.0
-    for a, b in apart or pairs:
-        both = np.isfinite(moved[a]).all(axis=0) & np.isfinite(moved[b]).all(axis=0)
-        if both.sum() < MIN_BLOCKS:
+        xx, xy, yy = one.found.hessian[:, rows, columns]
+        scale = 1.0 / np.sqrt(np.maximum(xx + yy, 1e-30), dtype=np.float64)
+        usable = inside & one.found.valid[rows, columns] & (xx + yy > 0)
+        scores[name] = np.where(usable, one.found.score[:, rows, columns] * scale, np.nan)
+        J = np.reshape(jacobian, (2, 3, -1))
+        waves[name] = np.stack([xx * J[0] + xy * J[1], xy * J[0] + yy * J[1]]) * scale
+    pairs = []
+    for a, b in combinations(scores, 2):
+        both = np.isfinite(scores[a][0]) & np.isfinite(scores[b][0])
+        if both.sum() < MIN_NODES:
             continue
-        (p, J), (q, K) = ((limited(moved[n][:, both]), jacobians[n][..., both]) for n in (a, b))
-        expected = covariance(J, K)
-        own = [np.sum(np.square(r)) / np.einsum("iin->", covariance(M, M)) for r, M in ((p, J), (q, K))]
-        shared = float(np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected)))
-        total = max(float(np.sqrt(own[0] * own[1])), 1e-30)
-        known = SEEN_OF_REMOVED * min(removed[a], removed[b])
-        out.append(SharedMotion(shared, total, known, wavelength))
-    return tuple(out)
+        p, q, A, B = (parts[n][..., both] for parts in (scores, waves) for n in (a, b))
+        expected = covariance(A, B)
+        shared = np.sum(expected * (p[:, None] * q)) / np.sum(np.square(expected))
+        own = [np.sum(np.square(r)) / np.einsum("iin->", covariance(M, M)) for r, M in ((p, A), (q, B))]
+        pairs.append((float(shared), float(np.sqrt(own[0] * own[1]))))
+    return min(pairs, default=(0.0, 0.0), key=lambda pair: pair[0] / max(pair[1], 1e-30))
 
 
-def ripple_rise(shared: Sequence[SharedMotion]) -> tuple[float, float]:
-    """Standard deviation of the rise of ripples per frame, and their wavelength, metres; 0 without ripples.
-    The shared variance is divided between ripples and waves that the prior removed, in proportion.
-    """
-    if not shared:
-        return 0.0, 0.0
-    common, total, removed, wavelength = np.mean(shared, axis=0)
-    excess = common - SHARED_BY_BEADS * total
-    if common < MIN_SHARED * total or excess <= 0:
-        return 0.0, 0.0
-    variance = excess**2 / (excess + removed) / ((1.0 - SHARED_BY_BEADS) * SEEN_BY_BLOCKS)
-    return float(np.sqrt(variance)), float(wavelength)
-
-
-def sine_between(J: Float, K: Float) -> float:
-    """Sine of the angle between the sight lines of two cameras in the middle, from Jacobians (2, 3, n)."""
-    a, b = (np.cross(middle[0], middle[1]) for middle in (np.median(J, axis=-1), np.median(K, axis=-1)))
-    return float(np.linalg.norm(np.cross(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))
+def ripple_rise(shared: float, total: float) -> float:
+    """Standard deviation of the rise of ripples per frame, metres; 0 without. Arguments: `shared_motion`."""
+    return float(np.sqrt(shared / SEEN_BY_BLOCKS)) if shared > MIN_SHARED * total else 0.0
 
 
 def blocks_at(
@@ -357,26 +309,8 @@ def blocks_at(
     return column.clip(0, nx - 1).astype(np.intp), row.clip(0, ny - 1).astype(np.intp), inside
 
 
-def covariance(J: Float, K: Float) -> Float:
-    """Covariance of the displacements in two images, (2, 2, n), from waves with unit variance of the rise."""
-    return np.asarray(np.einsum("ikn,k,jkn->ijn", J, WAVE_VARIANCES, K))
-
-
-def block_residuals(found: Displacement) -> Float:
-    """Displacement of every block relative to the field at which it was evaluated, (2, ny, nx), px.
-    NaN where a block has little texture in either direction.
+def covariance(A: Float, B: Float) -> Float:
+    """Covariance (2, 2, n) of two scores, for waves with unit variance of the rise.
+    A and B (2, 3, n) are the derivatives of the scores with respect to the motion of the water.
     """
-    xx, xy, yy = found.hessian
-    trace = (xx + yy)[found.valid]
-    ridge = np.float32(RIDGE * np.median(trace)) if trace.size else np.float32(1)
-    scale = np.float32(1) / np.maximum((xx + ridge) * (yy + ridge) - xy * xy, np.float32(1e-30))
-    x, y = found.score
-    out = np.stack([(yy + ridge) * x - xy * y, (xx + ridge) * y - xy * x]) * scale
-    out[:, ~(found.valid & (xx > 2 * ridge) & (yy > 2 * ridge))] = np.nan
-    return np.asarray(out)
-
-
-def limited(values: Float) -> Float:
-    """Values (2, n) clipped to `MAX_STD` standard deviations, these from the median square."""
-    limit = MAX_STD * float(np.sqrt(np.median(np.square(values)) / MEDIAN_SQUARE))
-    return np.clip(values, -limit, limit)
+    return np.asarray(np.einsum("ikn,k,jkn->ijn", A, WAVE_VARIANCES, B))

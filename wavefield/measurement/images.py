@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -203,31 +203,6 @@ def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
         seen = cv2.remap(good, X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         flat = Mask.of(geometry.views[name].visible & (seen > 250), geometry.settings.stereo)
     return Covered(Mask.of(good > 250, geometry.settings.piv), flat)
-
-
-MIN_BARE_FRACTION = 0.1
-
-
-def bare_of_camera(covered: Sequence[Covered | None]) -> float:
-    """Fraction of a camera's blocks that is never masked in the given images."""
-    levels = [one.raw.levels[0] > 0 for one in covered if one is not None]
-    return max(float(np.logical_and.reduce(levels).mean()), MIN_BARE_FRACTION) if levels else 1.0
-
-
-def bare_of_pairs(covered: Mapping[str, Covered], geometry: GridGeometry) -> float:
-    """Fraction of the common view that neither camera masks, mean over the pairs."""
-
-    def level(name: str, mask: Mask | None) -> Pixels:
-        return (geometry.views[name].mask if mask is None else mask).levels[0] > 0
-
-    flat = {name: one.flat for name, one in covered.items() if one.flat is not None}
-    if not flat:
-        return 1.0
-    bare, seen = 0.0, 0.0
-    for a, b in geometry.pairs:
-        bare += float((level(a, flat.get(a)) & level(b, flat.get(b))).sum())
-        seen += float((level(a, None) & level(b, None)).sum())
-    return max(bare / max(seen, 1.0), MIN_BARE_FRACTION)
 
 
 def masked_nodes(

@@ -22,7 +22,7 @@ _SCORE_MEAN_BLOCKS = (9, 9)  # over so many the pairs' own noise is below a thir
 _MAX_SCORE_DIFFERENCE_PX = 0.75  # between the corrections of parallax by two pairs to one surface
 _MIN_RELATIVE_HESSIAN = 0.3  # of the mean: blocks with less determine no height
 _WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks affected by one
-_MIN_NODES = 50  # for a median misfit
+MIN_NODES = 50  # for a median misfit
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
@@ -48,7 +48,7 @@ def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int]
 def median_misfit(misfit: Float, measured: Mask) -> float:
     """Median misfit (ny, nx) over the nodes measured by all cameras; 0 if there are few."""
     good = measured & np.isfinite(misfit)
-    return float(np.median(misfit[good])) if good.sum() >= _MIN_NODES else 0.0
+    return float(np.median(misfit[good])) if good.sum() >= MIN_NODES else 0.0
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from scipy.special import gammaincinv
 from wavefield import matching
 from wavefield.images import fill_masked
 from wavefield.matching import Prior
+from wavefield.matching.kernels import BLOCK
 from wavefield.matching.learned_spectrum import first_prior, refined_prior, shrinkage
 from wavefield.matching.map_field import Modes, edge_field
 from wavefield.matching.noise import noise_of_scores
@@ -27,25 +28,27 @@ from wavefield.matching.spectrum import (
     FOOTPRINT_VARIANCE,
     OPEN_SIGNAL_TO_NOISE,
     displacement_area,
-    transfer_function,
 )
 from wavefield.measurement import elevation
-from wavefield.measurement.displacement import camera_flow, filled, map_displacement, motion_variance
+from wavefield.measurement.displacement import (
+    FlowEstimate,
+    camera_flow,
+    filled,
+    map_displacement,
+    motion_variance,
+)
 from wavefield.measurement.elevation import combine, first_information, map_elevation
 from wavefield.measurement.error_budget import (
-    SharedMotion,
+    RIPPLE_BLOCKS,
     best_path_frames,
     detected_waves,
     ripple_rise,
     shared_motion,
-    waves_of_flat_sheet,
 )
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import (
     Images,
     Masks,
-    bare_of_camera,
-    bare_of_pairs,
     bead_width,
     images_of,
     usable,
@@ -54,6 +57,7 @@ from wavefield.measurement.model import FieldModel, LearnedRecord, displacement_
 from wavefield.measurement.paths import displacements_at_nodes
 from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
 from wavefield.one_thread import one_thread
+from wavefield.robust import robust_std
 from wavefield.variables import EXACT_SIX, Quality
 
 Frames = Mapping[str, NDArray[Any] | None]
@@ -63,12 +67,10 @@ SAMPLES = 4  # steps of a record
 _ROUNDS = 2  # of noise and second spectra: the first noise is several times too small where waves are short
 _MIN_INFORMATION = 1e-3  # of a block, per square px: its own estimate is uncertain by 30 px
 _NOISE_FACTORS = 0.1, 10.0  # accepted range
-_FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
-_HALF_WITHIN = 0.6745  # standard deviations of a Gaussian; of half of a field, so that edges do not count
 # Noise of whole beads over that of plain blocks, below which spectra from whole beads show more of the waves,
 # and elsewhere more of the noise: 0.9 to 1 on long waves, 0.5 to 0.7 on slopes of 0.15 by waves of 5 to 8 cm
 _NOISE_WITHOUT_CUT_BEADS = 0.75
-_FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
+_FLAT = Prior.isotropic((0.0, np.pi), (0.0, 0.0), 1.0)  # of a light sheet: no waves
 
 
 def sample_steps(count: int, number: int = 0) -> list[int]:
@@ -125,8 +127,8 @@ def learn(
 
     Notes
     -----
-    The first spectrum is that of windowed fields over the windows' gain; then fields and spectra
-    follow from each other (`refined_prior`). The noise of the displacements is such that the median of the
+    The first spectrum is that of windowed fields; then fields and spectra follow from each other
+    (`refined_prior`). The noise of the displacements is such that the median of the
     cameras' misfit is that of chi^2.
     """
     with ThreadPoolExecutor(threads) as pool:
@@ -150,12 +152,12 @@ def _learned(
     moved = {name: fields for name, fields in moved.items() if fields and name in geometry.velocity_cameras}
     if len(moved) < 2 or not (heights or sheet):
         return None
-    z_prior, noise = _elevation_prior(heights, geometry, pool) if heights else (_FLAT, 0.0)
+    z_prior, noise = _elevation_prior(heights, pool) if heights else (_FLAT, 0.0)
     if heights and all(beads.values()):
         heights = _elevation_samples(samples, geometry, pool, True)
         if _summary(heights, z_prior, pool)[3] < _NOISE_WITHOUT_CUT_BEADS * noise:
-            z_prior, _ = _elevation_prior(heights, geometry, pool)
-    priors = {name: _first_spectrum(fields, geometry.settings.piv, pool) for name, fields in moved.items()}
+            z_prior, _ = _elevation_prior(heights, pool)
+    priors = {name: _first_spectrum(fields, pool) for name, fields in moved.items()}
     some = next(iter(priors.values()))
     priors = {name: priors.get(name, some) for name in geometry.velocity_cameras}
     # noise, from the differences of the cameras, and second spectra with it
@@ -175,7 +177,7 @@ def _learned(
     # paths with the smallest error, and ripples
     path_frames = EXACT_SIX
     if frame_rate is not None:
-        waves = waves_of_flat_sheet() if sheet else detected_waves(z_prior, geometry.pixel, frame_rate)
+        waves = detected_waves(z_prior, geometry.pixel, frame_rate)
         path_frames = best_path_frames(waves, found.noise_variance)
     motion = {
         name: max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements)
@@ -187,7 +189,7 @@ def _learned(
         tuple(priors.items()),
         tuple(motion.items()),
         path_frames,
-        ripple_rise(found.shared),
+        (0.0 if sheet else ripple_rise(found.shared, found.total), RIPPLE_BLOCKS * BLOCK * geometry.pixel),
     )
 
 
@@ -246,20 +248,24 @@ def _bead_widths(
 
 @dataclass(frozen=True)
 class _FieldSample:
-    """One field of a sample step: windowed, and as the MAP estimate of a prior.
-
-    `information` and the coefficients are computed as if no block were masked.
-    """
+    """One field of a sample step: windowed, and as the MAP estimate of a prior."""
 
     field: Float  # (c, ny, nx), without holes
-    information: float  # mean of a block
+    information: float  # mean over the blocks that have any
     area: float  # that a block's value represents, px^2 (`Prior`)
-    bare: float  # fraction of the blocks that is not masked
     estimate: Callable[[Modes], tuple[Float, float]]  # coefficients of the MAP field, and its information
     # The same of a field of noise alone, where the cameras show one
     noise: Callable[[Modes], tuple[Float, float]] | None = None
     # Information along the sight lines, variance of z and of the smooth epipolar error, m^2, noise of scores
     summary: Callable[[Modes], tuple[float, float, float, float]] | None = None
+
+
+def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[Float, float]:
+    """Coefficients of a field and mean information of a block, as if every block had information."""
+    known = float(np.mean(found.information > 0))
+    if not known:
+        return found.waves, 0.0
+    return found.waves / np.sqrt(known), float(found.information.mean()) / known
 
 
 def _elevation_samples(
@@ -272,26 +278,25 @@ def _elevation_samples(
             return None
         blocks, matches = step.pairs
         flat, pixel = step.first.flat, geometry.pixel
-        bare = bare_of_pairs(step.first.covered, geometry)
         turned = [one.turned for one in matches]  # across the sight lines: no wave moves anything there
 
         def estimate(modes: Modes) -> tuple[Float, float]:
             # with noise from the scores along: with that across, an excess along would count as waves
             found = map_elevation(blocks, matches, flat, modes, pixel, whole_beads, noise_across=False)
-            return found.waves / np.sqrt(bare), float(found.information.mean()) / bare
+            return _without_holes(found)
 
         def noise(modes: Modes) -> tuple[Float, float]:
             found = map_elevation(combine(turned), turned, flat, modes, pixel, whole_beads, False)
-            return found.waves / np.sqrt(bare), float(found.information.mean()) / bare
+            return _without_holes(found)
 
         def summary(modes: Modes) -> tuple[float, float, float, float]:
             found = map_elevation(blocks, matches, flat, modes, pixel, whole_beads)
             z = modes.field(found.waves)[0][found.information > 0]
-            std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
-            return float(found.information.mean()) / bare, std**2, found.epipolar**2, found.noise
+            variance = robust_std(z - np.median(z)) ** 2 if z.size else 0.0
+            return _without_holes(found)[1], variance, found.epipolar**2, found.noise
 
-        information = first_information(blocks, matches, pixel, _FREEDOM) / bare
-        return _FieldSample(blocks.filled, information, FOOTPRINT_VARIANCE, bare, estimate, noise, summary)
+        information = first_information(blocks, matches, pixel)
+        return _FieldSample(blocks.filled, information, FOOTPRINT_VARIANCE, estimate, noise, summary)
 
     least = _MIN_INFORMATION / geometry.pixel**2
     return [one for one in pool.map(sample_of, steps) if one is not None and one.information > least]
@@ -309,31 +314,26 @@ def _displacement_samples(
 
     def sample_of(step: _SampleStep) -> _FieldSample:
         match, images = step.displacements[name], (step.first.raw[name], step.second.raw[name])
-        bare = bare_of_camera([step.first.covered.get(name), step.second.covered.get(name)])
 
         def estimate(modes: Modes) -> tuple[Float, float]:
             found = map_displacement(match, *images, modes)
-            return found.waves / np.sqrt(bare), float(found.information.mean()) / bare
+            return _without_holes(found)
 
         counts = match.valid.astype(np.float32)
         trace = match.hessian[0] + match.hessian[2]
-        nu = noise_of_scores(match.score, trace, counts, _FREEDOM, with_mismatches=True)
-        information = 0.5 * float((trace * counts / nu).mean()) / bare
-        return _FieldSample(filled(match), information, area, bare, estimate)
+        nu = noise_of_scores(match.score, trace, counts, 1.0, with_mismatches=True)
+        information = 0.5 * float((trace / nu)[match.valid].mean()) if match.valid.any() else 0.0
+        return _FieldSample(filled(match), information, area, estimate)
 
     with_displacement = [step for step in steps if name in step.displacements]
     return [one for one in pool.map(sample_of, with_displacement) if one.information > _MIN_INFORMATION]
 
 
-def _first_spectrum(
-    samples: Sequence[_FieldSample], settings: matching.MatchSettings, pool: ThreadPoolExecutor
-) -> Prior:
-    """Prior of one kind of field: from windowed fields with their gain undone, then refined twice."""
-    kx, ky = (np.pi * np.arange(n) / n for n in samples[0].field.shape[:-3:-1])
-    window = transfer_function(settings, kx, ky[:, None]).clip(0, 1)
+def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> Prior:
+    """Prior of one kind of field: the spectrum of the windowed fields, refined twice."""
     fields = [one.field - edge_field(one.field) for one in samples]
     typical = float(np.mean([one.information for one in samples]))
-    prior = first_prior(fields, window, typical, samples[0].area)
+    prior = first_prior(fields, typical, samples[0].area)
     for ratio in (FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE):
         prior = _refined(samples, prior, ratio, pool)
     return prior
@@ -349,13 +349,11 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
     return refined_prior(prior, modes, waves, float(np.mean(information)), alone)
 
 
-def _elevation_prior(
-    samples: Sequence[_FieldSample], geometry: GridGeometry, pool: ThreadPoolExecutor
-) -> tuple[Prior, float]:
+def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
     """Prior of the elevation, with its information along the sight lines and the fraction that is waves.
     Also the noise of scores with it.
     """
-    prior = _first_spectrum(samples, geometry.settings.stereo, pool)
+    prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
     waves, noise = (float(part[0]) for part in prior.variances(samples[0].field.shape[-2:]))
@@ -388,16 +386,16 @@ class _Differences:
     noise: float = 1.0  # over the priors'
     waves: float = 1.0  # fraction of the displacements' spectra that all cameras share
     noise_variance: float = 0.0  # of dx, dy and dz of the water together, m^2
-    shared: tuple[SharedMotion, ...] = ()  # by blocks of two cameras
+    # Variance of the rise per frame that blocks of two cameras share, and that of single blocks, m^2
+    shared: float = 0.0
+    total: float = 0.0
 
     @classmethod
     def typical(cls, steps: Sequence[_Differences]) -> _Differences:
         """Medians over several steps."""
         if not steps:
             return cls()
-        numbers = [(one.noise, one.waves, one.noise_variance) for one in steps]
-        noise, waves, variance = map(float, np.median(numbers, axis=0))
-        return cls(noise, waves, variance, tuple(part for one in steps for part in one.shared))
+        return cls(*map(float, np.median([astuple(one) for one in steps], axis=0)))
 
 
 def _differences(
@@ -438,8 +436,4 @@ def _differences(
     ]
     variance = float(np.var(solved.d[:, good], axis=1, dtype=np.float64).sum())
     fraction = shrinkage(variance, noise_variance, float(np.mean(waves) * parts.sum()))
-    shared: tuple[SharedMotion, ...] = ()
-    if geometry.settings.sheet_thickness is None:
-        missing = {name: one.missing for name, one in flows.items()}
-        shared = shared_motion(found, missing, z, geometry)
-    return _Differences(noise, fraction, noise_variance, shared)
+    return _Differences(noise, fraction, noise_variance, *shared_motion(found, z, geometry))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from wavefield.measurement.displacement import Flows, flows
 from wavefield.measurement.elevation import Surface, surface
-from wavefield.measurement.error_budget import MEDIAN_SQUARE, TERMS, bead_tilt, error_budget
+from wavefield.measurement.error_budget import TERMS, bead_tilt, error_budget
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import (
     Frames,
@@ -48,6 +48,7 @@ from wavefield.measurement.record import learn, sample_steps
 from wavefield.measurement.search_range import search_widened
 from wavefield.measurement.velocity import Motion, mean_flow, velocity
 from wavefield.one_thread import one_thread
+from wavefield.robust import robust_std
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality, frames_of_path
 
 Series = Mapping[str, Sequence[NDArray[Any] | None]]
@@ -323,9 +324,6 @@ def estimate_step(
     if estimate is None:
         return None
     motion = estimate.motion
-    # a knock between two frames spoils every path that contains it: those of four frames are used instead
-    if motion.inconsistent and len(moves) > 3:
-        return estimate_step(window, moves[1:-1], geometry, model, times)
     if motion.left_out is None:
         return estimate
     left_out = frozenset({motion.left_out})
@@ -372,9 +370,7 @@ def _estimate(
 
 def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
     """Mean square difference between z from six frames and from four, m^2; 0 if no node has six."""
-    if len(orders) < 3 or not (frames == 6).any():
-        return 0.0
-    return float(np.median(np.square(orders[0] - orders[1])[frames == 6])) / MEDIAN_SQUARE
+    return robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0
 
 
 def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:

@@ -136,7 +136,6 @@ def solve_nodes(
 
 # Of u, v, w by deep-water waves in all directions: they move the water along as much as up and down.
 WAVE_VARIANCES = np.array([0.5, 0.5, 1.0])
-_MAX_INCONSISTENT_FRACTION = 0.01  # of the nodes, by chance
 _NODES_FOR_MEAN_FLOW = 500
 
 
@@ -162,12 +161,6 @@ class Motion:
     chord: Float
     bend: Float
     left_out: str | None = None  # the camera that contradicted the others, which agree without it
-
-    @property
-    def inconsistent(self) -> bool:
-        """Whether cameras contradict each other over more than single nodes."""
-        against = self.misfit[np.isfinite(self.misfit)] > MAX_MISFIT
-        return bool(self.left_out or against.sum() > _MAX_INCONSISTENT_FRACTION * against.size)
 
 
 def velocity(
