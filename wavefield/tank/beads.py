@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Beads
-from wavefield.tank.sea import Basin
+from wavefield.tank.sea import REMEMBERED_FRAMES, Basin
 
 T = TypeVar("T")
-
-REMEMBERED_FRAMES = 8  # frames kept before the latest: images of several frames are drawn at once
 
 
 class FrameHistory(Generic[T]):

@@ -307,7 +307,7 @@ KERNEL_WIDTH = 8  # lattice points under the interpolation kernel along each axi
 # beta of the kernel exp(beta (sqrt(1 - s^2) - 1)), best for a lattice twice as fine as the waves need
 # (Barnett, Magland and af Klinteberg 2019)
 KERNEL_BETA = 2.30 * KERNEL_WIDTH
-MAX_SNAPSHOTS = 24  # kept in memory
+REMEMBERED_FRAMES = 8  # states kept in memory, because images of several frames are drawn at once
 
 
 def _kernel(r: Array) -> Array:
@@ -341,7 +341,7 @@ class Basin:
         margin = KERNEL_WIDTH // 2
         self._step = step
         # beads, truth and images ask for the same instants again
-        self._recent = lru_cache(MAX_SNAPSHOTS)(self._snapshot)
+        self._recent = lru_cache(REMEMBERED_FRAMES)(self._snapshot)
         self._origin = (x[0] - margin * step, y[0] - margin * step)
         count = [int(np.ceil((hi - lo) / step)) + 2 * margin + 1 for lo, hi in (x, y)]
         kx, ky = sea.axes
