@@ -97,19 +97,6 @@ CANDIDATES = (
 EQUIVALENT_RATIO = 1.05  # of expected errors: models within it count as equally good
 
 
-@dataclass(frozen=True)
-class Choice:
-    """One row of the comparison."""
-
-    model: str  # Its free terms
-    parameters: int  # Free parameters of the joint fit
-    rms: float  # Rms of the residuals in units of the stated uncertainty
-    bic: float  # Bayes' information criterion
-    # Expected error of a pixel where the rig will be used, px: among the models within five per cent of the
-    # smallest, the one with the fewest parameters is chosen
-    expected: float
-
-
 def terms_of(model: str) -> tuple[str, ...] | None:
     """Free terms of a camera model, such as ``f tilt k1``; None for ``auto``."""
     terms = tuple(model.split())
@@ -127,31 +114,30 @@ def choose(
     observations: Observations,
     level: bool,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[str, dict[str, Fit], list[Choice]]:
-    """Fit the candidates and choose the one that predicts best within `predicted_errors.volume`.
-    The model of the fewest parameters among those with nearly the least expected error of a pixel is chosen.
+) -> tuple[str, Fit]:
+    """The camera model that predicts best where the rig will be used (`volume`), and its fit.
+    Among the models with nearly the least expected error of a pixel, that of the fewest parameters.
     """
     o, count = observations, 2 * len(observations)
     fits: dict[str, Fit] = {}
-    bic: dict[str, float] = {}
     for done, name in enumerate(CANDIDATES):
         if progress:
             progress(done, len(CANDIDATES))
-        fits[name] = result = fit_model(tuple(name.split()))
-        k = len(result.layout.names)
-        bic[name] = float(count * np.log(max(result.chi2, 1e-300) / count) + k * np.log(count))
+        fits[name] = fit_model(tuple(name.split()))
     if progress:
         progress(len(CANDIDATES), len(CANDIDATES))
-    reference = min(bic, key=lambda name: bic[name])
+
+    def bic(name: str) -> float:
+        chi2 = max(fits[name].chi2, 1e-300)
+        return float(count * np.log(chi2 / count) + len(fits[name].layout.names) * np.log(count))
+
+    reference = min(fits, key=bic)
     # BIC alone is dominated by the images' edges: it may select a lens that fits them a little better and
     # predicts the middle ten times worse. A focused criterion (Claeskens and Hjort 2003) in place of it:
     expected = _expected(fits, reference, o, volume(o, fits[reference], level))
-    table = [
-        Choice(name, len(f.layout.names), float(np.sqrt(f.chi2 / count)), bic[name], expected[name])
-        for name, f in fits.items()
-    ]
-    near = [row for row in table if row.expected <= EQUIVALENT_RATIO * min(expected.values())]
-    return min(near, key=lambda row: row.parameters).model, fits, table
+    near = [name for name in fits if expected[name] <= EQUIVALENT_RATIO * min(expected.values())]
+    best = min(near, key=lambda name: len(fits[name].layout.names))
+    return best, fits[best]
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:

@@ -18,7 +18,6 @@ from wavefield.calibration.bundle import Fit, covariance_to_dict, fit
 from wavefield.calibration.camera_start import PhysicalFrame, physical_frame, start_geometry
 from wavefield.calibration.model_choice import (
     CANDIDATES,
-    Choice,
     PredictedErrors,
     choose,
     predict_errors,
@@ -57,8 +56,6 @@ class Calibration:
         What was left out, and other remarks.
     model : str
         The camera model: its free terms.
-    models : tuple of Choice
-        The models that were compared.
     observations : Observations, optional
         The points that were fitted.
     fit : Fit, optional
@@ -78,7 +75,6 @@ class Calibration:
     problems: tuple[str, ...]
     notes: tuple[str, ...] = ()
     model: str = ""
-    models: tuple[Choice, ...] = ()
     observations: Observations | None = None
     fit: Fit | None = None
     predicted: PredictedErrors | None = None
@@ -173,7 +169,7 @@ def calibrate(
     observations = collect({name: usable[name] for name in consistent}, mesh, origin)
     frame = physical_frame(observations, flats, findings)
     geometry = start_geometry(observations, consistent, frame)
-    observations, result, chosen, table = _fit_and_choose(
+    observations, result, chosen = _fit_and_choose(
         observations, geometry, frame, terms_of(model), target_std, findings, progress
     )
     predicted = predict_errors(observations, result, frame.level)
@@ -185,7 +181,6 @@ def calibrate(
         tuple(findings.problems),
         tuple(findings.notes),
         chosen,
-        tuple(table),
         observations,
         result,
         predicted,
@@ -204,7 +199,7 @@ def _fit_and_choose(
     target_std: float,
     findings: Findings,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Observations, Fit, str, list[Choice]]:
+) -> tuple[Observations, Fit, str]:
     """Joint fit without outliers, and the choice of the model."""
     o = observations
     terms = model or ("f", "aspect", "c", "k1")
@@ -222,10 +217,10 @@ def _fit_and_choose(
         o = o.only(inlier)
         result = run(terms, result.geometry)
     if model:
-        return o, result, " ".join(model), []
+        return o, result, " ".join(model)
     scale, begin = result.scale, result.geometry
-    name, fits, table = choose(lambda terms: run(terms, begin, scale), o, frame.level, progress)
-    return o, fits[name], name, table
+    name, result = choose(lambda terms: run(terms, begin, scale), o, frame.level, progress)
+    return o, result, name
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
