@@ -156,8 +156,7 @@ def one_pass(
         count = None if progress is None else _Counter(progress, sum(len(links) for links in chains))
         task = dask.delayed(chain(count), pure=False)
         summed = reduce(dask.delayed(add, pure=False), [task(links) for links in chains])
-        with dask.config.set(num_workers=min(THREADS, dask.config.get("num_workers", None) or THREADS)):
-            (total,) = dask.compute(summed)
+        (total,) = dask.compute(summed)
     else:
         count = None if progress is None else _Counter(progress, len(chains))
         total = reduce(add, _counted(each(chain(), chains), count))
@@ -232,7 +231,8 @@ def analyze(
                 f"the cube has no {name!r}: the analysis needs {', '.join(FIELDS)} over time, y and x"
             )
     fields = validate(complete, *FIELDS)
-    with np.errstate(all="ignore"):
+    threads = min(THREADS, dask.config.get("num_workers", None) or THREADS)
+    with np.errstate(all="ignore"), dask.config.set(num_workers=threads):
         depth, gamma = water_of(complete.attrs, options.get("depth"))
         given = {
             "cube": fields,
