@@ -23,7 +23,7 @@ from wavefield.waves.dof import (
     ring_freedom,
     with_interval,
 )
-from wavefield.waves.gains import correction, to_frame_time, with_directions
+from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, correction, to_frame_time, with_directions
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
@@ -398,7 +398,6 @@ register(
 
 
 COHERENCE_NAMES = ("rise", "w", "nl")
-MIN_SIGNAL_TO_NOISE = 2.0  # of the energy of a ring over that of its noise
 COHERENCE_PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 # pair whose samples count for each term: the sum w - u . grad z has those of w, its largest part
 TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}

@@ -14,7 +14,13 @@ from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import rings
 from wavefield.waves.current import NO_CURRENT, CurrentUsed
 from wavefield.waves.dispersion_fit import fit_dispersion
-from wavefield.waves.dispersion_points import HALF_WIDTH, MIN_HALF_WIDTH, SHORTEST_WAVES, PlaneSpectrum
+from wavefield.waves.dispersion_points import (
+    HALF_WIDTH,
+    MIN_HALF_WIDTH,
+    SECTORS,
+    SHORTEST_WAVES,
+    PlaneSpectrum,
+)
 from wavefield.waves.dof import correlation_at
 from wavefield.waves.elevation import intrinsic_frequency
 from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, elevation_from_w
@@ -95,7 +101,6 @@ def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[floa
 
 
 BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
-SECTORS = 24  # 15 degrees; in narrower ones the cells of a rectangle show: 2 % in an isotropic sea
 STEP_HZ = 0.1  # between frequencies, and width of each: two lines of segments of 20 s; at least one line
 LOWEST_HZ = 0.5  # the integrated w holds little but drift below
 

@@ -15,6 +15,7 @@ from wavefield.waves.dispersion_points import (
     LEAKAGE_ERROR,
     MIN_CELLS_FROM_ZERO,
     MIN_SPEED_ON_CURRENT,
+    SECTORS,
     PlaneSpectrum,
     RelationPoints,
     Water,
@@ -103,7 +104,6 @@ def against_theory(points: RelationPoints, water: Water, current: Array) -> dict
 MAX_RELATIVE_DISTANCE = 0.1  # of k: points of waves lie within 3 % of the relation, of other energy 8 to 70 %
 MIN_CONTRAST = 1.5  # energy near the relation over that at other frequencies: noise has 0.9 to 1.2
 MAX_CURRENT_STD = 0.012  # m/s: more is of no use, and found where waves are blocked
-FIT_SECTORS = 24  # of direction; each must hold several cells of the shortest waves' ring
 MAX_ROUNDS = 12  # in which the displacement by the windows is removed; at least two
 CONVERGED = 3e-4  # m/s: the rounds end at a smaller change
 
@@ -195,7 +195,7 @@ def fit_dispersion(
     limits, in_band = (bottom, top), (omega >= bottom) & (omega <= top)
     band = spectrum.on_lines(in_band)
     fit = scan_current(band)
-    sectors = sectors_of(plane, FIT_SECTORS)
+    sectors = sectors_of(plane, SECTORS)
     for correction in range(MAX_ROUNDS):
         before = fit
         measured = _refuse_few(centroids(band, sectors, fit), limits)

@@ -53,7 +53,7 @@ Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 
 MIN_CELLS_FROM_ZERO = 2.5  # cells of the k plane: nearer to zero the window mixes waves k and -k
-NOISE_ONLY = 0.8  # of the largest k along the axes: waves this short are weak on most lines
+SHORTEST_WAVES = 0.8  # of the grid's largest k: shorter waves are weak, and their sectors incomplete
 # of the mean energy of a cell: without it, what Hann windows leak off the relation of noise-free waves counts
 # as waves. Tuned on seas that end at 2.5 to 6 Hz, a tenth of it refuses some of them
 LEAST_NOISE = 1e-4
@@ -114,7 +114,7 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
     """Noise of the spectrum, (lines, cells), as a product of a function of omega and one of k.
     Errors are independent in time and smooth over a matching window in space, so their spectrum is a product.
     """
-    outer = plane.k > NOISE_ONLY * plane.nyquist
+    outer = plane.k > SHORTEST_WAVES * plane.nyquist
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
     along_omega = np.median(energy[:, outer], axis=1)
@@ -140,7 +140,10 @@ def _mean_of_noise(values: Array) -> float:
 
 
 MAX_SPEED, SPEED_STEP = 0.8, 0.02  # m/s: that of flumes; what a fit corrects by itself
-SECTORS = 48  # of votes: 7.5 degrees
+# of direction, of a fit and of `directions`, 15 degrees each: narrower ones hold too few cells of a ring, and
+# show the rectangle by 2 % in an isotropic sea
+SECTORS = 24
+VOTING_SECTORS = 2 * SECTORS  # cells vote one by one
 
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
@@ -152,9 +155,9 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
     used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
     used &= plane.k < 0.9 * plane.k[plane.ky == 0].max()
     k = plane.k[used]
-    sector = np.rint(plane.angle[used] / (2 * np.pi) * SECTORS).astype(int) % SECTORS
+    sector = np.rint(plane.angle[used] / (2 * np.pi) * VOTING_SECTORS).astype(int) % VOTING_SECTORS
     bins = round(2 * MAX_SPEED / SPEED_STEP) + 1
-    histogram = np.zeros(SECTORS * bins)
+    histogram = np.zeros(VOTING_SECTORS * bins)
     # omega + sigma: waves that a current carries backwards
     sigma = dispersion(k, *spectrum.water)
     # energy above the noise, each line over its total, and times k: short waves determine the current better
@@ -168,11 +171,11 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
             inside = (speed_bin >= 0) & (speed_bin < bins) & (weight > 0)
             place = sector[inside] * bins + speed_bin[inside]
             histogram += np.bincount(place, weight[inside] * k[inside] / total, histogram.size)
-    histogram = ndimage.gaussian_filter1d(histogram.reshape(SECTORS, bins), 1.0, axis=1)
+    histogram = ndimage.gaussian_filter1d(histogram.reshape(VOTING_SECTORS, bins), 1.0, axis=1)
     speeds = np.arange(-(bins // 2), bins // 2 + 1) * SPEED_STEP
     ux, uy = np.meshgrid(speeds, speeds, indexing="ij")
     score = np.zeros(ux.shape)
-    for theta, row in zip(np.arange(SECTORS) * 2 * np.pi / SECTORS, histogram):
+    for theta, row in zip(np.arange(VOTING_SECTORS) * 2 * np.pi / VOTING_SECTORS, histogram):
         place = (ux * np.cos(theta) + uy * np.sin(theta) + MAX_SPEED) / SPEED_STEP
         score += np.interp(place, np.arange(bins), row, left=0.0, right=0.0)
     speed = np.hypot(ux, uy)
@@ -268,14 +271,13 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
 # half width of the window around the relation: relative to k, for a start that is off by a tenth of the phase
 # velocity; and in cells, of which a Hann window spreads a wave over two on either side
 HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2
-MIN_CELLS = 5  # in the window of a centroid
+MIN_CELLS = 5  # in the window of a centroid: as many as a Hann window spreads a wave over
 # of the free group velocity: a current that slows waves more smears them over all k
 MIN_SPEED_ON_CURRENT = 0.5
 CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with its neighbours' share
 CENTROID_ERROR = 0.03  # of a cell of the k plane, for the strongest sector; more in weaker ones, from leakage
 LEAKAGE_ERROR = 0.3  # of the displacement of centroids by the windows: of each, and of all alike
 MAX_DISPLACEMENT = 0.3  # cells of the k plane: points that the windows displace further are all leakage
-SHORTEST_WAVES = 0.8  # of the grid's largest k: sectors are incomplete beyond
 
 
 @dataclass(frozen=True)

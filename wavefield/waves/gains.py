@@ -16,14 +16,14 @@ from scipy.ndimage import gaussian_filter1d
 from wavefield.errors import StoreError
 from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
 from wavefield.water import dispersion
-from wavefield.waves.welch import (
-    k_coords,
-)
+from wavefield.waves.welch import k_coords
 
 Array = NDArray[Any]
 Values = TypeVar("Values", float, Array, xr.DataArray)
 
-MIN_SIGNAL_TO_NOISE = 3.0  # of a cell: noise that is off by a tenth then changes the waves by 3 %
+MIN_SIGNAL_TO_NOISE = (
+    3.0  # of a cell, ring or band: noise that is off by a tenth then changes the waves by 3 %
+)
 MIN_AMPLITUDE = 0.5  # of a wave as measured: a correction is at most twofold
 
 

@@ -14,6 +14,7 @@ from wavefield.parabola import parabola_vertex
 from wavefield.variables import annotate, validate
 from wavefield.water import group_velocity, wavenumber
 from wavefield.waves import kernels, motion
+from wavefield.waves.crests import BOOTSTRAP_DRAWS
 from wavefield.waves.dof import dof_of_all_nodes, hann_correlation, sum_freedom
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Noted, WaveProduct, register
@@ -22,8 +23,6 @@ from wavefield.waves.spectra import E_omega, komega
 from wavefield.waves.welch import Reader, Welch, add_sums, inner
 
 Array = NDArray[Any]
-
-PEAK_DRAWS = 400  # of which a standard deviation has a chance error of 4 %
 
 
 def relative_std(power: Array, dof: Array, overlap: Array) -> float:
@@ -93,7 +92,7 @@ def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Arr
     lines.
     """
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
-    white = np.random.default_rng(0).standard_normal((PEAK_DRAWS, energy.size + 2))
+    white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
     # squared, (1/2, 1, 1/2) over its norm has the correlation of a Hann window's powers: 4/9, 1/36
     noise = ndimage.convolve1d(white, np.array([0.26, 1.0, 0.26]) / np.sqrt(1 + 2 * 0.26**2), axis=1)[:, 1:-1]
     drawn = measured + np.sqrt(2 / np.maximum(np.nan_to_num(dof, nan=1.0), 1)) * noise
