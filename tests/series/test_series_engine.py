@@ -64,9 +64,12 @@ def test_indexing_gives_what_the_images_hold(experiment, key):
     np.testing.assert_array_equal(image[key].values, everything[key])
 
 
-def test_an_experiment_is_no_dataset(experiment):
-    with pytest.raises(ValueError, match="open_datatree opens the images of an experiment"):
-        xr.open_dataset(experiment, engine="wavefield")
+def test_one_camera_opens_as_a_dataset(experiment):
+    camera = xr.open_dataset(experiment, engine="wavefield", group="cam2", chunks={})
+    assert int(camera.image[4, 0, 0]) == 7
+    for group in (None, "cam9"):
+        with pytest.raises(ValueError, match=r"one of its cameras as group \(cam1, cam2\)"):
+            xr.open_dataset(experiment, engine="wavefield", group=group)
 
 
 def test_missing_frames_are_zeros_and_a_warning(experiment):

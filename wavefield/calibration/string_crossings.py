@@ -147,7 +147,7 @@ def _advance(p: Array, steps: Array, blur: float) -> float:
     return largest
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _evaluate(
     pixels: Array,
     p: Array,
@@ -235,7 +235,7 @@ def _fit_one(
     for axis in range(2):
         covariance[axis] = inverse[LINEAR + axis, LINEAR + axis] * max(chi, 1e-3) ** 2
     _evaluate(pixels, p, angles, blur, misses, spread, arms, noise)
-    return chi
+    return chi if np.isfinite(arms).all() else -1.0  # a string of no brightness is none
 
 
 @compiled()

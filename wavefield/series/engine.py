@@ -59,7 +59,7 @@ class ExperimentBackend(BackendEntrypoint):
     """Opens lazily: images of an experiment file as a tree, a cube or smoothed fields as a Dataset."""
 
     description = "cubes, and image series of the cameras of an experiment file"
-    open_dataset_parameters = ("filename_or_obj", "drop_variables")
+    open_dataset_parameters = ("filename_or_obj", "drop_variables", "group")
 
     def guess_can_open(self, filename_or_obj: object) -> bool:
         """Whether this is an experiment file."""
@@ -70,13 +70,24 @@ class ExperimentBackend(BackendEntrypoint):
             return False
 
     def open_dataset(
-        self, filename_or_obj: object, *, drop_variables: str | Iterable[str] | None = None
+        self,
+        filename_or_obj: object,
+        *,
+        drop_variables: str | Iterable[str] | None = None,
+        group: str | None = None,
     ) -> xr.Dataset:
-        """Open a cube, or what `wavefield smooth` wrote."""
+        """Open a cube, what `wavefield smooth` wrote, or one camera of an experiment (``group="cam1"``)."""
         path = Path(str(filename_or_obj).removeprefix("file://"))
         if path.is_file():
-            raise ValueError(f"{path} is not a store; xarray.open_datatree opens the images of an experiment")
-        found = _smoothed(path) if has_mark(path) else _cube(path)
+            cameras = self.open_datatree(path)
+            if group is None or group not in cameras.children:
+                names = ", ".join(cameras.children)
+                raise ValueError(
+                    f"{path}: pass one of its cameras as group ({names}), or use xarray.open_datatree"
+                )
+            found = cameras[group].to_dataset()
+        else:
+            found = _smoothed(path) if has_mark(path) else _cube(path)
         return found.drop_vars([drop_variables] if isinstance(drop_variables, str) else drop_variables or [])
 
     def open_datatree(self, filename_or_obj: object, **_: Any) -> xr.DataTree:
