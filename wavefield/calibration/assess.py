@@ -141,7 +141,7 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
-    """Views with enough points, of one size per camera."""
+    """Views that can be used: enough finite points, and one image size per camera."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
         size = _common_size(name, by_pose, findings)
@@ -182,7 +182,7 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Points with finite positions and plausible uncertainties."""
+    """Points with finite positions, and no standard uncertainty below `MIN_STD`."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
@@ -232,7 +232,7 @@ def calibrate_each(
 def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
-    """Cameras with consistent poses of the target; views that differ are removed from both arguments."""
+    """Cameras that found the target in the same poses; deviating views are removed from both arguments."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)
     for name, pose in consistency.wrong_views:

@@ -27,7 +27,7 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
-    """Rotation . exp(vector), and its derivatives (3, 3, 3) with respect to the vector."""
+    """A rotation turned by a rotation vector, R exp(v), and its derivatives (3, 3, 3) by the vector."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
     return rotation @ np.asarray(R, float), rotation @ derivative
@@ -197,7 +197,7 @@ class Whitener:
         self._gain = target_std * _blocks((axes / (1.0 + size)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def __call__(self, rows: Array) -> Array:
-        """Make residuals (2n,) or Jacobian rows (2n, p) independent."""
+        """Residuals (2n,) or Jacobian rows (2n, p) without their correlation."""
         independent: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
         return independent
 
@@ -229,8 +229,8 @@ def minimise(
     limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float]:
-    """Least squares with Huber's loss, by Levenberg and Marquardt: the minimum (p,), the limit of the loss.
-    Without a limit it is four robust standard deviations of the residuals.
+    """Minimise Huber's loss by Levenberg and Marquardt; returns the parameters (p,) and the loss's limit.
+    If no limit is given, it is four robust standard deviations of the residuals.
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)

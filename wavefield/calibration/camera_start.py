@@ -23,7 +23,7 @@ def passage(a: Pose, b: Pose) -> Pose:
 
 
 def mean_pose(poses: Iterable[Pose]) -> Pose:
-    """Rotation nearest to the mean of rotations that are similar, and the median translation."""
+    """Mean of similar rotations, and median of translations."""
     rotations, translations = zip(*poses, strict=True)
     U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
@@ -51,8 +51,8 @@ class SingleCamera:
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Homography (3, 3) from the target's plane (n, 2), metres, to the image (n, 2), robust to outliers.
-    None if the nodes are on a line or consistent with no homography.
+    """Homography (3, 3) from the target's plane (n, 2), metres, to the image (n, 2), px, without outliers.
+    None if the nodes are on a line, or fewer than half of them fit one homography.
     """
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
@@ -64,7 +64,8 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
-    """Focal length, px, from plane views, square pixels and a known principal point assumed.
+    """Focal length, px, from views of a plane, for square pixels and a known principal point.
+    None if the views do not determine it.
     Zhang (2000): with w = diag(u, u, 1), u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2.
     """
     shift = np.eye(3)
@@ -118,7 +119,7 @@ def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """A camera in the frame of the first pose it found; that pose is fixed, the others are free."""
+    """Geometry of one camera whose frame is the first pose that it found."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     for p, (R, t) in poses.items():
         pose_R[p], pose_t[p] = R, t
@@ -278,7 +279,7 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None
 
 
 def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -> list[tuple[str, str]]:
-    """Views that differ from all others; of two cameras it cannot be determined which one is wrong."""
+    """Views (camera, pose) that disagree with every other camera; of two cameras, both views."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): is it good, once per partner
     for cameras, pair in pairs.items():
         for pose, good in pair.good.items():

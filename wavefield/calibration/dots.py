@@ -66,7 +66,7 @@ def find_blobs(image: Image) -> Blobs:
 
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
-    """Centroids (n, 2) of bright dots in evened light, and their uncertainty from noise (n,), px."""
+    """Centroids (n, 2) of bright dots, corrected for uneven light, and their noise (n,), px."""
     windows = _windows(image, node, pixel)
     level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
     middle, extent = pixel.mean(0), np.ptp(pixel)
@@ -113,7 +113,7 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
-    """The part of a mask over listed pixels that contains a place, widened by three pixels."""
+    """The connected part of a mask (n,) of pixels that is nearest to a point, widened by three pixels."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
@@ -139,7 +139,7 @@ def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
 
 
 def shape_of(target: Target) -> tuple[int, int]:
-    """Nodes along x and y of a target that has a shape."""
+    """Number of nodes along x and y of a target whose shape is stated."""
     assert target.shape is not None  # Target refuses these kinds without a shape
     return target.shape
 
@@ -147,8 +147,8 @@ def shape_of(target: Target) -> tuple[int, int]:
 def right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
-    """Number a full grid so that it is right-handed seen from above, and as unambiguously as possible.
-    With an image, squares of a chessboard decide: the one between nodes (0, 0) and (1, 1) is dark.
+    """Indices of a full grid, right-handed seen from above, and a note if the target looks alike when turned.
+    The image of a chessboard decides: its square between nodes (0, 0) and (1, 1) is dark.
     """
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
@@ -197,7 +197,7 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Points with their uncertainty: from noise, or the misfit of a smooth map where that is larger."""
+    """Target points without outliers; their uncertainty is the larger of noise and misfit of a smooth map."""
     try:
         smooth = SmoothMap(node, pixel)
     except ValueError:

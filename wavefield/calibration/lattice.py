@@ -33,7 +33,7 @@ class Candidates:
 
     @property
     def strong(self) -> Mask:
-        """Those at least half as strong as the median of the 80 strongest."""
+        """Which candidates are at least half as strong as the median of the 80 strongest."""
         return self.strength > 0.5 * _typical_strength(self.strength)
 
 
@@ -76,7 +76,7 @@ def crossings(image: Image, scale: float) -> Candidates:
 
 @compiled()
 def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
-    """The weaker of the two principal curvatures, positive on bright crossings and blobs."""
+    """The weaker of the two principal curvatures of each pixel, positive on bright crossings and blobs."""
     half = np.float32(0.5)
     out = np.empty_like(xx)
     for i in range(xx.shape[0]):
@@ -92,7 +92,7 @@ def cross(a: Array, b: Array) -> float:
 
 
 def independent_pair(arms: Array) -> tuple[Array, Array] | None:
-    """The first vector of (n, 2) and the first that is not parallel to it; else the next such pair."""
+    """The first two vectors of (n, 2) that are not parallel; None if all are."""
     for k, a in enumerate(arms):
         for b in arms[k + 1 :]:
             if abs(cross(a, b)) > MIN_SINE * np.hypot(*a) * np.hypot(*b):
@@ -170,7 +170,7 @@ class TargetLattice:
         return fit[:, 0], fit[:, 1:3]
 
     def grow(self, candidates: Candidates, size: tuple[int, ...]) -> None:
-        """Fill node after node, ring by ring, with the candidates that are where the lattice predicts."""
+        """Extend the lattice ring by ring by the candidates near predicted nodes, until none is left."""
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
         used[-1] = True  # the tree's index for "none"
@@ -227,21 +227,21 @@ class SmoothMap:
         degree = 3 if inlier.sum() >= MIN_NODES_FOR_CUBIC else 1
         self.powers = [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
 
-        def spread(residual: Array) -> float:
-            return robust_std(residual[inlier].ravel()) + 1e-4
+        def spread(misfit: Array) -> float:
+            return robust_std(misfit[inlier]) + 1e-4
 
         def reweight(residual: Array) -> Array:
             misfit = np.hypot(*residual.T)
-            weight: Array = 1.0 / np.sqrt(np.maximum(1.0, misfit / (3.0 * spread(residual))) ** 3)
+            weight: Array = 1.0 / np.sqrt(np.maximum(1.0, misfit / (2.5 * spread(misfit))) ** 3)
             return weight
 
         q = self._homography(node)
         self.cubic, rest = reweighted_lstsq(self._basis(q), pixel - q, inlier.astype(float), reweight, 8)
         self.misfit: Array = np.hypot(*rest.T)  # distance of each node from its place, px
-        self.spread = spread(rest)  # per axis, px
+        self.spread = spread(self.misfit)  # px
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
-        """Which nodes are in their place, to the scatter of all and their own standard uncertainty, px."""
+        """Which nodes are no outliers, given their standard uncertainties, px."""
         out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out
 

@@ -57,7 +57,7 @@ class Correlation:
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
     def add(self, a: Image, b: Image) -> None:
-        """Add an instant: images as from `particles`."""
+        """Add one instant's images, as `particles` returns them."""
         for i, row in enumerate(self.rows):
             lines = slice(row, row + self.side)
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
@@ -83,7 +83,7 @@ def disparities(planes: Image) -> Array:
 
 
 def _centre(plane: Image) -> tuple[float, float]:
-    """Centre of the peak above half of its maximum; NaN where it is not significant or cut off."""
+    """Centroid of the peak above half its maximum, px; NaN if insignificant or at the plane's edge."""
     middle, peak = plane.shape[0] // 2, _peak(plane)
     background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
     if not background.size or plane.max() - np.median(background) < MIN_PEAK * background.std():
@@ -96,7 +96,7 @@ def _centre(plane: Image) -> tuple[float, float]:
 
 
 def _peak(plane: Image) -> Mask:
-    """Samples connected with the maximum that are above half of it."""
+    """The connected samples around the maximum that exceed half of it."""
     top = np.unravel_index(int(plane.argmax()), plane.shape)
     _, parts = cv2.connectedComponents((plane > PEAK_LEVEL * plane.max()).astype(np.uint8))
     return np.asarray(parts == parts[top])

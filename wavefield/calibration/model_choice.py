@@ -16,7 +16,7 @@ CELLS = 8  # along each side of an image, for the coverage
 
 @dataclass(frozen=True)
 class PredictedErrors:
-    """Predicted errors of the rig."""
+    """Predicted standard uncertainties where the rig will be used."""
 
     # Standard uncertainty of a pixel of each camera within 5 cm of z = 0, px (rms over the field and axes)
     reprojection: Mapping[str, float]
@@ -28,7 +28,7 @@ class PredictedErrors:
 
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
-    """Propagate the covariance of the fit."""
+    """Standard uncertainties of pixels and of z that follow from the covariance of the fit."""
     o = observations
     points = volume(o, result, level)
     _, J, by_point = at_points(o, result, points)

@@ -99,7 +99,7 @@ class Observations:
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Flatten the views of all cameras; mesh and origin (of node (0, 0)) in metres."""
+    """Observations from the views of all cameras; mesh, and origin of node (0, 0), in metres."""
     cameras = tuple(views)
     poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
@@ -149,7 +149,7 @@ class Geometry:
         ]
 
     def with_pose(self, R: Array, t: Array) -> "Geometry":
-        """The same with one more pose of the target."""
+        """Add a pose of the target."""
         return replace(
             self, pose_R=np.concatenate([self.pose_R, R[None]]), pose_t=np.concatenate([self.pose_t, t[None]])
         )

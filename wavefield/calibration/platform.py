@@ -57,7 +57,7 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array
 
 
 def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
-    """Strongest local extremes of the gradient in some columns: (n, 2), px, and their strengths (n,)."""
+    """Steepest edges of some columns: positions (n, 2), px, and gradients (n,)."""
     width = gradient.shape[1]
     noise = 1.4826 * float(np.median(np.abs(gradient)))
     points, strength = [], []
@@ -74,7 +74,7 @@ def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
 
 
 def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
-    """Points on the line, nearly from side to side, with the most strength on it (RANSAC), (n,)."""
+    """Which points (n,) lie on the straight line that joins the strongest edges, by RANSAC."""
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
@@ -153,7 +153,7 @@ def fit_platform(
     distance: float | None = None,
 ) -> PlatformFit:
     """Least squares of the level, the height and, if its distance is stated, the second camera's pose.
-    Residuals over their expected size: epipolar distances, waves along the epipolar lines, the horizon.
+    Residuals, over their expected size: epipolar distances, waves along the epipolar lines, the horizon.
     """
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
@@ -211,7 +211,7 @@ def leave_out(
 
 
 def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]) -> float:
-    """Number of groups of instants that show the same waves (F of `leave_out`), from elevations in cells."""
+    """Number of successive groups of instants that show the same waves, from elevations in cells."""
     count = len(groups)
     products, squares = np.zeros(count), np.zeros(count)
     number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])
@@ -237,7 +237,7 @@ def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArra
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
-    """All matches of each pair; evenly thinned if there are very many."""
+    """The matches of each pair of cameras at all instants, evenly thinned to at most `MAX_MATCHES`."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]
@@ -260,7 +260,7 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 
 def _changed(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
-    """The fit with the second camera turned and moved, the plane tilted and raised."""
+    """The fit after a step x: the second camera turned and moved, the plane tilted and raised."""
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]

@@ -59,7 +59,7 @@ def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
 
 
 def _as_bytes(image: Image) -> NDArray[np.uint8]:
-    """An image as OpenCV's detectors need it."""
+    """The image in 8 bits."""
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 

@@ -224,7 +224,7 @@ def _fit_and_choose(
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
-    """The start for a model: terms that are not free are those of a perfect camera."""
+    """The start for a model: lens terms that are not free have the values of a perfect lens."""
     lens = geometry.lens.copy()
     free = {
         "f": (0, 1),
@@ -246,7 +246,7 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
 
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
-    """Observations that fit: an outlier view is left out first, then single points."""
+    """Which observations fit: if a whole view is an outlier, all others; else all but single points."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {

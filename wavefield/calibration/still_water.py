@@ -76,7 +76,7 @@ class Solution:
 
 
 class SightLineFit:
-    """Misfit of matched pixels as a function of the cameras' parameters, with their prior."""
+    """Least squares of matched pixels for the cameras' parameters, with the calibration as prior."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -139,12 +139,12 @@ class SightLineFit:
         return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (n, 2 cameras, 1) over std and derivatives (n, 2 cameras, p), the points taken out."""
+        """Normalised residuals (n, 2 cameras, 1) and derivatives (n, 2 cameras, p), the points eliminated."""
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
         def by_point(values: Array) -> Array:
-            """Per point, of the cameras that see it: (cameras n, 2, ...) becomes (n, cameras, 2, ...)."""
+            """Reorder (cameras n, 2, ...) to (n, cameras, 2, ...); zero if a camera does not see a point."""
             own = np.moveaxis(values.reshape(len(self.names), self.n, 2, -1), 0, 1)
             return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
 
@@ -161,11 +161,11 @@ class SightLineFit:
         return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
 
     def turn(self, solution: Solution, name: str) -> float:
-        """Shift of the image by which a solution turns a camera, px."""
+        """By how much a solution's turn shifts a camera's image, px."""
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
-        """Robust distance of sight lines, px, from residuals over std without three per point."""
+        """Robust distance by which sight lines miss each other, px, from normalised residuals."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # each point's misfit, made comparable to a standard deviation by its degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))  # of chi

@@ -54,13 +54,13 @@ class Crossings:
     noise: Array
 
     def only(self, keep: Mask) -> "Crossings":
-        """Some of the crossings."""
+        """The crossings that a mask (n,) selects."""
         return Crossings(**{name: value[keep] for name, value in vars(self).items()})
 
 
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Pixels of the parallelogram of the arms that are close to either string: x, y and value, (3, n)."""
+    """Pixels within the arms' parallelogram and a band along either string: x, y and grey, (3, n)."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -158,7 +158,7 @@ def _evaluate(
     arms: Array,
     noise: Array,
 ) -> None:
-    """Brightness of each arm relative to its string, and noise of ground and strings."""
+    """Fill arms: brightness of each relative to its string; and noise: of the ground and of the strings."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)

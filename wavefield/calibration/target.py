@@ -12,7 +12,7 @@ from wavefield.errors import CalibrationError
 
 
 def _metres(value: object) -> object:
-    """Refuse lengths that no laboratory has, such as those in millimetres, with their unit."""
+    """Refuse implausible lengths, such as millimetres given as metres."""
     try:
         sound = value is None or 5e-5 < float(value) < 2  # type: ignore[arg-type]
     except (TypeError, ValueError):

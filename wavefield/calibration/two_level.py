@@ -101,7 +101,7 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Those of the pixels that are between two dots of a row or column of a level, in meshes."""
+    """Marks between two dots of a row or column of a level: by index of the pixel, the place in meshes."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_OFF_SITE).all(1) & (site.sum(1) % 2 == 1)
@@ -192,7 +192,7 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 
 def _width(level: PlateLevel, target: Target) -> float:
-    """The smaller axis of a usual dot's image, px; a large one where the target's diameter is not stated."""
+    """Width of a typical dot's image, px (its smaller axis); infinite if the target states no diameter."""
     if not target.diameter:
         return np.inf
     sizes = np.linalg.svd(level.smooth.slopes(level.node), compute_uv=False)[:, 1]
@@ -220,7 +220,7 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLeve
 
 
 def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel | None:
-    """The level without dots that are off the smooth map through the others."""
+    """The level without outliers; None if too few dots are left."""
     try:
         level = PlateLevel(node, pixel, shift)
     except (ValueError, np.linalg.LinAlgError):
