@@ -19,9 +19,8 @@ def test_four_waves_are_found_and_trivial_pairings_are_not():
     z = gaussian_lines(rng, 20, 40000)
     # 5 + 12 = 8 + 9
     z[9] = z[9] + 1.5 * z[5] * z[12] * z[8].conj() / np.sqrt(8)
-    value, partner = module.tricoherence_of(z)
+    value = module.tricoherence_of(z, np.zeros((20, 20)), 1.0)
     assert value[5, 12] > 0.2
-    assert partner[5, 12] == 8
     elsewhere = value[np.isfinite(value) & (np.add.outer(np.arange(20), np.arange(20)) != 17)]
     assert np.median(elsewhere) < 0.03
     assert np.nanmax(np.abs(value - value.T)) == 0

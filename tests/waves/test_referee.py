@@ -50,7 +50,6 @@ def test_what_stands_still_is_no_wave():
     cube = linear_cube(random_waves(n=60), 200, 30, 40, dx=0.02)
     tilt = 0.02 * (cube.x - cube.x.mean())
     plain, lifted = wv.statistics(cube), wv.statistics(cube.assign(z=(cube.z + tilt).transpose(*cube.z.dims)))
-    assert float(plain.static_std.sel(quantity="z")) < 0.2 * float(tilt.std())
     for name in ("std", "skewness", "kurtosis"):
         was, now = (float(s[name].sel(quantity="z")) for s in (plain, lifted))
         assert now == pytest.approx(was, rel=1e-4, abs=1e-4 * (name != "std")), name

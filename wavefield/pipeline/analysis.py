@@ -83,10 +83,8 @@ def analyze(
             Response of the measurement to waves, undone in the spectra where it is half or more; shorter
             waves are not valid. By default that stored with the cube; False leaves the spectra as they were
             measured.
-        ``fit`` : mapping
-            How the current is fitted, such as ``{"lowest": 1.5, "highest": 4.0}``, Hz; by default the band
-            follows from the spectrum. ``current_x`` and ``current_y``, m/s, are used where the fit is
-            refused.
+        ``current`` : tuple of float
+            Velocity of the water along x and y, m/s, used where the fit of the current is refused.
         ``maps`` : sequence of float
             Frequencies of the maps E(ky, kx), Hz; by default 1.5, 2, 2.8 and 4.
 

@@ -184,7 +184,7 @@ class AnalysisOptions(TypedDict, total=False):
     depth: float | None
     velocity: Literal["instantaneous", "displacement"] | None
     gain: str | Path | xr.Dataset | Literal[False] | None
-    fit: object
+    current: tuple[float, float] | None
     maps: Sequence[float]
 
 
@@ -242,7 +242,7 @@ def analyze(
             "gamma": gamma,
             "gain": gain_of(complete, gain),
             "probes": options.get("probes"),
-            "fit": options.get("fit"),
+            "given_current": options.get("current"),
             "map_frequencies": options.get("maps", MAP_FREQUENCIES),
         }
         status = {name: complete[name] for name in ("frame_status", "quality") if name in complete}

@@ -50,16 +50,14 @@ def correlations_of(z: np.ndarray) -> np.ndarray:
     return np.asarray(gram / np.sqrt(power[:, None] * power))
 
 
-def tricoherence_of(
-    z: np.ndarray, shared: np.ndarray | None = None, limit: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """For each pair omega1, omega2 the largest tricoherence over omega3, and the line of that (-1: none).
-    Pairs that nearly coincide are left out: ``shared`` (n, n) is the correlation of every two lines,
+def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarray:
+    """Largest tricoherence of each pair of lines with any other pair of the same sum, (n, n).
+    Pairs of nearly the same lines are left out: ``shared`` (n, n) is the correlation of every two lines,
     ``limit`` the largest sum of its products.
     """
     n = z.shape[0]
     (herk,) = linalg.get_blas_funcs(("herk",), (z,))
-    value, partner = np.full((n, n), np.nan), np.full((n, n), -1)
+    value = np.full((n, n), np.nan)
     # pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s
     for s in range(2, 2 * n - 1):
         first = np.arange(max(1, s - n + 1), s // 2 + 1)
@@ -72,19 +70,14 @@ def tricoherence_of(
         coherence = np.maximum(upper, upper.T) / (norm[:, None] * norm)
         # first <= second and third <= fourth: trivial where the pairs nearly coincide
         trivial = np.abs(first[:, None] - first) <= MAIN_LOBE
-        if shared is not None:
-            trivial |= (
-                shared[np.ix_(first, first)] * shared[np.ix_(second, second)]
-                + shared[np.ix_(first, second)] * shared[np.ix_(second, first)]
-            ) > limit
-        coherence[trivial] = -1
-        best = coherence.argmax(axis=1)
-        largest = coherence[np.arange(first.size), best]
-        defined = largest >= 0
-        for a, b in ((first, second), (second, first)):
-            value[a[defined], b[defined]] = np.minimum(largest[defined], 1.0)
-            partner[a[defined], b[defined]] = first[best[defined]]
-    return value, partner
+        trivial |= (
+            shared[np.ix_(first, first)] * shared[np.ix_(second, second)]
+            + shared[np.ix_(first, second)] * shared[np.ix_(second, first)]
+        ) > limit
+        coherence[trivial] = np.nan
+        largest = np.fmin(np.fmax.reduce(coherence, axis=1), 1.0)
+        value[first, second] = value[second, first] = largest
+    return value
 
 
 def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
@@ -130,8 +123,8 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``bicoherence``, ``bicoherence_level``, ``tricoherence``, ``tricoherence_omega3`` (rad/s),
-        ``tricoherence_level`` (omega1, omega2); ``bicoherence_samples``, number of segments times points.
+        ``bicoherence``, ``bicoherence_level``, ``tricoherence``, ``tricoherence_level`` (omega1, omega2);
+        ``bicoherence_samples``, number of segments times points.
 
     Raises
     ------
@@ -160,16 +153,14 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
     chance = np.mean([correlations_of(surrogate) for surrogate in surrogates], axis=0)
     shared = np.sqrt(np.maximum(correlations_of(z) - 2 * chance, 0.0))
     limit = SHARED * np.sqrt(chance[np.triu_indices(count, 1)].mean())
-    tricoherence, partner = tricoherence_of(z, shared, limit)
-    tri = [tricoherence_of(surrogate, shared, limit)[0] for surrogate in surrogates]
+    tri = [tricoherence_of(surrogate, shared, limit) for surrogate in surrogates]
     omega = 2 * np.pi * np.arange(count) / (segment * dt)
     dims = ("omega1", "omega2")
     pairs = {
         "bicoherence": bicoherence_of(z),
         "bicoherence_level": _level_of_one(bi),
-        "tricoherence": tricoherence,
+        "tricoherence": tricoherence_of(z, shared, limit),
         "tricoherence_level": _level_of_largest(tri),
-        "tricoherence_omega3": np.where(partner >= 0, omega[np.maximum(partner, 0)], np.nan),
     }
     out = xr.Dataset(
         {name: (dims, array) for name, array in pairs.items()}, {name: (name, omega) for name in dims}

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import dask
-import dask.array as da
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -28,7 +26,7 @@ from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings, half_plane
-from wavefield.waves.spectra import E_k, E_omega, finish
+from wavefield.waves.spectra import E_k, E_omega
 from wavefield.waves.welch import (
     CHANCE,
     NODES_PER_AXIS,
@@ -231,25 +229,20 @@ def _estimates(
     return {name: np.swapaxes(stack, 1, -1) for name, stack in zip(out, map(np.stack, out.values()))}
 
 
-def _labelled(
-    found: Mapping[str, Any], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
+def label(
+    sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
+    """Labelled spectra from the sums of `add_segment` over all segments."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
+    found = _estimates(sums, names, pairs, welch)
     out: dict[str, Any] = {name: (_DIMS[name], values) for name, values in found.items()}
     out = out | {"valid": (("omega", "k"), welch.valid)} | dict(welch.ring_variables)
     return annotate(annotate(xr.Dataset(out, coords, welch.attrs), "spectra"), "cross")
 
 
-def label(
-    sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
-) -> xr.Dataset:
-    """Labelled spectra from the sums of `add_segment` over all segments."""
-    return _labelled(_estimates(sums, names, pairs, welch), names, pairs, welch)
-
-
-def door(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     """Fields of a cube that some spectral names are made of, checked, in m and s and of one type."""
     fields = sources(names)
     for field in fields:
@@ -299,9 +292,8 @@ def cross_spectra(
     -----
     The phase of S is that of waves exp(i (k . x - omega t)) with omega > 0, averaged over all directions.
     """
-    cube = door(cube, names)
-    lazy = lazy_cross_spectra(cube, names, pairs, Welch.of(cube, segment, record))
-    return finish(lazy, cube[sources(names)[0]])
+    cube = checked_fields(cube, names)
+    return _ring_spectra(cube, names, pairs, Welch.of(cube, segment, record))
 
 
 def _transform_blocks(
@@ -312,48 +304,27 @@ def _transform_blocks(
     return transforms(fields, names, welch, memory)
 
 
-def moving_welch(cube: xr.Dataset, welch: Welch) -> Any:
-    """Welch settings that include the mean current of the record (delayed)."""
-
-    def with_current(mean_and_std: tuple[Array, Array]) -> Welch:
-        mean = mean_and_std[0]
-        return replace(welch, current=(float(mean[0]), float(mean[1])))
-
-    return dask.delayed(with_current, pure=False)(delayed_current(cube, welch.record))
+def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
+    """Segments that move with the mean of u and v over the record."""
+    mean, _ = delayed_current(cube, welch.record).compute()
+    return replace(welch, current=(float(mean[0]), float(mean[1])))
 
 
-def lazy_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> Any:
-    """Sums of `add_segment` over all segments of a cube that came through `door`; delayed."""
+def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[str, Array]:
+    """Sums of `add_segment` over all segments of a cube, whose fields were checked."""
     names = requested.names
-    make: Any = partial(_transform_blocks, names)
-    if {"nl", "rise"} & {*names}:
-        make = dask.delayed(partial, pure=False)(make, moving_welch(cube, welch))
-    else:
-        make = partial(make, welch)
-    return sum_segments(
-        [cube[field] for field in sources(names)],
-        welch.record,
-        welch.segment,
-        make,
-        partial(add_segment, requested, welch),
-    )
+    fields = [cube[field] for field in sources(names)]
+    transform, add = partial(_transform_blocks, names, welch), partial(add_segment, requested, welch)
+    sums: dict[str, Array] = sum_segments(fields, welch.record, welch.segment, transform, add).compute()
+    return sums
 
 
-def lazy_cross_spectra(
+def _ring_spectra(
     cube: xr.Dataset, names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Lazy cross spectra of a cube that came through `door`."""
-    sums = lazy_sums(cube, Requested(names, pairs), welch)
-    # how long waves stay in the window depends on the current, where the cube has one
-    moving = moving_welch(cube, welch) if {"u", "v"} <= {*cube} else welch
-    found = dask.delayed(_estimates, pure=False)(sums, names, pairs, moving)
-    sizes = {"quantity": len(names), "pair": len(pairs), "omega": welch.omega.size, "k": welch.table.k.size}
-    arrays = {
-        name: da.from_delayed(found[name], [sizes[dim] for dim in dims], complex if name == "S" else float)
-        for name, dims in _DIMS.items()
-        if pairs or "pair" not in dims
-    }
-    return _labelled(arrays, names, pairs, welch)
+    # the time that waves stay in the window, and so the degrees of freedom, depend on the current
+    welch = with_mean_current(cube, welch) if {"u", "v"} <= {*cube} else welch
+    return label(segment_sums(cube, Requested(names, pairs), welch), names, pairs, welch)
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
@@ -403,7 +374,7 @@ COHERENCE_PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
-def significance_level(samples: float | np.ndarray) -> Any:
+def significance_level(samples: Any) -> Any:
     """Squared coherence that unrelated signals exceed in 5 % of cases: 1 - 0.05^(1 / (N - 1))."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
@@ -434,9 +405,7 @@ def coherence_group(ring: xr.Dataset) -> xr.Dataset:
         out[f"gamma2{ending}"] = np.abs(xy) ** 2 / both.where(both > 0)
         number = samples.sel(pair=pairs).drop_vars("pair").clip(min=1)
         out[f"samples{ending}"] = number
-        out[f"level{ending}"] = xr.apply_ufunc(
-            significance_level, number, dask="parallelized", output_dtypes=[float]
-        )
+        out[f"level{ending}"] = significance_level(number)
     # noise of z_t and w comes from the same images, and is coherent
     out["valid"] = _above_noise(rise) & _above_noise(w) & ring["valid"].any("omega")
     return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
@@ -492,9 +461,9 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     >>> print(f"{float(w.gamma2.min()):.2f}, {float(abs(w.C).max()):.2f}, {float(abs(nl.C).max()):.2f}")
     1.00, 1.01, 0.01
     """
-    cube = door(cube, COHERENCE_NAMES)
-    ring = lazy_cross_spectra(cube, COHERENCE_NAMES, COHERENCE_PAIRS, Welch.of(cube, segment, record))
-    return finish(coherence_group(ring), cube["z_t"])
+    cube = checked_fields(cube, COHERENCE_NAMES)
+    welch = Welch.of(cube, segment, record)
+    return coherence_group(_ring_spectra(cube, COHERENCE_NAMES, COHERENCE_PAIRS, welch))
 
 
 register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence", pairs=COHERENCE_PAIRS))
@@ -529,9 +498,8 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     zero: N independent ones leave about 0.9 / sqrt(N), which `coherence`, averaged over angle before the
     ratio, does not have.
     """
-    cube = door(cube, COHERENCE_NAMES)
-    welch = Welch.of(cube, None, record)
-    (welch,) = dask.compute(moving_welch(cube, welch))
+    cube = checked_fields(cube, COHERENCE_NAMES)
+    welch = with_mean_current(cube, Welch.of(cube, None, record))
     record, fields = welch.record, sources(COHERENCE_NAMES)
     read = Reader([cube[field] for field in fields], record)
     sums: dict[str, Array] = {}

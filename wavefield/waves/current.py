@@ -90,8 +90,4 @@ def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> C
     return CurrentUsed(given or (0.0, 0.0), (np.nan, np.nan), GIVEN if given else NO_CURRENT, reason)
 
 
-def _current(dispersion: xr.Dataset, fit_settings: tuple[object, tuple[float, float] | None]) -> CurrentUsed:
-    return current_used(dispersion, fit_settings[1])
-
-
-register(WaveProduct("current", ("dispersion_fit", "fit_settings"), _current))
+register(WaveProduct("current", ("dispersion_fit", "given_current"), current_used))

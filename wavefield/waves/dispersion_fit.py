@@ -22,7 +22,6 @@ from wavefield.waves.dispersion_points import (
     WindowDisplacement,
     centroids,
     contrast,
-    fit_settings,
     fraction,
     scan_current,
     sectors_of,
@@ -114,8 +113,6 @@ def fit_dispersion(
     depth: float = np.inf,
     *,
     gamma: float = GAMMA,
-    lowest: float | None = None,
-    highest: float | None = None,
 ) -> xr.Dataset:
     """Fit the current to the dispersion relation of E(ky, kx, omega).
 
@@ -130,15 +127,11 @@ def fit_dispersion(
     gamma : float
         Surface tension over density, m3/s2; by default that of the cube, or of clean water. It is kept
         fixed, too.
-    lowest, highest : float, optional
-        Band of frequencies used, Hz. If not given, all that the spectrum resolves, each line weighted by how
-        far its waves exceed the noise. Waves longer than two fifths of the shorter side of the rectangle are
-        always left out.
 
     Returns
     -------
     Dataset
-        The points: ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point). The fit:
+        The points: ``ridge_k``, ``ridge_omega``, ``ridge_angle`` (point). The fit:
         ``current_x``, ``current_y`` (m/s) and their ``_std``; ``ridge_fraction``, the fraction of the
         variance near the relation; ``ridge_error`` (band), k of the points against the theory with the fitted
         current, relative; ``depth``.
@@ -190,9 +183,8 @@ def fit_dispersion(
     density, water = density.compute(), (depth, gamma)
     spectrum = PlaneSpectrum.of(density, water)
     omega, plane = spectrum.omega, spectrum.plane
-    top = min(2 * np.pi * (highest or np.inf), 0.97 * omega[-1])
-    bottom = max(2 * np.pi * (lowest or 0.0), dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth))
-    limits, in_band = (bottom, top), (omega >= bottom) & (omega <= top)
+    limits = float(dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth)), 0.97 * omega[-1]
+    in_band = (omega >= limits[0]) & (omega <= limits[1])
     band = spectrum.on_lines(in_band)
     fit = scan_current(band)
     sectors = sectors_of(plane, SECTORS)
@@ -221,13 +213,11 @@ def fit_dispersion(
         "ridge_omega": ("point", points.omega),
         "ridge_k": ("point", points.k),
         "ridge_angle": ("point", points.angle),
-        "ridge_weight": ("point", points.energy, {"units": density.attrs.get("units", "1")}),
         "ridge_fraction": ((), fraction(spectrum, fit)),
         "depth": ((), depth),
     }
     out |= against_theory(points, water, fit)
-    attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
-    return annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
+    return annotate(xr.Dataset(out).set_coords("band_frequency"), "dispersion")
 
 
 def _between(limits: tuple[float, float]) -> str:
@@ -238,9 +228,7 @@ def _between(limits: tuple[float, float]) -> str:
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
     """Return the points; raise CubeError if they are too few for a fit."""
     if len(points) < MIN_POINTS:
-        raise CubeError(
-            f"no dispersion relation was found {_between(limits)}: choose a longer segment or another band"
-        )
+        raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points
 
 
@@ -258,7 +246,7 @@ def _check_fit(
         raise CubeError(
             f"the waves {between} are {100 * distance:.0f} % of their wavenumber away from the dispersion"
             f" relation of any current (the best is {best}); a current may block them: check depth, frame"
-            " rate and grid step, or choose another band"
+            " rate and grid step"
         )
     lines = (spectrum.omega > limits[0] / 2) & (spectrum.omega < 1.5 * limits[1])
     contrast_of_fit = contrast(spectrum, lines, fit)
@@ -276,31 +264,21 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
     reason = f"determine the current to {std:.2f} m/s only"
     if not np.isfinite(std):
         reason = "are too few to determine the current"
-    raise CubeError(
-        f"the waves {_between(limits)} {reason}; it may block them: choose a longer record or another band"
-    )
+    raise CubeError(f"the waves {_between(limits)} {reason}; it may block them: choose a longer record")
 
 
-def dispersion_group(
-    density: xr.DataArray, k: Array, depth: float, gamma: float, **band: float
-) -> xr.Dataset:
+def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
     """Group `dispersion`: the theory over k, rad/m, and the fit or the reason for its refusal."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
-        out = fit_dispersion(density, depth, gamma=gamma, **band)
+        out = fit_dispersion(density, depth, gamma=gamma)
     except CubeError as error:
         return annotate(theory, "dispersion").assign_attrs(refused=str(error))
     return annotate(out.assign(theory.data_vars).assign_coords(theory.coords), "dispersion")
 
 
-def _product(
-    density: xr.DataArray,
-    welch: Welch,
-    depth: float,
-    gamma: float,
-    settings: tuple[dict[str, float], tuple[float, float] | None],
-) -> xr.Dataset:
-    return dispersion_group(density, welch.table.k, depth, gamma, **settings[0])
+def _product(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> xr.Dataset:
+    return dispersion_group(density, welch.table.k, depth, gamma)
 
 
 def _noted(fit: xr.Dataset) -> xr.Dataset | Noted:
@@ -310,7 +288,6 @@ def _noted(fit: xr.Dataset) -> xr.Dataset | Noted:
 
 
 register(
-    WaveProduct("fit_settings", ("fit",), fit_settings),
-    WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
+    WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma"), _product, cost=3),
     WaveProduct("dispersion", ("dispersion_fit",), _noted, group="dispersion"),
 )

@@ -3,7 +3,6 @@
 `current` is everywhere an array (2,), along x and y, m/s.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
@@ -13,41 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from wavefield.errors import CubeError
 from wavefield.water import dispersion, group_velocity
 from wavefield.waves import kernels
 from wavefield.waves.welch import REACH, hann_power, richardson_lucy
-
-_CURRENT_NAMES = ("current_x", "current_y")
-
-
-def fit_settings(fit: Mapping[str, Any] | None) -> tuple[dict[str, float], tuple[float, float] | None]:
-    """Band of the fit, Hz, and the current in m/s to use where it is refused, from what a user gives.
-
-    Examples
-    --------
-    >>> fit_settings({"lowest": "1", "current_x": 0.1})
-    ({'lowest': 1.0}, (0.1, 0.0))
-    """
-    names = ("lowest", "highest", *_CURRENT_NAMES)
-    values: dict[str, float] = {}
-    for name, value in (fit or {}).items():
-        if name not in names:
-            raise CubeError(f"`fit` has no setting {name!r}; it has {', '.join(names)}")
-        try:
-            values[name] = float(value)
-        except (TypeError, ValueError):
-            raise CubeError(f"`fit` needs a number for {name}, not {value!r}") from None
-        if not np.isfinite(values[name]) or (name not in _CURRENT_NAMES and values[name] <= 0):
-            raise CubeError(f"`fit` needs a positive number for {name}, not {value!r}")
-    if values.get("lowest", 0.0) >= values.get("highest", np.inf):
-        raise CubeError(
-            f"`fit` needs lowest below highest, not {values['lowest']:g} and {values['highest']:g}"
-        )
-    given = [values.pop(name, None) for name in _CURRENT_NAMES]
-    current = None if given == [None, None] else (given[0] or 0.0, given[1] or 0.0)
-    return values, current
-
 
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import dask
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
 from wavefield.waves import rings
-from wavefield.waves.cross import Requested, door, label, lazy_sums
+from wavefield.waves.cross import Requested, checked_fields, label, segment_sums
 from wavefield.waves.current import CurrentUsed, current_used
 from wavefield.waves.dispersion_fit import dispersion_group
 from wavefield.waves.dispersion_points import Water
@@ -310,7 +309,6 @@ def from_spectra(
     ring: xr.Dataset, water: Water, gain: xr.Dataset | None, planes: SpectraOnCurrent
 ) -> xr.Dataset:
     """Elevation spectra and noise from the power and cross spectra of z and w."""
-    ring = ring.compute()
     spectra = _elevations(ring, water, planes)
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
@@ -344,7 +342,6 @@ def from_spectra(
     parts["valid"] = (dims, [valid[method] for method in METHODS])
     out = annotate(parts.rename(dict(zip(("E", "dof", "low", "high", "valid"), BY_SOURCE))), "spectra")
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
-    out["weight_z"] = ("omega", weight)
     if gain is not None:
         out = out.assign_coords(k_coords(spectra.k))
         known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))  # of the ring itself, not of what leaks in
@@ -423,7 +420,7 @@ def fused_spectra(
     Dataset
         ``Ez`` (source, omega; m2 s rad-1) from stereo, w, cross and fusion, with ``dof_Ez``, ``low_Ez``,
         ``high_Ez``; ``valid_Ez``, with a gain and without: the free waves of the line are 3 times the noise
-        that the method leaves; ``noise_z``, ``noise_w``; ``weight_z`` (omega);
+        that the method leaves; ``noise_z``, ``noise_w`` (omega);
         ``sigma_z``, ``sigma_dz`` (m), NaN where segments are too short to tell noise from waves;
         ``range_frequency`` (Hz), ``range_decades`` (source); with a gain ``Ez_komega`` (omega, k) too, NaN
         where it cannot be trusted. Computed at once.
@@ -446,9 +443,9 @@ def fused_spectra(
     """
     water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
-    cube = door(cube, NAMES)
+    cube = checked_fields(cube, NAMES)
     welch = Welch.of(cube, segment, record)
-    (sums,) = dask.compute(lazy_sums(cube, Requested(NAMES, PAIRS, ("w", *PLANES)), welch))
+    sums = segment_sums(cube, Requested(NAMES, PAIRS, ("w", *PLANES)), welch)
     w = plane_density(xr.Variable(("omega", "ky", "kx"), density(sums["map w"], welch)), "", "1", welch)["E"]
     fit = xr.Dataset() if current else dispersion_group(w, welch.table.k, *water)
     used = current_used(fit, current)

@@ -74,7 +74,7 @@ def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tup
     NaN if the record is shorter than a segment; no peak if it holds fewer than ten peak periods.
     """
     try:
-        both = komega(z, record=record).compute()
+        both = komega(z, record=record)
     except CubeError:
         return {"variance": np.nan, "slope": np.nan}, (np.nan, np.nan)
     found, peak = E_omega(both), (np.nan, np.nan)
@@ -185,7 +185,6 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
             "kurtosis": m4 / m2**2 - 3,
             "count": steps * a1.size,
             "pdf_std": np.sqrt(a2.mean() - a1.mean() ** 2),
-            "static_std": a1.std(),
         }
 
 
@@ -216,7 +215,7 @@ def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
         rows["pdf"].append(_rebin(counts, scales[field], moments))
         rows["n_outliers"].append(moments["count"] - counts.sum())
         for key, value in moments.items():
-            of_length = key in ("mean", "std", "pdf_std", "static_std")
+            of_length = key in ("mean", "std", "pdf_std")
             rows[key].append(value * dt if of_length and name != "z" else value)
     bins = _bin_centres()
     out: dict[str, Any] = {key: ("quantity", np.array(row)) for key, row in rows.items() if key != "pdf"}

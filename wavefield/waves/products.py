@@ -29,7 +29,7 @@ GIVEN = {
     "gain": "of the matching windows, or None",
     "probes": "wave probes, or None",
     "filled": "what filled nodes add to E(omega) of z and w at most, by name",
-    "fit": "how the current is fitted, as the user gave it",
+    "given_current": "of the water, m/s, used where the fit is refused, or None",
     "map_frequencies": "of the maps E(ky, kx), Hz",
     "welch": "the record, its segments and rings",
     "mean_current": "means of u and v, and their standard uncertainties, m/s",

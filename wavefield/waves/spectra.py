@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import dask
-import dask.array as da
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -14,12 +12,9 @@ from wavefield.errors import CubeError
 from wavefield.variables import (
     FIELD_TEXTS,
     FIELD_UNITS,
-    K_UNITS,
-    OMEGA_UNITS,
     TABLE,
     annotate,
     density_units,
-    product,
 )
 from wavefield.waves import kernels, rings
 from wavefield.waves.dof import (
@@ -73,11 +68,6 @@ def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
 
 def _name(field: xr.DataArray) -> str:
     return str(field.attrs.get("long_name", field.name))
-
-
-def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
-    """Compute a result where its input was in memory; leave it lazy where the input was chunked."""
-    return dataset if field.chunks is not None else dataset.compute()
 
 
 def _transform(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
@@ -162,13 +152,10 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     1.0
     """
     welch = Welch.of(field, segment, record)
-    summed = sum_segments([field], welch.record, welch.segment, _transform, _add_powers)
-    lazy = dask.delayed(density, pure=False)(summed["power"], welch)
-    dtype = np.float32 if field.dtype == np.float32 else np.float64
-    shape = (welch.omega.size, *welch.record.shape)
-    values = xr.Variable(("omega", "ky", "kx"), da.from_delayed(lazy, shape, dtype))
+    summed = sum_segments([field], welch.record, welch.segment, _transform, _add_powers).compute()
+    values = xr.Variable(("omega", "ky", "kx"), density(summed["power"], welch))
     out = plane_density(values, _name(field), field.attrs.get("units", "1"), welch)
-    return finish(keep_water(out, field), field)
+    return keep_water(out, field)
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
@@ -243,17 +230,6 @@ def _add_ring_powers(
         sums[f"nodes from {begin:012d}"] = _powers_of_nodes(first["nodes"], second["nodes"])
 
 
-def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
-    """E(k, omega) with degrees of freedom and interval, (4, omega, k); E(omega) of all nodes; degrees of
-    freedom of both sums.
-    """
-    dof = ring_freedom(summed, "f", welch)
-    nodes = [power for name, power in summed.items() if name.startswith("nodes from ")]
-    parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
-    out = {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
-    return out | {"nodes": np.sum(nodes, axis=0) * welch.node_density}
-
-
 @takes(a_field)
 def komega(
     field: xr.DataArray,
@@ -303,40 +279,33 @@ def komega(
     add_powers = partial(_add_ring_powers, table)
     # nodes are filled less well at the edges, where the window in space has little weight
     transform = _transform_and_points if welch.record.holes else _transform_and_nodes
-    summed = sum_segments([field], welch.record, welch.segment, transform, add_powers)
-    found = dask.delayed(_estimates, pure=False)(summed, welch)
-    parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
-    names = ("E", "dof", "low", "high")
-    out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
-    for axis, size in (("omega", welch.omega.size), ("k", table.k.size)):
-        out[f"dof_{axis}"] = (axis, da.from_delayed(found[axis], (size,), np.float64))
+    summed = sum_segments([field], welch.record, welch.segment, transform, add_powers).compute()
+    freedom = ring_freedom(summed, "f", welch)
+    both = ("omega", "k")
+    energy = xr.DataArray((summed["f"][0] * welch.ring_density).T, dims=both)
+    out = with_interval(energy, xr.DataArray(freedom["both"].T, dims=both))
+    out["dof_omega"], out["dof_k"] = ("omega", freedom["omega"]), ("k", freedom["k"])
     if not welch.record.holes:
-        out["E_nodes"] = ("omega", da.from_delayed(found["nodes"], (welch.omega.size,), np.float64))
+        nodes = [power for name, power in summed.items() if name.startswith("nodes from ")]
+        out["E_nodes"] = ("omega", np.sum(nodes, axis=0) * welch.node_density)
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     added = filled_density(welch.record, field)
     valid = xr.DataArray(welch.valid, dims=("omega", "k"))
     out["valid"] = valid & welch.over_filled(out["E"], added) if added else valid
     out.attrs["filled_density"] = added
-    out = annotate(out.assign_attrs(welch.attrs), "komega")
     field_units = field.attrs.get("units", "1")
+    out = annotate(out.assign_attrs(welch.attrs, field=_name(field), field_units=field_units), "komega")
     if "E_nodes" in out:
         out["E_nodes"].attrs = TABLE["omega/E"].of(_name(field), density_units(field_units, "omega"))
-    out["E"].attrs = TABLE["komega/E"].of(
-        _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
-    )
-    return finish(keep_water(out, field), field)
+    out["E"].attrs = TABLE["komega/E"].of(_name(field), density_units(field_units, "k", "omega"))
+    return keep_water(out, field)
 
 
-def _of_what(komega: xr.DataArray | xr.Dataset) -> str:
-    return str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
-
-
-def _attrs_of_sum(field: xr.DataArray | xr.Dataset, axis: str, units: str) -> dict[str, Any]:
-    """Attributes of E(omega) or E(k) from those of E(k, omega); ``units`` are those of the other axis."""
-    of_both = str(field["E"].attrs.get("units", "1"))
-    if ";" in of_both:  # of several quantities
+def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
+    """Name and units of E(omega) or E(k), from those of the field whose E(k, omega) is given."""
+    if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
-    return TABLE[f"{axis}/E"].of(_of_what(field), product((of_both, 1), (units, 1)))
+    return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
 
 
 @takes(a_komega)
@@ -382,7 +351,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     if added:
         out["valid"] = out["valid"] & (energy > MIN_OVER_FILLED * added)
     out = annotate(out)
-    out["E"].attrs = _attrs_of_sum(field, "omega", K_UNITS)
+    out["E"].attrs = _attrs_of_sum(field, "omega")
     return out
 
 
@@ -417,7 +386,7 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     step = float(field["omega"][1] - field["omega"][0])
     out = with_interval(field["E"].sum("omega") * step, field["dof_k"])
     out = annotate(out)
-    out["E"].attrs = _attrs_of_sum(field, "k", OMEGA_UNITS)
+    out["E"].attrs = _attrs_of_sum(field, "k")
     return out
 
 
@@ -438,9 +407,9 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
         if is_cube(given):
             if field not in given:
                 raise CubeError(f"the cube has no {field!r}, of whose spectrum {name} is made")
-            given = spectrum(given[field], segment=segment).compute()
+            given = spectrum(given[field], segment=segment)
         elif is_field(given):
-            given = spectrum(given, segment=segment).compute()
+            given = spectrum(given, segment=segment)
         if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
             return given["E"], water | ({"dof": float(given["dof"])} if "dof" in given else {})
         raise CubeError(
