@@ -14,7 +14,7 @@ REFUSED = {
 }
 FOUND = {
     "the first frame of another size": "1 of 13 frames read have another size or type than the others",
-    "grid of four times the field": "of the grid's nodes in common view",
+    "grid of four times the field": "of the grid's nodes",
     "no room on the disk": "Free some space",
 }
 

@@ -1,4 +1,4 @@
-"""A camera that contradicts the others is named, with what is wrong; sound ones raise no alarm."""
+"""A camera that contradicts the others is named with its fault; sound cameras are not."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ COUNT = 8
 
 
 class Shots:
-    """Images of a tank, drawn as they are asked for."""
+    """Images of a simulated tank, rendered when first read."""
 
     def __init__(self, seed, **faults):
         self.tank = Tank(Scene.load("demo").with_(rig={"crop": 0.32}, faults=faults, seed=seed))
@@ -66,9 +66,9 @@ def late(name, frame):
     ("read", "subject", "kind", "expected"),
     [
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
-        (swapped, "cam1", "swapped", "those that cam2 would take"),
-        (late, "cam3", "offset", "Take 1 from its `offset`"),
-        (covered, "cam2", "covered", "shows nothing in"),
+        (swapped, "cam1", "swapped", "only as images of cam2"),
+        (late, "cam3", "offset", "Subtract 1 from its `offset`"),
+        (covered, "cam2", "covered", "have no texture in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "blurred", "blurred by"),
     ],
 )

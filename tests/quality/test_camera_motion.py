@@ -1,4 +1,4 @@
-"""Cameras that are knocked, shake or are late: dated, measured, named; steady ones raise nothing."""
+"""Cameras that are knocked, vibrate or are delayed are named and measured; steady cameras are not."""
 
 import re
 
@@ -14,11 +14,11 @@ from wavefield.quality.camera_motion import (
     Sample,
     Synchrony,
     camera_motion,
-    jump,
-    knock,
+    find_jump,
+    find_knock,
     regress,
     remarks_on_clocks,
-    shaking,
+    vibration_rms,
 )
 from wavefield.quality.cameras import rms_over_field
 from wavefield.quality.remarks import SIGNIFICANCE
@@ -27,12 +27,12 @@ from wavefield.store.cube import open_cube
 
 @pytest.fixture
 def cube(reference):
-    """The small tank's cube; its eps_y is to be spoiled."""
+    """The small tank's cube, loaded; tests add errors to its eps_y."""
     return open_cube(reference).load()
 
 
 def add(cube, what):
-    """Add to eps_y, px, what is given for each step (n,) or node (n, ny, nx)."""
+    """Add an error in px to eps_y, one value per step (n,) or per node (n, ny, nx)."""
     what = np.broadcast_to(np.asarray(what).T, cube.eps_y.shape[::-1]).T
     cube.eps_y.values += (what * cube.attrs["pixel_size"]).astype("float32")
 
@@ -41,17 +41,17 @@ def test_a_knock_is_dated_to_the_frame_and_measured(cube):
     steps = np.arange(16)
     add(cube, np.where(steps > 8, 0.45, np.where(steps == 8, 0.225, 0.0)))  # step 8 has one frame of each
     found = camera_motion(cube)
-    one = knock(found)
+    one = find_knock(found)
     assert one.frame == 9
     assert one.size == pytest.approx(0.45, abs=0.03)
 
 
 def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
-    still = shaking(camera_motion(cube), None)[0]
+    still = vibration_rms(camera_motion(cube), None)[0]
     rng = np.random.default_rng(2)
     x = np.linspace(-1, 1, 9)
     add(cube, 0.2 * rng.standard_normal(16)[:, None, None] + 0.3 * rng.standard_normal((16, 1, 1)) * x)
-    rms, std = shaking(camera_motion(cube), None)
+    rms, std = vibration_rms(camera_motion(cube), None)
     assert still < 0.05
     assert rms == pytest.approx(np.sqrt(0.2**2 + 0.3**2 / 3), rel=0.4)
     assert 0 < std < rms / 2
@@ -60,12 +60,12 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
 def test_a_steady_record_has_no_knock(cube):
     found = camera_motion(cube)
     assert len(found.steps) == 16
-    assert knock(found) is None
+    assert find_knock(found) is None
 
 
 def test_a_slow_drift_and_waves_are_no_knock():
     t = np.linspace(0, 1, 200)[:, None]
-    assert jump(np.hstack([0.2 * np.sin(60 * t), 0 * t, 0 * t])) is None
+    assert find_jump(np.hstack([0.2 * np.sin(60 * t), 0 * t, 0 * t])) is None
     assert rms_over_field(np.array([0.3, 0.0, 0.0])) == pytest.approx(0.3)
 
 
@@ -73,11 +73,11 @@ def samples(delay, rng, instants=10, shake=0.3):
     out = []
     for _ in range(instants):
         x, y = rng.uniform(-1, 1, (2, 300))
-        low = np.stack([np.ones(300), x, y], axis=-1)
+        design = np.stack([np.ones(300), x, y], axis=-1)
         velocity = np.sin(5 * x + 3 * y + rng.uniform(0, 6)) + 0.3 * rng.standard_normal(300)
-        miss = delay * velocity + low @ (shake * rng.standard_normal(3)) + 0.03 * rng.standard_normal(300)
+        miss = delay * velocity + design @ (shake * rng.standard_normal(3)) + 0.03 * rng.standard_normal(300)
         miss[:6] += 3.0  # wrong matches
-        out.append(Sample(miss, velocity, low))
+        out.append(Sample(miss, velocity, design))
     return out
 
 
@@ -93,15 +93,15 @@ def test_a_delay_is_found_whatever_the_cameras_shake():
 
 
 def test_instants_that_show_the_same_beads_do_not_make_a_delay_more_certain_than_one():
-    """In short records the beads hardly move, nor do waves longer than the field change."""
+    """In short records the beads hardly move, and waves longer than the field hardly change."""
     rng = np.random.default_rng(0)
     misses = []
     for _ in range(200):
         x, y = rng.uniform(-1, 1, (2, 30))
-        low, noise = np.stack([np.ones(30), x, y], axis=-1), 0.03 * rng.standard_normal(30)
+        design, noise = np.stack([np.ones(30), x, y], axis=-1), 0.03 * rng.standard_normal(30)
         phase, k = rng.uniform(0, 6), rng.uniform(1, 3, 2)
         velocities = [np.sin(k[0] * x + k[1] * y + phase + 0.1 * n) for n in range(4)]
-        found, std = regress([Sample(0.1 * v + noise, v, low) for v in velocities])
+        found, std = regress([Sample(0.1 * v + noise, v, design) for v in velocities])
         misses.append((found - 0.1) / std)
     assert 0.7 < np.sqrt(np.mean(np.square(misses))) < 1.3
     assert np.mean(np.abs(misses) > SIGNIFICANCE) < 0.02
@@ -109,12 +109,12 @@ def test_instants_that_show_the_same_beads_do_not_make_a_delay_more_certain_than
 
 def test_no_delay_follows_from_a_specimen_that_hardly_moves():
     rng = np.random.default_rng(6)
-    found, low = [], np.stack([np.ones(40), *rng.uniform(-1, 1, (2, 40))], axis=-1)
+    found, design = [], np.stack([np.ones(40), *rng.uniform(-1, 1, (2, 40))], axis=-1)
     for _ in range(20):
         noise = rng.normal(0, 0.01, (8, 2, 40))  # px: of the matching, part of it common to miss and velocity
-        still = [Sample(miss + 1.4 * moved, moved, low) for miss, moved in noise]
+        still = [Sample(miss + 1.4 * moved, moved, design) for miss, moved in noise]
         assert regress(still) is None
-        delay, std = regress([Sample(s.miss, 100.0 * s.velocity, low) for s in still])
+        delay, std = regress([Sample(s.eps_y, 100.0 * s.velocity, design) for s in still])
         found.append(abs(delay) > SIGNIFICANCE * std)
     assert np.mean(found) > 0.5, "by its own uncertainty it would be significant"
 

@@ -1,4 +1,4 @@
-"""A remark is one line with a code, and `wavefield explain` has the rest."""
+"""A remark is one line with a code, and `wavefield explain` prints its explanation."""
 
 import ast
 from pathlib import Path

@@ -27,7 +27,7 @@ def test_and_is_turned_back_where_that_is_asked_for(knocked, tmp_path):
     assert not [
         remark for remark in state.verdict.remarks if remark.kind == "moved" and "frame" in remark.values
     ]
-    left = camera_motion(open_cube(state.store)).low
+    left = camera_motion(open_cube(state.store)).coefficients
     assert max(rms_over_field(one) for one in left) < 0.03
 
 

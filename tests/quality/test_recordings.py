@@ -1,4 +1,4 @@
-"""Runs from cameras' own files, which hold the times of their images."""
+"""Runs from recordings whose files contain the times of their images."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Lost, doubled and late frames are found by the kinematics of the surface; sound seas raise no alarm."""
+"""Lost, doubled and late frames are found by the kinematics of the surface; sound seas give no remark."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ EVEN = np.arange(13.0)
 
 
 def sea(seed, frames=EVEN, rate=RATE, std=NOISE, node=NODE):
-    """A cube of a random linear sea of 12 cm to 1.5 m on a current; times of frames in intervals."""
+    """A cube of a random linear sea (12 cm to 1.5 m) on a current; frame times in frame intervals."""
     rng = np.random.default_rng(seed)
     k, angle, phase = rng.uniform(4, 50, 30), rng.uniform(-np.pi, np.pi, 30), rng.uniform(0, 2 * np.pi, 30)
     kx, ky, sigma = k * np.cos(angle), k * np.sin(angle), np.sqrt(9.81 * k)

@@ -1,4 +1,4 @@
-"""A camera that lies stops scripts: exit status and words of check, run, status and report agree."""
+"""A faulty camera gives the same exit status and words in check, run, status and report."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ from wavefield.water import dispersion
 
 @pytest.fixture
 def lab(knocked, tmp_path):
-    """The first frames of the wider tank, which are sound, and a file for plain runs."""
+    """The first frames of a sound record of the wider tank, and a workflow of plain settings."""
     shutil.copytree(knocked.parent, tmp_path / "lab")
     path = tmp_path / "lab" / "experiment.yaml"
     path.write_text(path.read_text() + "frames: {last: 4}\n")

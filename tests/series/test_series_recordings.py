@@ -174,7 +174,7 @@ def test_the_frame_rate_is_the_recording_s_where_the_note_has_none(recording, tm
     assert Experiment.load(note(tmp_path, text)).frame_rate == 2000.0
     experiment = Experiment.load(note(tmp_path, text, "frame_rate: 20.0\n"))
     assert experiment.frame_rate == 20.0
-    assert "its recording states 2000 Hz, experiment.yaml 20 Hz" in str(
+    assert "its recording gives 2000 Hz, but experiment.yaml gives 20 Hz" in str(
         next(remark_on_recordings(experiment, {}))
     )
 

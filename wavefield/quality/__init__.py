@@ -1,1 +1,1 @@
-"""Faults of cameras and records: delay, motion, blur, outlier cameras, inconsistent pairs."""
+"""Faults of cameras and records: delays, motion, blur, inconsistent cameras, missing or uneven frames."""

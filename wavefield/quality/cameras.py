@@ -1,11 +1,13 @@
-"""Cameras that contradict the others, and why: mirrored, swapped, late, blurred, covered, moved.
+"""Find cameras that contradict the others, and the cause: mirrored, swapped, late, blurred, covered, moved.
 
-Patches of the images are laid on the plane of the water at rest and compared by normalised correlation, every
-camera with every other, at some instants of the record and independently of the measurement. A point at
-height z appears displaced along the parallax of the two cameras. A displacement across the parallax (eps_y)
-cannot come from water, whatever its shape. A camera that agrees with none while the others agree with each
-other is compared again as if its images were mirrored, another camera's, or of another moment: what makes it
-agree is what is wrong with it.
+Square patches of the images are resampled on the plane of the water at rest. Every pair of cameras is
+compared by normalised correlation at a few frames, independently of the measurement. A point at height z
+appears displaced along the parallax of the pair. A displacement across the parallax, the epipolar error
+eps_y, does not come from water of any shape.
+
+Two cameras agree if enough of their patches match with a smooth eps_y. A camera that agrees with no other
+is compared again with its images flipped, taken for those of another camera, or shifted in time. The change
+that makes it agree is the cause.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 
 from wavefield.grid import Grid
 from wavefield.matching.patch_shifts import locate
-from wavefield.quality.remarks import GRAVE_MISS, HALF, MAX_LOST, MAX_MISS, SIGNIFICANCE
+from wavefield.quality.remarks import GRAVE_EPS_Y, HALF, MAX_EPS_Y, MAX_LOST, SIGNIFICANCE
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_at, pixel_size
 from wavefield.rig.stereo import parallax
@@ -28,35 +30,35 @@ from wavefield.store.verdict import Remark
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-Read = Callable[[str, int], NDArray[np.generic] | None]  # of camera and frame
+Read = Callable[[str, int], NDArray[np.generic] | None]  # camera and frame to an image; None if missing
 Pair = tuple[str, str]
 
-SIDE = 32  # px of a patch
-REACH = 40  # px: search radius of a patch
+SIDE = 32  # px: side of a patch
+REACH = 40  # px: largest displacement that is searched
 WHOLE = SIDE + 2 * REACH
-MAX_PATCHES = 60  # over the field; sound records of 15 are judged without false alarms
-MIN_CORRELATION = 0.5  # of patches that show the same water
-BACKGROUND_PX = 31  # wider structures are not details
-INCONSISTENT = ("mirrored", "swapped", "offset", "disagree")  # kinds of remark on cameras that match none
+MAX_PATCHES = 60  # in the field; 15 already give no false remarks in sound records
+MIN_CORRELATION = 0.5  # a lower peak is not a match
+BACKGROUND_PX = 31  # px: width of the running mean that is subtracted as uneven light
+INCONSISTENT = ("mirrored", "swapped", "offset", "disagree")  # kinds of remark: no other camera agrees
 FLIPS: dict[str, tuple[slice, ...]] = {
     "mirrored": np.s_[:, ::-1],
     "upside down": np.s_[::-1, :],
     "turned by 180 degrees": np.s_[::-1, ::-1],
 }
-MAX_DEPARTURE = 1.5  # px of eps_y from its smooth part
-MAX_SCATTER = 0.4  # px of eps_y: more is not the same water
-MIN_PATCHES = 6  # that determine the smooth part of eps_y; with fewer no camera is judged
-MIN_AGREEMENT = 0.2  # of the patches of two cameras that see the same water; sound pairs have more than 0.3
-MAX_BLUR_RATIO = 1.6  # blur over that of the other cameras, in px and on the water
+MAX_DEPARTURE = 1.5  # px between eps_y of a patch and the linear fit over the field; more is a wrong match
+MAX_SCATTER = 0.4  # px: standard deviation of eps_y above which two cameras do not see the same water
+MIN_PATCHES = 6  # needed for the linear fit of eps_y; with fewer no camera is judged
+MIN_AGREEMENT = 0.2  # fraction of matched patches; sound pairs have more than 0.3
+MAX_BLUR_RATIO = 1.6  # width of beads over that in the other cameras, in px and on the water
 
 
 @dataclass
 class PatchMatcher:
-    """Patches of the cameras' images, resampled on the plane of still water on demand."""
+    """Patches of the cameras' images, resampled on the plane of the water at rest when first used."""
 
-    read: Read  # From camera and frame to the image, or None
-    rig: Rig  # The cameras
-    grid: Grid  # Area that is compared
+    read: Read  # Reads an image
+    rig: Rig  # Calibrated cameras
+    grid: Grid  # Area of the water that is compared
 
     def __post_init__(self) -> None:
         self.pixel = float(pixel_size(self.rig, self.grid))
@@ -65,7 +67,7 @@ class PatchMatcher:
         self._patches: dict[tuple[str, int, str, str], Image | None] = {}
 
     def _places(self) -> tuple[Array, Array]:
-        """Middles of the patches: spread over what all cameras see."""
+        """Centres x, y of the patches in m, spread over the area that all cameras see."""
         pitch = SIDE * self.pixel
         limits = (self.grid.x, self.grid.y)
         x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
@@ -88,8 +90,9 @@ class PatchMatcher:
         return self._maps[name]
 
     def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """Patches of one image with their surroundings, (n, WHOLE, WHOLE) grey levels; kept for later calls.
-        The image may be flipped (`change`) and taken `through` the lens of another camera.
+        """Patches of one image with their search margins, (n, WHOLE, WHOLE) grey levels; cached.
+
+        ``change`` names a flip of `FLIPS`; ``through`` is a camera whose calibration is used instead.
         """
         key = (name, frame, change, through)
         if key not in self._patches:
@@ -97,14 +100,14 @@ class PatchMatcher:
         return self._patches[key]
 
     def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """As `patches`, without keeping them."""
+        """As `patches`, but not cached."""
         image = self.read(name, frame)
         if image is not None and change:
             image = np.asarray(image)[FLIPS[change]]
         return _sampled(image, *self._map(through or name))
 
     def textured(self, name: str, frame: int) -> NDArray[np.bool_]:
-        """Patches (n,) in which a camera shows something: a fifth of its usual contrast at least."""
+        """True for patches (n,) whose contrast is at least a fifth of the image's median contrast."""
         patches = self.patches(name, frame)
         if patches is None:
             return np.zeros(len(self.x), bool)
@@ -119,7 +122,7 @@ class PatchMatcher:
         return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
 
     def parallax(self, pair: Pair) -> Array:
-        """Displacement from one camera to the other per height, (n,)."""
+        """Displacement between the two cameras' images per height of the water, m/m, (n,)."""
         return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
 
     def _rise(self, pair: Pair) -> Array:
@@ -127,11 +130,11 @@ class PatchMatcher:
 
 
 def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Image | None:
-    """Squares (n, WHOLE, WHOLE) of an image at pixels (n WHOLE, WHOLE); NaN outside of it."""
+    """Squares (n, WHOLE, WHOLE) of an image, sampled at pixel positions (n WHOLE, WHOLE); NaN outside it."""
     if image is None:
         return None
     flat = np.ascontiguousarray(image, np.float32)
-    # real numbers, which often are from 0 to 1, are scaled to 255, as other grey levels
+    # floating-point images often range from 0 to 1: scale them to 255, for which contrast limits are made
     largest = float(np.abs(flat).max()) if image.dtype.kind == "f" else 0.0
     if largest > 0:
         flat = flat * np.float32(255.0 / largest)
@@ -140,18 +143,21 @@ def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Im
 
 
 def middle(patches: Image) -> Image:
-    """The patches (n, SIDE, SIDE) without their surroundings."""
+    """The patches (n, SIDE, SIDE) without their search margins."""
     return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
 
 
 def compare(first: Image | None, second: Image | None) -> Array | None:
-    """Displacement (n, 2) of the middle of each patch in another, (n, WHOLE, WHOLE); NaN where not found."""
+    """Displacement in px, (n, 2), from the middle of each first patch to its match in the second.
+
+    Both are (n, WHOLE, WHOLE). NaN without a match; None if an image is missing.
+    """
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
     templates = np.ascontiguousarray(middle(first))
     usual = templates.mean(axis=(1, 2))
-    sound = templates.std(axis=(1, 2)) >= 1e-3  # not where something is NaN
+    sound = templates.std(axis=(1, 2)) >= 1e-3  # False where a template contains NaN
     for k in np.flatnonzero(sound).tolist():
         around = np.ascontiguousarray(np.where(np.isnan(second[k]), usual[k], second[k]))
         column, row, peak_correlation = locate(templates[k], around)
@@ -162,19 +168,22 @@ def compare(first: Image | None, second: Image | None) -> Array | None:
 
 @dataclass(frozen=True)
 class PairConsistency:
-    """Agreement of two cameras at one instant."""
+    """Agreement of two cameras at one frame."""
 
-    fraction: float  # Of the patches that were found again with an eps_y near its smooth part
-    eps_y: Array  # (m,): Of those, px on the water
-    smooth: Array  # (3,): Its smooth part: px, px per half width along x, along y
-    places: NDArray[np.intp]  # (m,): Which patches
-    height: Array  # (m,): Of those, from their displacement along the parallax, m
+    fraction: float  # Fraction of the patches that match with an eps_y near the linear fit
+    eps_y: Array  # (m,): Epipolar error of these patches, px on the water
+    smooth: Array  # (3,): Linear fit of eps_y: px at mid-field, px per half width along x and along y
+    places: NDArray[np.intp]  # (m,): Indices of these patches
+    height: Array  # (m,): Height of the water there, from the displacement along the parallax, m
 
 
 def agreement(
     patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
-    """Consistency of two cameras: which patches in `ground` can show the same water in both."""
+    """Agreement of two cameras, from the displacements ``moved`` (n, 2) between their patches, px.
+
+    ``ground`` (n,) is True for the patches to compare; by default all.
+    """
     n = len(patch_matcher.x)
     ground = np.ones(n, bool) if ground is None else ground
     if moved is None or not ground.any():
@@ -185,7 +194,7 @@ def agreement(
     good = ground & np.isfinite(eps_y)
     design = np.stack([np.ones(n), *(scaled(v) for v in (patch_matcher.x, patch_matcher.y))], axis=-1)
     smooth = np.array([np.median(eps_y[good]) if good.any() else 0.0, 0.0, 0.0])
-    for _ in range(4):  # refit the smooth part to what is near it
+    for _ in range(4):  # refit without outliers
         near = good & (np.abs(eps_y - design @ smooth) < MAX_DEPARTURE)
         if near.sum() < MIN_PATCHES:
             break
@@ -196,17 +205,17 @@ def agreement(
 
 
 def scaled(v: Array) -> Array:
-    """Coordinates scaled to -1 to 1."""
+    """Coordinates relative to their mean, in units of half their range."""
     return np.asarray((v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12))
 
 
 def rms_over_field(smooth: Array) -> float:
-    """Rms over the field of an eps_y that is constant and linear along x and y, (3,)."""
+    """Rms over the field of a linear eps_y with the coefficients (3,) of `PairConsistency.smooth`, px."""
     return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 
 class ConsistencyTable:
-    """Agreements of all pairs at all instants."""
+    """Agreement of all pairs of cameras at all sampled frames."""
 
     def __init__(
         self, patch_matcher: PatchMatcher, names: list[str], frames: tuple[int, ...], threads: int = 1
@@ -214,7 +223,7 @@ class ConsistencyTable:
         self.patch_matcher, self.names, self.frames = patch_matcher, names, frames
         self.pairs: list[Pair] = list(combinations(names, 2))
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # lays out its lens
+            list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # fills the caches
             textured = pool.map(lambda k: {name: patch_matcher.textured(name, k) for name in names}, frames)
             self.grounds = dict(zip(frames, textured))
             found = list(pool.map(lambda k: [self.compare(pair, k) for pair in self.pairs], frames))
@@ -225,8 +234,10 @@ class ConsistencyTable:
     def compare(
         self, pair: Pair, frame: int, images: Pair | None = None, *, change: str = "", later: int = 0
     ) -> PairConsistency:
-        """Images of the cameras of a pair, or of two others through the lenses of the pair.
-        Those of the second may be changed, or of another moment.
+        """Agreement of a pair at a frame.
+
+        ``images`` names cameras whose images replace those of the pair, with the pair's calibrations.
+        ``change`` flips the second image; ``later`` takes it so many frames later.
         """
         patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
         one = patch_matcher.patches(first, frame, "", a)
@@ -237,11 +248,11 @@ class ConsistencyTable:
         return agreement(patch_matcher, pair, found, ground)
 
     def level(self) -> float:
-        """Fraction of matched patches above which two cameras agree: half of that of the best pair."""
+        """Fraction of matched patches above which two cameras agree: half of the best pair's fraction."""
         return max(MIN_AGREEMENT, HALF * max(score(found) for found in self.found.values()))
 
     def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
-        """Agreement and rms eps_y (px) of every pair of cameras at every instant."""
+        """Fraction of matched patches and rms eps_y (px) of every pair of cameras, one value per frame."""
         return {
             "-".join(pair): {
                 "agreement": [round(one.fraction, 3) for one in found],
@@ -252,7 +263,7 @@ class ConsistencyTable:
 
 
 def score(found: Sequence[PairConsistency]) -> float:
-    """Agreement of two cameras over some instants: fraction of patches found; 0 if they scatter."""
+    """Mean fraction of matched patches over the frames; 0 if eps_y scatters too much to trust them."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
@@ -260,10 +271,10 @@ def score(found: Sequence[PairConsistency]) -> float:
 
 
 def blur(image: NDArray[np.generic] | None) -> float:
-    """Standard deviation of the finest details of an image (row, column), px; NaN without any.
+    """Standard deviation s of the finest details of an image (row, column), px; NaN if there are none.
 
-    Gaussian beads of standard deviation s correlate as r(d) ~ exp(-d^2 / 4 s^2), so that
-    s^2 = 3 / (4 ln(r(1) / r(2))). Noise enters r(0) only.
+    The autocorrelation of Gaussian beads at the lag d is r(d) ~ exp(-d^2 / 4 s^2), so that
+    s^2 = 3 / (4 ln(r(1) / r(2))). Noise affects only r(0).
     """
     if image is None:
         return float("nan")
@@ -281,16 +292,20 @@ def blur(image: NDArray[np.generic] | None) -> float:
 class CameraFaults:
     """Result of `find_camera_faults`."""
 
-    remarks: tuple[Remark, ...]  # What is wrong
-    # Per pair: ``agreement`` (fraction of patches), ``eps_y`` (px, smooth part), one value per instant
+    remarks: tuple[Remark, ...]  # Faults found
+    # By pair: ``agreement`` (fraction of matched patches) and ``eps_y`` (px, rms of the linear fit) per frame
     pairs: Mapping[str, Mapping[str, list[float]]]
-    frames: tuple[int, ...]  # The instants
+    frames: tuple[int, ...]  # Indices of the frames that were compared
 
 
 def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
 ) -> CameraFaults:
-    """Compare cameras at some instants, and name what is wrong with them."""
+    """Compare the cameras at some frames, and report their faults.
+
+    ``count`` is the number of frames of the record. Frames that a camera lacks are skipped. The result has no
+    remarks if fewer than two cameras, no complete frame or too few patches are left.
+    """
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
@@ -299,7 +314,7 @@ def find_camera_faults(
     remarks = [*_covered(table), *_blurred(table)]
     inconsistent, explained = _inconsistent(table, count)
     own = {remark.subject: remark for remark in remarks}
-    explained = [  # cameras that are too blurred or covered to match are not inconsistent
+    explained = [  # blur or cover explains why a camera matches no other
         replace(own[one.subject], weight="grave") if one.kind == "disagree" and one.subject in own else one
         for one in explained
     ]
@@ -309,6 +324,7 @@ def find_camera_faults(
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
+    """Report cameras without texture in a part of the field where most of the others have it."""
     for name in table.names:
         covered = []
         for ground in table.grounds.values():
@@ -320,15 +336,15 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
                 name,
                 "covered",
                 "grave" if fraction > HALF else "remark",
-                f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
-                "That part is measured by the others, or not at all",
-                "Check for objects in front of it and for missing light; draw lasting ones as a `mask:`",
+                f"its images have no texture in {100 * fraction:.0f} % of the field that the others see",
+                "That part is measured by the other cameras, or not at all",
+                "Remove objects in front of it and check the light; draw fixed objects as a `mask:`",
                 {"fraction": fraction},
             )
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
-    """Remarks on blurred cameras: their beads look wider than those of the others, in px and on the water."""
+    """Report cameras in which beads are wider than in the others, both in px and on the water."""
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
     rig, grid = table.patch_matcher.rig, table.patch_matcher.grid
     centre = float(np.mean(grid.x)), float(np.mean(grid.y))
@@ -337,7 +353,7 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
         others = [other for other in table.names if other != name]
         usual = float(np.median([widths[other] for other in others]))
         on_water = float(np.median([widths[other] * pixels[other] for other in others]))
-        # beads have a size: a camera of smaller pixels has wider images of them without being blurred
+        # a camera with smaller pixels shows beads over more pixels without being blurred
         wider = min(width / max(usual, 1e-9), width * pixels[name] / max(on_water, 1e-12))
         if wider > MAX_BLUR_RATIO and width > 1.0:
             yield Remark(
@@ -345,52 +361,53 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
                 "blurred",
                 "remark",
                 f"its images are blurred by {width:.1f} px, those of the other cameras by {usual:.1f} px",
-                "Short waves are lost first",
+                "Short waves are damped or lost",
                 "Focus it, or leave it out (`surface: pairs`, `velocity: cameras`)",
                 {"blur": width, "usual": usual},
             )
 
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
-    """Cameras that agree with no other camera, and remarks on the cause."""
+    """Cameras that agree with no other, and remarks on the causes."""
     level = table.level()
     good = [pair for pair, found in table.found.items() if score(found) >= level]
-    # two cameras far apart may see too different pictures, while each agrees with a third
+    # views of two distant cameras may differ too much to match, while each agrees with a third camera
     inconsistent = {name for name in table.names if not any(name in pair for pair in good)}
     consistent = [name for name in table.names if name not in inconsistent]
     remarks = [
         _explain(table, name, consistent or [n for n in table.names if n != name], level, count)
         for name in sorted(inconsistent)
     ]
-    if inconsistent and not consistent:  # nobody agrees with anybody: what is explained goes first
+    if inconsistent and not consistent:  # no pair agrees: report one camera with a known cause, or all
         remarks = [one for one in remarks if one.kind != "disagree"][:1] or [_disagree(table)]
     return inconsistent, remarks
 
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
-    """Remark on a camera that matches none, or on cameras of which no two match, without a known cause."""
+    """Remark on a camera, or on all cameras, that match no other for an unknown cause."""
     pairs = {pair: found for pair, found in table.found.items() if not name or name in pair}
     best = max(map(score, pairs.values()))
-    share = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
+    matched = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
     sentence = (
-        f"at best {100 * share:.0f} % of the patches of two cameras match (sound records: more than "
+        f"at best {100 * matched:.0f} % of the patches of two cameras match (sound records: more than "
         f"{100 * MIN_AGREEMENT:.0f} %)"
     )
-    if share > best:  # found, but of no use
-        sentence += f", and their sight lines miss each other irregularly, by {MAX_SCATTER:g} px or more"
+    if matched > best:  # the matches scatter too much
+        sentence += f", and their epipolar error scatters by {MAX_SCATTER:g} px or more"
     return Remark(
         name or "cameras",
         "disagree",
         "grave",
         sentence,
         "It does not see the same water as the others" if name else "Nothing can be measured",
-        "Is it sharp, bright and seeded, are its frames of the same moments (`offset`), is the rig its own?",
+        "Check that images are sharp, bright and seeded, that frames are of the same moments (`offset`), and "
+        "that the rig belongs to these cameras",
         {"agreement": best},
     )
 
 
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
-    """Cause of a camera's disagreement with its partners, from trials at two instants."""
+    """Cause of a camera's disagreement with its partners, found by trial at two frames."""
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
@@ -410,7 +427,7 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
     return _explained(name, change, detail, {"agreement": best, "as it is": now})
 
 
-# Kind, finding and remedy for a camera that agrees with the others when its images are taken otherwise
+# Kind, finding and remedy by the change after which a camera agrees with the others
 _CAMERA_FAULTS = {
     "mirrored": (
         "mirrored",
@@ -419,36 +436,37 @@ _CAMERA_FAULTS = {
     ),
     "swapped": (
         "swapped",
-        "its images are those that {} would take",
+        "its images match the others only as images of {}",
         "Correct its `images` in the experiment file",
     ),
     "late": (
         "offset",
-        "it agrees with the others when its frames are taken {} later",
-        "Take {} from its `offset` in the experiment file",
+        "its frames match only frames of the others that are {} earlier",
+        "Subtract {} from its `offset` in the experiment file",
     ),
     "early": (
         "offset",
-        "it agrees with the others when its frames are taken {} before",
+        "its frames match only frames of the others that are {} later",
         "Add {} to its `offset` in the experiment file",
     ),
 }
 
 
 def _explained(name: str, change: str, detail: str, values: Mapping[str, float]) -> Remark:
+    """Remark on a camera that agrees with the others after a change; ``detail`` is its amount or camera."""
     kind, found, remedy = (part.format(detail) for part in _CAMERA_FAULTS[change])
-    return Remark(name, kind, "grave", found, "Nothing measured with it is right", remedy, values)
+    return Remark(name, kind, "grave", found, "All results from this camera are wrong", remedy, values)
 
 
 def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Cameras whose sight lines miss those of the others by a smooth eps_y."""
+    """Remark on pairs of cameras with a smooth eps_y, and on the camera that moved if one explains all."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
         for pair, found in table.found.items()
         if not inconsistent & set(pair) and any(one.fraction > 0 for one in found)
     }
     missed = {pair: rms_over_field(value) for pair, value in smooth.items()}
-    beyond = [pair for pair, value in missed.items() if value > MAX_MISS]
+    beyond = [pair for pair, value in missed.items() if value > MAX_EPS_Y]
     wrong = [pair for pair in beyond if _significance(table.found[pair]) > SIGNIFICANCE]
     if not wrong:
         return []
@@ -463,33 +481,36 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     between = " and of ".join("-".join(pair) for pair in wrong)
     sentence = (
         f"the sight lines of {between} miss each other by {most:.2f} px on the water (at most "
-        f"{MAX_MISS} px after a good calibration)"
+        f"{MAX_EPS_Y} px after a good calibration)"
     )
     return [_moved(subject, most, sentence, {f"eps_y {'-'.join(pair)}": px for pair, px in missed.items()})]
 
 
-def _moved(subject: str, off: float, sentence: str, values: Mapping[str, float]) -> Remark:
+def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float]) -> Remark:
+    """Remark on a camera or rig with an ``error`` in px on the water."""
     return Remark(
         subject,
         "moved",
-        "grave" if off > GRAVE_MISS else "remark",
+        "grave" if error > GRAVE_EPS_Y else "remark",
         sentence,
-        "A camera has moved since the calibration, or the rig is another's: z is off by about as much, in px",
+        "A camera has moved since the calibration, or the rig is of other cameras: z is wrong by about as "
+        "many px",
         "Correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
         values,
     )
 
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
-    Which one cannot be determined: two pairs give one height more than there are unknowns.
+    """Remark on two pairs that see the same water at different heights: a camera moved along the parallax.
+
+    The heights do not show which camera: two pairs give one difference, which any of them could explain.
     """
     worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
         if first[0] != second[0] or inconsistent & {*first, *second}:
-            continue  # both search the same camera's patches
-        apart = [_apart(table, first, second, k) for k in range(len(table.frames))]
+            continue  # heights can be compared only at the patches of one common camera
+        apart = [_height_difference(table, first, second, k) for k in range(len(table.frames))]
         values = np.concatenate(apart)
         if len(values) < MIN_PATCHES * 4:
             continue
@@ -497,15 +518,15 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         spread = float(PER_MEDIAN * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
         if abs(off) > abs(worst):
             worst, sure, which = off, abs(off) / spread, (first, second)
-    if abs(worst) <= MAX_MISS or sure < SIGNIFICANCE:
+    if abs(worst) <= MAX_EPS_Y or sure < SIGNIFICANCE:
         return []
     names = " and ".join("-".join(pair) for pair in which)
     sentence = f"{names} see the same water at different heights, by {abs(worst):.2f} px along the parallax"
     return [_moved("rig", abs(worst), sentence, {"height": worst})]
 
 
-def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
-    """Difference between the heights from two pairs, at patches that both matched, px of parallax."""
+def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
+    """Height from the first pair minus height from the second, at patches that both match, px of parallax."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
     parallax = np.minimum(table.patch_matcher.parallax(first), table.patch_matcher.parallax(second))[both]
@@ -513,7 +534,7 @@ def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArra
 
 
 def _significance(found: Sequence[PairConsistency]) -> float:
-    """Smooth part of eps_y over its standard uncertainty."""
+    """Rms of the linear fit of eps_y over its standard uncertainty, at the frame with the most matches."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < MIN_PATCHES:
         return 0.0

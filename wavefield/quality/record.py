@@ -1,11 +1,16 @@
-"""Faults of a record: frames that are missing or bad, clocks that disagree, time that jumps.
+"""Find faults of a record: missing or bad frames, clocks that contradict each other, lost or doubled frames.
 
-Time is checked by the kinematic condition at the free surface, dz/dt + u . grad z = w. Within a step, dz/dt
-comes from the two frames of the step, and the residual is compared with its standard uncertainty. Between
-steps, dz/dt comes from the steps before and after: these are two frame intervals apart only if no frame was
-lost, doubled or late, so that w over dz/dt + u . grad z jumps where time does. A step over a lost frame has
-4/3 of the usual ratio and its neighbours 4/5 of it; a step onto a doubled frame has 0 and its neighbours 4/3.
-Neither uses what the standard uncertainties were computed from.
+A step is the interval between two consecutive frames; a step of the cube holds z, u, v, w at its middle. Two
+tests use the kinematic boundary condition dz/dt + u . grad z = w:
+
+- Within a step, dz/dt is the difference of the two frames. The residual is compared with its standard
+  uncertainty.
+- Between steps, dz/dt is the central difference of the steps before and after. The ratio of w to
+  dz/dt + u . grad z is the same at all steps if the frame times are even. It jumps where a frame was lost,
+  doubled or late in all cameras: a step over a lost frame has 4/3 of the usual ratio and its neighbours 4/5;
+  a step onto a doubled frame has 0 and its neighbours 4/3.
+
+The standard uncertainties are computed from other data, so both tests are independent of them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,7 +34,7 @@ from wavefield.variables import FrameFault, FrameStatus, Quality
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-SAMPLED_STEPS = 12  # whose frames are read; a record of fewer than twice as many is read as a whole
+SAMPLED_STEPS = 12  # `check` reads the frames of so many steps, and all of a record shorter than twice that
 FAULTS = {
     FrameFault.UNREADABLE: ("cannot be read", "Copy them again from the recording"),
     FrameFault.BLANK: ("are blank (all pixels equal)", "Was the lens covered, or the light off?"),
@@ -42,19 +47,19 @@ FAULTS = {
         "Copy the recording again, or leave these frames out (`frames`)",
     ),
 }
-CHANGING_NOISE = 0.25  # of the variance of z by noise; the rest stays with the beads from frame to frame
+CHANGING_NOISE = 0.25  # fraction of z_std^2 that is new in each frame; the rest moves with the beads
 COMPARED = ["z", "z_t", "u", "v", "w", "z_std", "u_std", "v_std", "w_std"]
-PATH_REACH = 2  # steps: the six frames of a step reach so many steps to either side
+PATH_REACH = 2  # steps on either side that share frames with a step (it uses up to six frames)
 PATCHES = 8  # along the shorter side of the field
-# A wave that turns by p from frame to frame has the ratio p / sin p. Where most turn by more than a sixth of
-# a turn, sound simulated seas scatter as much as a lost frame does, and nothing is judged.
+# A wave whose phase advances by p per frame interval has the ratio p / sin p. Above 1.2 (p is a sixth of a
+# period) the ratios of sound simulated seas scatter as much as a lost frame changes them: nothing is judged.
 MAX_RATIO = 1.2
-DISCONTINUITY = 0.3  # logarithm of a step's ratio over that of its neighbours; a lost frame changes it by 0.5
-MAX_MISFIT = 1.6  # standard uncertainties: sound seas have 0.1 to 1.2
-MIN_RATIO = 0.05  # smallest ratio that counts: log(0) of a doubled frame
-JITTER_VARIANCE = 4.375  # variance of the difference of consecutive ratios over that of the frame times
-VARYING_TURN = 0.5  # of (ratio - 1)^2: variance of ratios because the waves in view change; simulated seas
-CHANCE = 1e-3  # that an even record shows as large a jitter
+DISCONTINUITY = 0.3  # log of a step's ratio minus the mean log of its neighbours; a lost frame gives 0.5
+MAX_MISFIT = 1.6  # rms of the residual in standard uncertainties; sound seas have 0.1 to 1.2
+MIN_RATIO = 0.05  # smaller ratios are raised to this before the logarithm; a doubled frame has 0
+JITTER_VARIANCE = 4.375  # variance of the difference of consecutive ratios per variance of the frame times
+VARYING_TURN = 0.5  # variance of ratios by changes of the waves in view, in (ratio - 1)^2; simulated seas
+CHANCE = 1e-3  # probability that noise alone gives the smallest jitter that is reported
 
 
 @dataclass(frozen=True)
@@ -62,21 +67,21 @@ class FrameInspection:
     """Faults found by reading some frames of one camera."""
 
     read: tuple[int, ...]  # Indices of the frames that were read
-    faults: Mapping[int, tuple[FrameFault, str]]  # Fault and sentence of those that are bad
+    faults: Mapping[int, tuple[FrameFault, str]]  # By index of the bad frames: kind of fault and message
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Indices of the frames to read: all of a short record, else both ends and those of some random steps."""
+    """Indices of the frames to read: all of a short record, else the two ends and those of random steps."""
     complete = complete_steps(series)
     if len(complete) < 2 * SAMPLED_STEPS:
         return tuple(range(len(complete) + 1))
-    # evenly spaced ones would all be good, or all be bad, where every second frame is
+    # random, because evenly spaced frames would be all good or all bad if every second frame is bad
     drawn = np.random.default_rng(0).permutation(np.flatnonzero(complete))[:SAMPLED_STEPS]
     return tuple(sorted({0, len(complete), *drawn.tolist(), *(drawn + 1).tolist()}))
 
 
 def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspection:
-    """Read some frames of a camera, and compare each with the one before it if that was read as well."""
+    """Read some frames of a camera, and compare each with the frame before if that was read as well."""
     faults: dict[int, tuple[FrameFault, str]] = {}
     read: list[int] = []
     last: Any = None
@@ -95,7 +100,7 @@ def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspecti
 
 
 def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
-    """Steps of which both frames have a file in every camera."""
+    """True for the steps (n,) whose two frames have a file in every camera."""
     present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
     return np.asarray(present[:-1] & present[1:])
 
@@ -109,7 +114,7 @@ def remark_on_frames(
             bad = [index for index, (other, _) in found.faults.items() if other == fault]
             repeated = fault == FrameFault.REPEATED
             count = sum(index - 1 in found.read for index in found.read) if repeated else len(found.read)
-            # one setting of a camera gives frames of one size: a single other one is reported
+            # a camera gives frames of one size: a single frame of another size is reported
             if len(bad) <= (0 if fault == FrameFault.WRONG_SIZE else max(1, MAX_LOST * count)):
                 continue
             numbers = spell_ranges([series[name].first + index for index in bad], 3)
@@ -118,14 +123,14 @@ def remark_on_frames(
                 "bad frames",
                 "grave" if len(bad) > HALF * count else "remark",
                 f"{len(bad)} of {count} frames read {words}: frames {numbers} ({found.faults[bad[0]][1]})",
-                "Their steps are measured without them, or not at all",
+                "Their steps are measured without this camera, or not at all",
                 remedy,
                 {"bad": len(bad), "frames": count},
             )
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report missing frames, and recordings that contradict the experiment file or each other."""
+    """Report missing frames, dropped or interlaced images, and rates that contradict the experiment file."""
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from _missing(measuring)
     yield from _rates(experiment, series)
@@ -135,8 +140,8 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Remarks on cameras with many missing frames, and on cameras with few common steps."""
-    for name, one in series.items():  # recordings with a clock report dropped images themselves
+    """Report cameras with many missing frames, and records with few complete steps."""
+    for name, one in series.items():  # for recordings with a clock, `_gaps` reports dropped images
         missing = one.missing
         if one.times is not None or len(missing) <= MAX_LOST * len(one):
             continue
@@ -146,27 +151,27 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
             "grave" if len(missing) > HALF * len(one) else "remark",
             f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}",
             "Their steps are measured without this camera, or not at all",
-            "Copy them, or state the range of frames that is complete (`frames`)",
+            "Copy them, or give the range of frames that is complete (`frames`)",
             {"missing": len(missing), "frames": len(one)},
         )
     if not series:
         return
     complete = complete_steps(series)
-    share = float(complete.mean())
-    if share < HALF:
+    fraction = float(complete.mean())
+    if fraction < HALF:
         yield Remark(
             "record",
             "missing frames",
             "grave",
-            f"only {100 * share:.0f} % of {len(complete)} steps have both frames of every camera",
+            f"only {100 * fraction:.0f} % of {len(complete)} steps have both frames of every camera",
             "The other steps are measured with fewer cameras, or not at all",
-            "Copy the missing frames; frames of one moment must have one number (`offset`)",
-            {"share": share, "steps": len(complete)},
+            "Copy the missing frames, and number frames of one moment alike in all cameras (`offset`)",
+            {"share": fraction, "steps": len(complete)},
         )
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Remark on a frame rate that the recordings contradict."""
+    """Report rotated videos, recordings with another frame rate, and playback rates taken as frame rates."""
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
@@ -175,22 +180,22 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
             name,
             "mirrored",
             "note",
-            f"its video states a rotation of {degrees} degrees, which is not applied",
-            "Frames are as the sensor has them, and so must be the target images",
+            f"its video has a rotation of {degrees} degrees in its header, which is not applied",
+            "Frames stay as the sensor recorded them; target images must have the same orientation",
         )
     rates = {name: one.rate for name, one in stated.items() if one.rate}
     for name, recorded in rates.items():
         if stated[name].is_video:
             continue
-        stamped = name in series and series[name].times is not None  # stamps were compared with the rate
+        stamped = name in series and series[name].times is not None  # compared with the rate already
         if not stamped and not is_alike(recorded, rate):
             yield Remark(
                 name,
                 "frame rate",
                 "remark",
-                f"its recording states {recorded:g} Hz, {file} {rate:g} Hz",
+                f"its recording gives {recorded:g} Hz, but {file} gives {rate:g} Hz",
                 "Velocities are proportional to the frame rate",
-                "Leave frame_rate out to take the recording's; keep it if frames were left out since",
+                "Leave frame_rate out to take the recording's rate; keep it if frames were removed since",
                 values={"recorded_hz": recorded, "stated_hz": rate},
             )
     alike = [name for name, one in rates.items() if stated[name].is_video and is_alike(one, rate)]
@@ -201,25 +206,26 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
             "note",
             f"{rate:g} Hz is the playback rate of its video",
             "Velocities are wrong if the camera recorded at another rate (high-speed, time lapse)",
-            "State the camera's own rate as frame_rate in that case",
+            "In that case, give the camera's own rate as frame_rate",
             values={"playback_hz": rate},
         )
 
 
 def _interlaced(series: FrameSeries) -> Iterator[Remark]:
+    """Report interlaced images."""
     if is_interlaced(series):
         yield Remark(
             series.camera,
             "frame times",
             "grave",
-            "its images are interlaced: odd and even rows are of two moments, half a frame apart",
+            "its images are interlaced: odd and even rows were exposed half a frame interval apart",
             "Moving beads look like combs, which do not match",
-            "Save each field as an image of its own, with half the rows, or record progressively",
+            "Save each field as a separate image with half the rows, or record progressive frames",
         )
 
 
 def _gaps(series: FrameSeries) -> Iterator[Remark]:
-    """Remark on images that a camera dropped, by its clock: gaps, or intervals of fractions of a frame."""
+    """Report images that a camera dropped according to its time stamps, and uneven intervals."""
     if series.times is None:
         return
     there = np.flatnonzero(np.isfinite(series.times))
@@ -238,8 +244,8 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
             "remark",
             f"{many} dropped, by its clock, the first after frame {series.first + first} "
             f"({series.times[first] - series.times[there[0]]:.3f} s into the record)",
-            "Their places stay empty, and no step is measured across them",
-            "To lose none, record to the camera's memory, to a faster disk or at a lower rate",
+            "These frames count as missing, and no step is measured across them",
+            "Record to the camera's memory, to a faster disk or at a lower rate",
             {"dropped": dropped, "first": series.first + first},
         )
     if uneven.any():
@@ -251,7 +257,7 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
             f"{uneven.sum()} intervals between its images are not whole frame intervals, after frame "
             f"{spell_ranges(numbers.tolist(), 3)}",
             "Velocities there assume the nominal interval and are wrong",
-            "Use an even part of the record (`frames`), or save each part as a recording of its own",
+            "Use an even part of the record (`frames`), or save each part as a separate recording",
             {"uneven": int(uneven.sum()), "first": int(numbers[0])},
         )
 
@@ -259,8 +265,9 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
     """Robust rms of z_t - w + u z_x + v z_y over its standard uncertainty, per step (n,).
 
-    Fields and mask (n, ny, nx), ``step`` in metres, ``rate`` in Hz; about 1 if the uncertainties are right,
-    NaN with few measured nodes. z_t is the difference of two frames, each with its own noise.
+    About 1 if the uncertainties are right, NaN with few measured nodes. Fields and mask are (n, ny, nx),
+    ``step`` is the node spacing in metres, ``rate`` is in Hz. z_t is a difference of two frames, so the noise
+    of z that is new in each frame counts twice.
     """
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = (np.gradient(z, step, axis=axis) for axis in (1, 2))
@@ -281,19 +288,19 @@ def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, r
 
 @dataclass(frozen=True)
 class RiseRatios:
-    """Ratio of w to the rise between the steps before and after, per step (n,); NaN where unknown."""
+    """Ratio of w to dz/dt + u . grad z, with dz/dt from the steps before and after."""
 
-    ratio: Array
-    variance: Array  # of the ratio, from the parts of the field
+    ratio: Array  # (n,): One per step; NaN where unknown
+    variance: Array  # (n,): Variance of the ratio, from independent parts of the field
 
     def without(self, steps: NDArray[np.intp]) -> "RiseRatios":
-        """The ratios without some steps."""
+        """The same ratios with NaN at some steps."""
         ratio = self.ratio.copy()
         ratio[steps] = np.nan
         return RiseRatios(ratio, self.variance)
 
     def discontinuous(self) -> NDArray[np.intp]:
-        """Steps whose ratio differs significantly from the mean of both neighbours."""
+        """Indices of the steps whose ratio differs significantly from the mean of both neighbours."""
         log = np.log(np.maximum(self.ratio, MIN_RATIO))
         relative = self.variance / np.square(np.maximum(self.ratio, MIN_RATIO))
         jump, std = np.full((2, log.size), np.nan)
@@ -306,9 +313,10 @@ class RiseRatios:
         return np.flatnonzero(found & (size == largest))
 
     def jitter(self) -> float:
-        """Standard deviation of the frame times in frame intervals; 0 if none is significant.
+        """Standard deviation of the frame times in frame intervals; 0 if it is not significant.
 
-        Differences of consecutive ratios are taken, because how fast waves turn changes slowly.
+        It is found from differences of consecutive ratios: ratios also depend on the frequency of the waves
+        in view, but that changes slowly.
         """
         known = np.isfinite(self.ratio)
         both = known[1:] & known[:-1]
@@ -316,11 +324,11 @@ class RiseRatios:
             return 0.0
         median = float(np.median(self.ratio[known]))
         change = np.diff(self.ratio)[both] / median
-        # by the median: waves that start change some steps, jitter changes all
+        # median, because jitter changes all steps, but waves that arrive change only some
         found = PER_MEDIAN**2 * float(np.median(np.square(change)))
         noise = 2.0 * float(np.median(self.variance[known])) / median**2
-        # a third of the differences share their steps, and a median is as good as the mean of a third; the
-        # variance is from all parts of the field
+        # F test. Degrees of freedom: two thirds of the differences are independent, a median has the scatter
+        # of a mean over a third of the values, and the variance comes from all parts of the field
         freedom = change.size * 2.0 / 9.0, change.size * (CELLS**2 - 1)
         by_chance = noise * float(special.fdtri(*freedom, 1.0 - CHANCE))
         if found <= max(by_chance, VARYING_TURN * (median - 1.0) ** 2):
@@ -329,7 +337,10 @@ class RiseRatios:
 
 
 def rise_ratios(cube: xr.Dataset) -> RiseRatios:
-    """Regression of w on (z(k+1) - z(k-1)) / 2 dt + u . grad z at every step, without the field means."""
+    """Slope of a regression of w on (z(k+1) - z(k-1)) / 2 dt + u . grad z at every step k of a cube.
+
+    All ratios are NaN if their median is not between 0 and `MAX_RATIO`: the waves are too fast to judge.
+    """
     steps, rate = cube.sizes["time"], float(cube.attrs["frame_rate"])
     spacing = float(cube.x[1] - cube.x[0])
     ratio, variance = np.full((2, steps), np.nan)
@@ -352,9 +363,10 @@ def rise_ratios(cube: xr.Dataset) -> RiseRatios:
 
 
 def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
-    """Slope of a regression between two fields (ny, nx), and its variance from parts of the field.
+    """Slope of a regression of one field on another, both (ny, nx), and its variance from parts of the field.
 
-    Both are means over patches, which leave the longer waves: these turn less from step to step.
+    Both are averaged over patches and lose their field means. Patches keep the longer waves, whose phase
+    changes less from step to step.
     """
     count = _patches(usable.astype(float))
     full = count > 0.5 * count.max()
@@ -380,14 +392,17 @@ def _patches(values: Array) -> Array:
 
 
 def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
-    """Steps whose six frames lie on both sides of a discontinuity; none if that is most of a record."""
+    """Steps that use frames from both sides of a discontinuity.
+
+    Empty if there are several discontinuities and this is more than half of the record.
+    """
     apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
     out = np.flatnonzero(apart.min(axis=1, initial=steps) <= PATH_REACH)
     return out if discontinuous.size == 1 or out.size <= HALF * steps else out[:0]
 
 
 def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
-    """Report steps whose surface does not rise as its water moves."""
+    """Report steps whose elevation and velocity violate the kinematic boundary condition."""
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     fields, rate = {name: sample[name].values for name in COMPARED}, float(sample.attrs["frame_rate"])
     misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
@@ -399,14 +414,14 @@ def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
             "grave" if misfit > 2 * MAX_MISFIT else "remark",
             f"z_t - w + u . grad z is {misfit:.1f} times its standard uncertainty (at most"
             f" {MAX_MISFIT} in sound records)",
-            "The surface does not rise as its water moves: z or the velocities are wrong",
+            "Elevation and velocity violate the kinematic boundary condition: one of them is wrong",
             "Check frame rate, synchronisation and seeding; waves may be too short for the images",
             {"kinematic_misfit": misfit},
         )
 
 
 def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
-    """Report the steps that the end of the run has cleared because time jumps there."""
+    """Report the steps that the run has set to NaN because a frame was lost, doubled or late there."""
     steps = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
     if steps.size:
         numbers = spell_ranges([int(cube.frame[0]) + int(k) for k in steps], 3)
@@ -414,22 +429,22 @@ def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
             "record",
             "frame times",
             "remark",
-            f"the motion jumps within the {steps.size} steps from frames {numbers}",
+            f"{steps.size} steps, from frames {numbers}, include a jump in time",
             "A frame was lost, doubled or late in all cameras; these steps are NaN",
-            "Check the numbering of these frames, or state the cameras' time stamps (`times`)",
+            "Check the numbering of these frames, or give the cameras' time stamps (`times`)",
             {"steps": int(steps.size)},
         )
 
 
 def remark_on_jitter(ratios: RiseRatios, sample: xr.Dataset) -> Iterator[Remark]:
-    """Report jitter of the frame times that makes velocities wrong by more than their uncertainty."""
+    """Report jitter of the frame times if it makes velocities wrong by more than their uncertainty."""
     jitter, rate = ratios.jitter(), float(sample.attrs["frame_rate"])
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     if not jitter or not measured.any():
         return
     sizes = [float(np.sqrt(np.mean(np.square(sample[name].values[measured])))) for name in "uvw"]
     stds = [float(np.median(sample[f"{name}_std"].values[measured])) for name in "uvw"]
-    # a step's displacement contains the errors of both frame times
+    # the interval of a step has the errors of both frame times
     over = np.sqrt(2.0) * jitter * max(size / std for size, std in zip(sizes, stds))
     if over > 1.0:
         yield Remark(
@@ -437,7 +452,7 @@ def remark_on_jitter(ratios: RiseRatios, sample: xr.Dataset) -> Iterator[Remark]
             "frame times",
             "remark",
             f"the frame times jitter by about {1e3 * jitter / rate:.2g} ms rms",
-            f"Velocities are off by {over:.1f} of their standard uncertainties",
-            "State the cameras' time stamps (`times`), or trigger the cameras by a steadier clock",
+            f"This adds errors of {over:.1f} standard uncertainties to the velocities",
+            "Give the cameras' time stamps (`times`), or trigger the cameras by a steadier clock",
             {"jitter_ms": 1e3 * jitter / rate, "over_std": float(over)},
         )

@@ -1,8 +1,9 @@
 """Limits and explanations of all remarks, and the remarks on water level, grid, fields and probes.
 
-A remark has a kind, which `explanations.yaml` explains, and three parts: what was found, what it means for
-the result, what to do. `cameras` and `camera_motion` make those on cameras, `record` those on frames and
-times.
+A remark is one finding about a measurement. It has a kind, which `explanations.yaml` explains, and three
+parts: what was found, what it means for the result, what to do. The remarks on cameras are in `cameras` and
+`camera_motion`, those on frames and times in `record`. A step is the interval between two consecutive frames;
+a node is a point of the grid.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,23 +25,23 @@ from wavefield.variables import Quality
 if TYPE_CHECKING:
     import xarray as xr
 
-# What each kind of remark means and what to do: the text of `wavefield explain`
+# By kind of remark: the text of `wavefield explain`
 EXPLANATIONS: dict[str, str] = yaml.safe_load(
     Path(__file__).with_name("explanations.yaml").read_text(encoding="utf-8")
 )
 
 
-SIGNIFICANCE = 4.0  # standard uncertainties: noise exceeds it once in 16,000 times
-CELLS = 3  # along either side: parts of the field whose errors are independent
-MAX_NODES = 2000  # of each step of a cube that are read; enough for means over the field
-MIN_NODES = 50  # measured nodes of a step; with fewer it is not judged
-MAX_MISS = 0.1  # px by which sight lines miss each other after a good calibration; more is a remark
-GRAVE_MISS = 0.5  # px: some ten standard uncertainties of z in a sound record
-MAX_LOST = 0.1  # share of frames, patches, nodes or variance: if more is lost, that is a remark
-HALF = 0.5  # of frames, patches or nodes: with less, a camera or the grid serves little
-MIN_COVERAGE = 0.05  # of the grid in common view: less is refused before a run
+SIGNIFICANCE = 4.0  # standard uncertainties: Gaussian noise exceeds them once in 16,000 times
+CELLS = 3  # the field is divided into CELLS x CELLS parts, whose errors are taken as independent
+MAX_NODES = 2000  # nodes of each step that are read; enough for means over the field
+MIN_NODES = 50  # a step with fewer measured nodes is not judged
+MAX_EPS_Y = 0.1  # px: largest epipolar error after a good calibration; more gives a remark
+GRAVE_EPS_Y = 0.5  # px: about ten standard uncertainties of z in a sound record
+MAX_LOST = 0.1  # fraction of frames, patches, nodes or variance; a larger loss gives a remark
+HALF = 0.5  # fraction of frames, patches or nodes; with less, a camera or the grid is of little use
+MIN_COVERAGE = 0.05  # fraction of the grid in common view; a smaller one is refused before a run
 MAX_EPS_PIV = 0.15  # px: median of |eps'|; sound records have less than 0.1
-MAX_PROBE_STEPS = 1500  # of a long record, in its middle
+MAX_PROBE_STEPS = 1500  # compared with probes, in the middle of a long record
 
 
 def first_sentence(text: str) -> str:
@@ -55,13 +56,13 @@ def first_sentence(text: str) -> str:
 
 
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
-    """Report a grid of which the cameras see little in common; ``seen`` is the share of its nodes."""
+    """Report a grid that the cameras see only in part; ``seen`` is the fraction of nodes in common view."""
     if seen < HALF:
         yield Remark(
             "grid",
             "coverage",
             "remark",
-            f"the cameras have {100 * seen:.2g} % of the grid's nodes in common view",
+            f"all cameras together see {100 * seen:.2g} % of the grid's nodes",
             "The other nodes are not measured",
             "Check the extent of the grid, which is in metres, or leave it out (`grid: auto`)",
             {"fraction": seen},
@@ -69,51 +70,57 @@ def remark_on_coverage(seen: float) -> Iterator[Remark]:
 
 
 def remark_on_holes(measured: float) -> Iterator[Remark]:
-    """Report that few of the nodes in view were measured."""
+    """Report that few nodes were measured; ``measured`` is their fraction of the nodes in view."""
     if measured < HALF:
         yield Remark(
             "surface",
             "holes",
             "remark",
-            f"{100 * measured:.0f} % of the nodes in view were measured",
+            f"only {100 * measured:.0f} % of the nodes in view were measured",
             "The others are filled from their neighbours, or empty",
-            "Check seeding, light and whether a camera vibrates; `quality` gives the reason at each node",
+            "Check seeding, light and the cameras' mounts; `quality` gives the reason at each node",
             {"fraction": measured},
         )
 
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report if cameras disagree about the motion of the water: median of |eps'|, px, where z is finite."""
+    """Report cameras that contradict each other about the motion of the water.
+
+    ``eps_piv`` is eps', the residual of the cameras' displacements after the fit of u, v, w, in px.
+    """
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
     if misfit > MAX_EPS_PIV:
         yield Remark(
             "velocity",
             "eps'",
-            "grave" if misfit > GRAVE_MISS else "remark",
-            f"the cameras' displacements differ: median eps' {misfit:.2f} px (at most {MAX_EPS_PIV} px)",
+            "grave" if misfit > GRAVE_EPS_Y else "remark",
+            f"the cameras' displacements differ: the median of |eps'| is {misfit:.2f} px (at most "
+            f"{MAX_EPS_PIV} px in sound records)",
             "u, v and w are wrong by about as much",
-            "Are the frames of the same moments, and in the same order, for all cameras?",
+            "Check that the frames of all cameras are of the same moments and in the same order",
             {"eps_piv": misfit},
         )
 
 
-def remark_on_unresolved_waves(share: float, wavelength: float, reason: str, remedy: str) -> Iterator[Remark]:
-    """Report waves, up to a wavelength in metres, that are not measured: their share of the variance of w."""
-    if share > MAX_LOST:
+def remark_on_unresolved_waves(
+    fraction: float, wavelength: float, reason: str, remedy: str
+) -> Iterator[Remark]:
+    """Report unresolved waves up to a wavelength (m), with their fraction of the variance of w."""
+    if fraction > MAX_LOST:
         yield Remark(
             "surface",
             "unresolved waves",
             "remark",
-            f"waves of {100 * wavelength:.3g} cm and less have {100 * share:.3g} % of the variance of w",
+            f"waves of {100 * wavelength:.3g} cm and less have {100 * fraction:.3g} % of the variance of w",
             reason,
             remedy,
-            {"fraction": share, "wavelength": wavelength},
+            {"fraction": fraction, "wavelength": wavelength},
         )
 
 
 def remark_on_steps(status: Status) -> Iterator[Remark]:
-    """Report steps that failed, or that have bad frames around them."""
+    """Report steps that failed, and steps with bad frames among those that they use."""
     if status.failed:
         everything = status.failed == status.steps
         yield Remark(
@@ -122,8 +129,8 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
             "grave" if everything else "remark",
             f"{'all' if everything else status.failed} of {status.steps} steps could not be measured, "
             f"from frame {spell_ranges(status.failed_steps, 3)}",
-            "They are NaN",
-            "Check these frames: are they present, bright and seeded in all cameras, which do not vibrate?",
+            "These steps are NaN",
+            "Check that these frames are there, bright and seeded in all cameras, and that none vibrates",
             {"failed": status.failed, "steps": status.steps},
         )
     if status.faulty:
@@ -131,15 +138,15 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
             "record",
             "bad frames",
             "remark" if status.faulty > MAX_LOST * status.steps else "note",
-            f"{status.faulty} of {status.steps} steps have bad frames around them",
-            "They are measured with fewer frames, less accurately",
+            f"{status.faulty} of {status.steps} steps use frames that are bad",
+            "They are measured with fewer frames and are less accurate",
             "Copy these frames again and run the same command",
             {"faulty": status.faulty, "steps": status.steps},
         )
 
 
 def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
-    """Report cameras without which many nodes were measured."""
+    """Report cameras that were left out at many nodes; ``quality`` holds bits of `Quality`."""
     has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
@@ -151,13 +158,13 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
                 "remark",
                 f"{100 * fraction:.1f} % of the nodes were measured without {camera}",
                 "Its frame was missing, or contradicted the others there; these nodes are less accurate",
-                f"Check the images of {camera}: a drop on its window, a reflection, focus, vibration?",
+                f"Check {camera} for drops on its window, reflections, focus and vibration",
                 {"fraction": fraction},
             )
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
-    """Report what z = 0 is; ``level_std`` is its uncertainty, metres."""
+    """Report the definition of z = 0; ``level_std`` is its standard uncertainty, metres."""
 
     def note(found: str, means: str, remedy: str = "", weight: Weight = "note", **values: float) -> Remark:
         return Remark("rig", "water level", weight, found, means, remedy, values)
@@ -168,8 +175,8 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
     if isinstance(found, dict) and {"height_m", "rms_m", "points"} <= set(found):
         height, rms = float(found["height_m"]), float(found["rms_m"])
         return note(
-            f"{found['points']} points of the water at rest were {1e3 * height:+.2f} mm from the target's "
-            f"plane, {1e3 * rms:.2f} mm rms about their own",
+            f"the water at rest was {1e3 * height:+.2f} mm from the target's plane "
+            f"({found['points']} points, {1e3 * rms:.2f} mm rms about their own plane)",
             "z = 0 is the water at rest",
             height_m=height,
             rms_m=rms,
@@ -185,10 +192,10 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
     if experiment.rest:
         file = experiment.path.name
         return note(
-            "the rig was made without the still-water record that the experiment names",
+            "the experiment names a still-water record, but the rig was made without it",
             "z = 0 is the target's plane, not the water at rest",
-            f"Run `wavefield calibrate {file}` again, or `wavefield refine {file}` for the rig of another "
-            "program",
+            f"Run `wavefield calibrate {file}` again, or `wavefield refine {file}` if another program made "
+            "the rig",
             "remark",
         )
     uncertain = f", uncertain by {1e3 * level_std:.2g} mm" if level_std > 0 else ""
@@ -203,6 +210,8 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
 
 
 def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
+    """Report the height of z = 0 in the light sheet."""
+
     def remark(weight: Weight, found: str, means: str, remedy: str = "", **values: float) -> Remark:
         return Remark("rig", "light sheet", weight, found, means, remedy, values)
 
@@ -211,16 +220,16 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
         return remark(
             "remark",
             "the position of the light sheet has not been determined",
-            "z = 0 is the target's plane; displacements are taken at wrong places if the sheet is elsewhere",
+            "z = 0 is the target's plane; if the sheet is elsewhere, displacements are at wrong positions",
             f"Run `wavefield rig sheet {experiment.path.name} -o sheet.yaml`, and use that rig",
         )
     height, elsewhere = float(sheet["height_m"]), float(sheet.get("elsewhere_m", 0.0))
     if elsewhere > 0:
         return remark(
             "remark",
-            "a camera has moved since the calibration; two cameras do not show which, nor how far along "
+            "a camera has moved since the calibration; two cameras do not show which one, nor how far along "
             "their parallax",
-            f"All places in the sheet may be off by {1e3 * elsewhere:.1f} mm",
+            f"All positions in the sheet may be wrong by {1e3 * elsewhere:.1f} mm",
             "Calibrate again, or add a third camera",
             height_m=height,
             elsewhere_m=elsewhere,
@@ -234,7 +243,7 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
 
 
 def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> Iterator[Remark]:
-    """Report probes that cannot be read, or that were recorded at other times than the frames (s)."""
+    """Report probes that cannot be read, or that were recorded outside the ``span`` of the frames (s)."""
     try:
         probes = experiment.read_probes()
     except ExperimentError as error:
@@ -251,8 +260,8 @@ def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> I
             "probe",
             "remark",
             f"they were recorded from {first:g} to {last:g} s, the frames from {span[0]:g} to {span[1]:g} s",
-            "They have no time in common and cannot be compared",
-            "State the difference of the clocks as `clock` in `probes:`",
+            "They have no time in common with the frames and cannot be compared",
+            "Give the difference of the clocks as `clock` in `probes:`",
             {"first": first, "last": last},
         )
 
@@ -260,9 +269,9 @@ def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> I
 def remark_on_probes(
     experiment: Experiment, cube: "xr.Dataset", span: tuple[float, float]
 ) -> Iterator[Remark]:
-    """Report what is wrong with the probes of an experiment, or between them and its cube.
+    """Report unusable probes, and probes that contradict the elevation in the cube.
 
-    Of a long record the middle is compared, thinned in space.
+    Only the middle of a long record is compared, at every nth node.
     """
     of_file = list(remark_on_probe_file(experiment, span))
     yield from of_file
